@@ -1,0 +1,1 @@
+"""Diagrams, scenarios and the commands."""

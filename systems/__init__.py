@@ -1,0 +1,1 @@
+"""LeafSystems, one component a file: thin shells round `tfg_drake`."""

@@ -1,0 +1,112 @@
+"""The parameters of every component, in SI units and radians, with the defaults of the `paper` scenario.
+
+Plain mutable dataclasses of plain types, so that a scenario file can be read straight into them.
+"""
+
+import dataclasses
+
+
+@dataclasses.dataclass
+class RobotConfig:
+    """The differential-drive base."""
+
+    # Radius of the round base, m.
+    radius: float = 0.18
+    # Speed limit, m/s.
+    max_speed: float = 0.5
+    # Turn-rate limit, rad/s.
+    max_turn_rate: float = 1.5
+    # Acceleration limit, m/s^2.
+    max_acceleration: float = 0.5
+    # Turn acceleration limit, rad/s^2.
+    max_turn_acceleration: float = 3.5
+
+
+@dataclasses.dataclass
+class OdometryConfig:
+    """Wheel encoders and gyro, and what the estimator believes of them."""
+
+    # Random walk of the distance travelled, m per root metre.
+    distance_noise: float = 0.02
+    # Standard deviation of the constant relative scale error of distance, drawn once a run.
+    distance_scale: float = 0.015
+    # Random walk of the heading, rad per root second.
+    gyro_noise: float = 0.005
+    # Standard deviation of the constant gyro bias, rad/s, drawn once a run.
+    gyro_bias: float = 0.001
+    # Standard deviation of the constant relative scale error of the gyro, drawn once a run.
+    gyro_scale: float = 0.01
+
+
+@dataclasses.dataclass
+class TagSensorConfig:
+    """The ideal feature sensor of the paper: range and bearing of coded landmarks."""
+
+    # Greatest range, m.
+    range: float = 10.0
+    # Horizontal field of view, rad (124 degrees).
+    field_of_view: float = 2.164208272472129
+    # Greatest angle between the line of sight and the tag's normal, rad (75 degrees).
+    max_incidence: float = 1.3089969389957472
+    # Frames per second, Hz.
+    rate: float = 10.0
+    # Range noise: sigma_r = range_noise + range_noise_per_metre * r, m.
+    range_noise: float = 0.02
+    range_noise_per_metre: float = 0.01
+    # Bearing noise, rad.
+    bearing_noise: float = 0.01
+    # Probability that a visible tag is detected in a frame.
+    detection_probability: float = 1.0
+    # Ratio of measured to true range (1: none). The estimator is not told.
+    range_scale: float = 1.0
+
+
+@dataclasses.dataclass
+class ScanConfig:
+    """The planar laser scanner."""
+
+    # Greatest range, m.
+    range: float = 10.0
+    # Field of view, rad (124 degrees).
+    field_of_view: float = 2.164208272472129
+    # Angle between rays, rad (0.5 degrees).
+    resolution: float = 0.008726646259971648
+    # Scans per second, Hz.
+    rate: float = 10.0
+    # Range noise, m.
+    noise: float = 0.015
+
+
+@dataclasses.dataclass
+class SafetyConfig:
+    """The filter between any controller and the base."""
+
+    # A command older than this is zero, s.
+    command_timeout: float = 0.6
+    # Nothing nearer to the robot's outline than this in its direction of travel, m, by the scan.
+    stop_distance: float = 0.04
+    # How long the base backs away after a bumper hit, s, and how fast, m/s.
+    reflex_time: float = 1.0
+    reflex_speed: float = 0.1
+
+
+@dataclasses.dataclass
+class ExplorerConfig:
+    """The method's own parameters. None is read from the world."""
+
+    # Landmarks expected per metre of unexplored surface.
+    density: float = 1.0
+    # Standard deviation of an unknown landmark's position, each axis, m.
+    prior_sigma: float = 10.0
+    # Roadmap nodes whose information gain is evaluated each stage.
+    samples: int = 400
+    # The mission is complete when no frontier lives and no candidate promises more than this, nats.
+    stop_gain: float = 20.0
+    # Goals tried at one frontier point before it is given up.
+    frontier_attempts: int = 3
+    # Turn rate while observing at a goal, rad/s.
+    turn_rate: float = 1.0
+    # Largest probability that a point of a path lies in an obstacle (the paper's last equation).
+    collision_probability: float = 0.01
+
+

@@ -1,0 +1,1 @@
+"""Planar geometry: poses, visibility, distances, polygons."""

@@ -1,0 +1,251 @@
+"""What the systems say to each other: frozen, stamped, in SI units.
+
+Every message is a frozen dataclass whose arrays are read-only and whose deep copy is itself, so Drake may copy a
+context as often as it likes at no cost, and nobody can change what somebody else is reading.
+
+Frames: W world, M map (the true start pose: X_WM = start), O odometry, B robot body, A the robot where a goal's
+turn begins (arrival), D where it ends (departure). A pose is an array (x, y, theta) in metres and radians; a
+covariance of a pose X_MB is that of (x, y) in M and theta.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, TypeVar, dataclass_transform
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+T = TypeVar("T")
+
+
+def _freeze(value: Any) -> Any:
+    if not isinstance(value, np.ndarray) or not value.flags.writeable:
+        return value
+    frozen = value.view() if value.base is None else value.copy()
+    frozen.flags.writeable = False
+    value.flags.writeable = False
+    return frozen
+
+
+def _post_init(self: Any) -> None:
+    for field in dataclasses.fields(self):
+        value = getattr(self, field.name)
+        frozen = _freeze(value)
+        if frozen is not value:
+            object.__setattr__(self, field.name, frozen)
+
+
+@dataclass_transform(frozen_default=True, eq_default=False)
+def message(cls: type[T]) -> type[T]:
+    """A frozen dataclass of read-only arrays whose deep copy is itself; compared by identity."""
+    frozen_self: Callable[[Any, Any], Any] = lambda self, _memo: self  # noqa: E731
+    cls.__post_init__ = _post_init  # type: ignore[attr-defined]
+    cls.__deepcopy__ = frozen_self  # type: ignore[attr-defined]
+    cls.__copy__ = lambda self: self  # type: ignore[attr-defined]
+    return dataclasses.dataclass(frozen=True, eq=False, slots=False)(cls)
+
+
+@message
+class Odometry:
+    """Dead reckoning by wheels and gyro.
+
+    stamp: s. X_OB: (3,) integrated pose of the body in the odometry frame. V_B: (2,) measured forward speed (m/s)
+    and turn rate (rad/s).
+    """
+
+    stamp: float
+    X_OB: FloatArray
+    V_B: FloatArray
+
+
+@message
+class TagDetections:
+    """The tags seen in one camera frame, as range and bearing of the tag's centre from the body.
+
+    stamp: s. ids: (n,). range: (n,) m. bearing: (n,) rad from the body's x axis. sigma_range, sigma_bearing: (n,)
+    standard deviations that the sensor states.
+    """
+
+    stamp: float
+    ids: IntArray
+    range: FloatArray
+    bearing: FloatArray
+    sigma_range: FloatArray
+    sigma_bearing: FloatArray
+
+
+@message
+class LaserScan:
+    """One planar scan, taken at one instant from the body's origin.
+
+    stamp: s. angles: (m,) rad from the body's x axis, increasing. ranges: (m,) m, inf where nothing was met within
+    range_max. range_max: m. sigma: standard deviation of a range, m.
+    """
+
+    stamp: float
+    angles: FloatArray
+    ranges: FloatArray
+    range_max: float
+    sigma: float
+
+
+@message
+class Hazards:
+    """The base's own alarms, as bits: 1 right, 2 centre, 4 left (Kobuki's order). stamp: s."""
+
+    stamp: float
+    bumper: int
+    cliff: int
+    wheel_drop: int
+
+
+@message
+class PoseEstimate:
+    """The online estimate of the robot's pose.
+
+    stamp: s. X_MB: (3,). covariance: (3, 3). speed: (2,) m/s and rad/s, from odometry. stage: number of goals in the
+    map it is relative to. new_ids: (u,) tags seen on the way that are not in the map yet, p_MU: (u, 2) where they
+    seem to be, m.
+    """
+
+    stamp: float
+    X_MB: FloatArray
+    covariance: FloatArray
+    speed: FloatArray
+    stage: int
+    new_ids: IntArray
+    p_MU: FloatArray
+
+
+@message
+class GoalObservation:
+    """What one turn in place saw, solved in the arrival frame A, the turn's poses eliminated.
+
+    ids: (n,). p_AL: (n, 2) tag positions in A, m. X_AD: (3,) departure pose in A. covariance: (2n + 3, 2n + 3) joint
+    covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A.
+    """
+
+    ids: IntArray
+    p_AL: FloatArray
+    X_AD: FloatArray
+    covariance: FloatArray
+    stamps: FloatArray
+    X_AB: FloatArray
+
+
+@message
+class MapEstimate:
+    """The joint Gaussian of landmarks and departure pose after a goal (MAP and its marginal covariance).
+
+    stage: number of goals k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m. X_MD: (3,) the last departure pose.
+    covariance: (2n + 3, 2n + 3) of (p_ML row by row, X_MD). X_MA: (k, 3) arrival poses of all goals. observation:
+    the newest goal's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's objective).
+    """
+
+    stage: int
+    stamp: float
+    ids: IntArray
+    p_ML: FloatArray
+    X_MD: FloatArray
+    covariance: FloatArray
+    X_MA: FloatArray
+    observation: GoalObservation
+    entropy: float
+
+
+@message
+class TfgMap:
+    """The topological feature graph resolved in the map frame: what planning and pictures need.
+
+    stage: number of goals in it. segments: (m, 4) obstacle surface pieces x0, y0, x1, y1 in M, m; the first
+    n_tagged_edges polylines' pieces come first and belong to edges between landmarks. segment_kind: (m,) 0 edge
+    between landmarks, 1 wall end anchored to a landmark, 2 surface without a landmark. segment_ids: (m, 2) ids of
+    the landmarks the piece is anchored to, -1 where there is none. facing: (n, 2) unit vectors in M, row for row
+    with MapEstimate.ids: the side from which each landmark was seen. frontiers: (f, 2) points in M, a little inside
+    the unknown, frontier_length: (f,) m of frontier each stands for, frontier_normal: (f, 2) unit vectors pointing
+    from the unknown back to where the frontier was seen from. star_offsets: (k + 1,) and star_vertices: (v, 2): star
+    j, the free polygon seen from goal j, has the vertices star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise
+    round star_centers[j]. star_centers: (k, 2).
+    """
+
+    stage: int
+    segments: FloatArray
+    segment_kind: IntArray
+    segment_ids: IntArray
+    facing: FloatArray
+    frontiers: FloatArray
+    frontier_length: FloatArray
+    frontier_normal: FloatArray
+    star_offsets: IntArray
+    star_vertices: FloatArray
+    star_centers: FloatArray
+
+
+@message
+class Roadmap:
+    """The probabilistic roadmap of one stage, in the map frame.
+
+    stage. points: (n, 2) m. edges: (e, 2) node indices. reachable: (n,). travel_time: (n,) expected s from the
+    robot, turns included, inf where unreachable. path_clearance_ok is implied: edges that break the chance constraint
+    are not in it.
+    """
+
+    stage: int
+    points: FloatArray
+    edges: IntArray
+    reachable: BoolArray
+    travel_time: FloatArray
+
+
+@message
+class GoalChoice:
+    """The goal chosen at one stage and the field it was chosen from.
+
+    stage. node: index into Roadmap.points, -1 for none. p_MG: (2,). candidates: (c,) node indices evaluated,
+    exploitation, exploration, pose_price: (c,) nats (gain = exploitation + exploration, price included in it).
+    value: (c,) what was maximised. verdict: "goal", "complete" or "stuck". reason: one sentence.
+    """
+
+    stage: int
+    node: int
+    p_MG: FloatArray
+    candidates: IntArray
+    exploitation: FloatArray
+    exploration: FloatArray
+    pose_price: FloatArray
+    gain: FloatArray
+    value: FloatArray
+    verdict: str
+    reason: str
+
+
+@message
+class Path:
+    """A path to follow. id: grows with every new path. stage. points: (n, 2) in M, m; empty where none was found."""
+
+    id: int
+    stage: int
+    points: FloatArray
+
+
+@message
+class MissionStatus:
+    """Where the mission stands.
+
+    phase: "observe", "map", "choose", "plan", "follow", "done", "paused". stage: goals completed. since: s, when the phase began.
+    outcome: "" until done, then complete, stuck, time_limit, budget, interrupted or fault. reason: one sentence.
+    replans: paths asked for at this stage.
+    """
+
+    phase: str
+    stage: int
+    since: float
+    outcome: str
+    reason: str
+    replans: int
