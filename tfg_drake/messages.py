@@ -238,14 +238,19 @@ class Path:
 class MissionStatus:
     """Where the mission stands.
 
-    phase: "observe", "map", "choose", "plan", "follow", "done", "paused". stage: goals completed. since: s, when the phase began.
-    outcome: "" until done, then complete, stuck, time_limit, budget, interrupted or fault. reason: one sentence.
-    replans: paths asked for at this stage.
+    phase: "observe" (turning in place at a goal), "map" (the turn is being solved), "choose", "plan", "follow",
+    "done", or "paused". stage: goals in the map. since: s, when the phase began. resume_phase: where a pause goes back
+    to, "" otherwise. outcome: "" until done, then complete, stuck, time_limit, budget, interrupted or fault. reason:
+    one sentence. replans: paths asked for at this stage after the first. path_id: the path being followed.
+    failures: goals in a row that could not be reached.
     """
 
     phase: str
     stage: int
     since: float
-    outcome: str
-    reason: str
-    replans: int
+    resume_phase: str = ""
+    outcome: str = ""
+    reason: str = ""
+    replans: int = 0
+    path_id: int = 0
+    failures: int = 0
