@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tfg_drake.geometry.distance import clearance, point_distance, segment_distance
+
+
+def random_segments(rng, n):
+    a = rng.uniform(-5, 5, (n, 2))
+    return np.hstack([a, a + rng.normal(0, 1.5, (n, 2))])
+
+
+def lines(segments):
+    return shapely.linestrings(np.asarray(segments).reshape(-1, 2, 2))
+
+
+def test_point_distance_agrees_with_shapely():
+    rng = np.random.default_rng(0)
+    segments, points = random_segments(rng, 40), rng.uniform(-6, 6, (50, 2))
+    expected = shapely.distance(shapely.points(points)[:, None], lines(segments)[None]).min(axis=1)
+    np.testing.assert_allclose(point_distance(points, segments), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_segment_distance_agrees_with_shapely(seed):
+    rng = np.random.default_rng(seed)
+    segments, edges = random_segments(rng, 12), random_segments(rng, 200)
+    expected = shapely.distance(lines(edges)[:, None], lines(segments)[None]).min(axis=1)
+    assert 0 < (expected == 0).sum() < 200
+    np.testing.assert_allclose(segment_distance(edges, segments), expected, atol=1e-12)
+    np.testing.assert_allclose(clearance(edges, segments, 0.7), np.minimum(expected, 0.7), atol=1e-12)
+
+
+coordinate = st.integers(-3, 3).map(float)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.lists(coordinate, min_size=4, max_size=4), st.lists(coordinate, min_size=4, max_size=4))
+def test_degenerate_pairs_agree_with_shapely(edge, segment):
+    def geometry(row):
+        a, b = row[:2], row[2:]
+        return shapely.Point(a) if a == b else shapely.LineString([a, b])
+
+    distance = segment_distance(np.array([edge]), np.array([segment]))[0]
+    assert distance == pytest.approx(geometry(edge).distance(geometry(segment)), abs=1e-12)
+
+
+def test_nothing_is_infinitely_far():
+    none = np.zeros((0, 4))
+    assert point_distance(np.zeros((2, 2)), none).tolist() == [np.inf, np.inf]
+    assert segment_distance(np.zeros((1, 4)), none).tolist() == [np.inf]
+    assert clearance(np.zeros((1, 4)), none, 2.0).tolist() == [2.0]
+    assert len(segment_distance(none, np.zeros((1, 4)))) == 0

@@ -1,0 +1,89 @@
+"""Distances between points, path edges and obstacle surfaces, in closed form (numba kernels).
+
+A segment is a row (x0, y0, x1, y1), m, in any one frame. Zero-length segments are points.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import FloatArray
+
+
+@njit(cache=True)
+def point_segment_distance(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
+    """Distance (m) from the point (x, y) to the segment (x0, y0)-(x1, y1)."""
+    dx, dy = x1 - x0, y1 - y0
+    length_squared = dx * dx + dy * dy
+    t = 0.0
+    if length_squared > 0.0:
+        t = min(1.0, max(0.0, ((x - x0) * dx + (y - y0) * dy) / length_squared))
+    ex, ey = x0 + t * dx - x, y0 + t * dy - y
+    return math.sqrt(ex * ex + ey * ey)
+
+
+@njit(cache=True)
+def segments_cross(ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float) -> bool:
+    """Whether a-b and c-d cross at a point inside both. Touching and collinear pairs are left to point distances."""
+    d1 = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    d2 = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
+    if (d1 > 0.0) == (d2 > 0.0):
+        return False
+    d3 = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
+    d4 = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
+    return (d3 > 0.0) != (d4 > 0.0)
+
+
+@njit(cache=True)
+def segment_segment_distance(
+    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float
+) -> float:
+    """Distance (m) between the segments a-b and c-d, 0 where they cross."""
+    if segments_cross(ax, ay, bx, by, cx, cy, dx, dy):
+        return 0.0
+    return min(
+        min(point_segment_distance(ax, ay, cx, cy, dx, dy), point_segment_distance(bx, by, cx, cy, dx, dy)),
+        min(point_segment_distance(cx, cy, ax, ay, bx, by), point_segment_distance(dx, dy, ax, ay, bx, by)),
+    )
+
+
+@njit(cache=True)
+def point_distance(points: FloatArray, segments: FloatArray) -> FloatArray:
+    """Distance (n,), m, from each point (n, 2) to the nearest segment (m, 4); inf without segments."""
+    distance = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        for j in range(len(segments)):
+            s = segments[j]
+            distance[i] = min(distance[i], point_segment_distance(points[i, 0], points[i, 1], s[0], s[1], s[2], s[3]))
+    return distance
+
+
+@njit(cache=True)
+def segment_distance(edges: FloatArray, segments: FloatArray) -> FloatArray:
+    """Distance (e,), m, from each edge (e, 4) to the nearest segment (m, 4): 0 where they cross, inf without any."""
+    return clearance(edges, segments, np.inf)
+
+
+@njit(cache=True)
+def clearance(edges: FloatArray, segments: FloatArray, reach: float) -> FloatArray:
+    """As segment_distance, but no more than reach (m): surfaces farther away are skipped by their bounding boxes."""
+    distance = np.full(len(edges), reach)
+    for i in range(len(edges)):
+        ax, ay, bx, by = edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3]
+        left, right, low, high = min(ax, bx), max(ax, bx), min(ay, by), max(ay, by)
+        best = reach
+        for j in range(len(segments)):
+            cx, cy, dx, dy = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
+            # The gap between the two bounding boxes is a lower bound of the distance.
+            if max(cx, dx) < left - best or min(cx, dx) > right + best:
+                continue
+            if max(cy, dy) < low - best or min(cy, dy) > high + best:
+                continue
+            best = min(best, segment_segment_distance(ax, ay, bx, by, cx, cy, dx, dy))
+            if best == 0.0:
+                break
+        distance[i] = best
+    return distance
