@@ -24,21 +24,19 @@ BoolArray = NDArray[np.bool_]
 T = TypeVar("T")
 
 
-def _freeze(value: Any) -> Any:
-    if not isinstance(value, np.ndarray) or not value.flags.writeable:
-        return value
-    frozen = value.view() if value.base is None else value.copy()
-    frozen.flags.writeable = False
-    value.flags.writeable = False
-    return frozen
+def _freeze(array: NDArray[Any]) -> NDArray[Any]:
+    # Over bytes no view of it can ever be written, and the caller's array stays the caller's. An array that another
+    # message holds already is shared, not copied.
+    if type(array.base) is bytes:
+        return array
+    return np.ndarray(array.shape, array.dtype, array.tobytes())
 
 
 def _post_init(self: Any) -> None:
-    for field in dataclasses.fields(self):
-        value = getattr(self, field.name)
-        frozen = _freeze(value)
-        if frozen is not value:
-            object.__setattr__(self, field.name, frozen)
+    fields = self.__dict__
+    for name, value in fields.items():
+        if isinstance(value, np.ndarray):
+            fields[name] = _freeze(value)
 
 
 @dataclass_transform(frozen_default=True, eq_default=False)
@@ -254,3 +252,25 @@ class MissionStatus:
     replans: int = 0
     path_id: int = 0
     failures: int = 0
+
+
+@message
+class FollowerStatus:
+    """What the follower has done. stamp: s. path_id: the path it follows. arrived: it stands at that path's end.
+
+    turned: rad turned in the running observation. turn_done: that turn is complete and the robot is at rest.
+    """
+
+    stamp: float
+    path_id: int
+    arrived: bool
+    turned: float
+    turn_done: bool
+
+
+@message
+class PathStatus:
+    """Whether the rest of the path with this id is free of what the scan sees."""
+
+    path_id: int
+    free: bool

@@ -1,0 +1,110 @@
+"""The mission sequencer: observe, map, choose, plan, follow, until there is a reason to end."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.messages import (
+    FollowerStatus,
+    GoalChoice,
+    Hazards,
+    MapEstimate,
+    MissionStatus,
+    Path,
+    PathStatus,
+    TfgMap,
+)
+from tfg_drake.mission import MissionInputs, initial_status, step
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+PERIOD = 1 / 16
+
+
+class MissionSequencer(LeafSystem):
+    """Runs `tfg_drake.mission.step` and ends the simulation with the mission.
+
+    .. pydrake_system::
+
+        name: MissionSequencer
+        input_ports:
+        - map
+        - tfg
+        - goal
+        - path
+        - path_status
+        - follower_status
+        - hazards
+        - pause
+        - enable
+        - stop
+        output_ports:
+        - mission
+
+    pause, enable and stop are vectors of size 1, true above 0.5; unconnected they read 0, 1 and 0.
+    """
+
+    def __init__(self, robot: RobotConfig):
+        super().__init__()
+        self._max_speed = robot.max_speed
+        self._map = declare_message_input(self, "map").get_index()
+        self._tfg = declare_message_input(self, "tfg").get_index()
+        self._goal = declare_message_input(self, "goal").get_index()
+        self._path = declare_message_input(self, "path").get_index()
+        self._path_status = declare_message_input(self, "path_status").get_index()
+        self._follower = declare_message_input(self, "follower_status").get_index()
+        self._hazards = declare_message_input(self, "hazards").get_index()
+        self._pause = self.DeclareVectorInputPort("pause", 1)
+        self._enable = self.DeclareVectorInputPort("enable", 1)
+        self._stop = self.DeclareVectorInputPort("stop", 1)
+        self._status = self.DeclareAbstractState(AbstractValue.Make(initial_status()))
+        declare_message_output(
+            self,
+            "mission",
+            lambda context: state_message(context, self._status, MissionStatus),
+            {self.abstract_state_ticket(self._status)},
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        status = state_message(context, self._status, MissionStatus)
+        if status.phase == "done":
+            return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
+        updated = step(status, self._Inputs(context))
+        if updated is status:
+            return EventStatus.DidNothing()
+        set_state_message(state, self._status, updated)
+        return EventStatus.Succeeded()
+
+    def _Inputs(self, context: Context) -> MissionInputs:
+        path = eval_message(self, context, self._path, Path)
+        return MissionInputs(
+            time=context.get_time(),
+            follower=eval_message(self, context, self._follower, FollowerStatus),
+            goal=eval_message(self, context, self._goal, GoalChoice),
+            path=path,
+            path_status=eval_message(self, context, self._path_status, PathStatus),
+            map_stage=eval_message(self, context, self._map, MapEstimate).stage,
+            tfg_stage=eval_message(self, context, self._tfg, TfgMap).stage,
+            path_time=_length(path.points) / self._max_speed,
+            bumper=eval_message(self, context, self._hazards, Hazards).bumper != 0,
+            pause=_flag(self._pause, context, False),
+            enable=_flag(self._enable, context, True),
+            stop=_flag(self._stop, context, False),
+        )
+
+
+def _length(points: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
+
+
+def _flag(port, context: Context, default: bool) -> bool:
+    return bool(port.Eval(context)[0] > 0.5) if port.HasValue(context) else default

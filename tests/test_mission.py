@@ -1,0 +1,122 @@
+"""The mission's sequence, phase by phase."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tfg_drake.messages import FollowerStatus, GoalChoice, Path, PathStatus
+from tfg_drake.mission import MAX_FAILURES, MAX_REPLANS, MissionInputs, initial_status, step
+
+
+def goal(stage: int, verdict: str = "goal") -> GoalChoice:
+    empty = np.zeros(0)
+    return GoalChoice(
+        stage, 3, np.zeros(2), np.zeros(0, dtype=np.int64), empty, empty, empty, empty, empty, verdict, "because"
+    )
+
+
+def inputs(time: float, **changes) -> MissionInputs:
+    base = MissionInputs(
+        time=time,
+        follower=FollowerStatus(time, 0, False, 0.0, False),
+        goal=goal(0),
+        path=Path(0, 0, np.zeros((0, 2))),
+        path_status=PathStatus(0, True),
+        map_stage=0,
+        tfg_stage=0,
+    )
+    return dataclasses.replace(base, **changes)
+
+
+def following(time: float = 10.0):
+    status = step(initial_status(), inputs(time - 3, follower=FollowerStatus(time - 3, 0, False, 6.3, True)))
+    status = step(status, inputs(time - 2, map_stage=1, tfg_stage=1))
+    status = step(status, inputs(time - 1, goal=goal(1)))
+    return step(status, inputs(time, path=Path(7, 1, np.ones((5, 2)))))
+
+
+def test_one_stage_runs_through_every_phase():
+    status = initial_status()
+    assert status.phase == "observe"
+    assert step(status, inputs(1.0)) is status
+    status = step(status, inputs(7.0, follower=FollowerStatus(7.0, 0, False, 6.3, True)))
+    assert (status.phase, status.stage) == ("map", 0)
+    assert step(status, inputs(7.1, map_stage=1)) is status
+    status = step(status, inputs(7.2, map_stage=1, tfg_stage=1))
+    assert (status.phase, status.stage) == ("choose", 1)
+    assert step(status, inputs(7.3, goal=goal(0))) is status
+    status = step(status, inputs(7.4, goal=goal(1)))
+    assert status.phase == "plan"
+    status = step(status, inputs(7.5, path=Path(1, 1, np.ones((5, 2)))))
+    assert (status.phase, status.path_id) == ("follow", 1)
+    assert step(status, inputs(9.0, follower=FollowerStatus(9.0, 0, True, 0.0, False))) is status
+    status = step(status, inputs(9.5, follower=FollowerStatus(9.5, 1, True, 0.0, False)))
+    assert (status.phase, status.stage, status.since) == ("observe", 1, 9.5)
+
+
+def test_a_turn_reported_done_before_the_phase_settled_is_the_last_one_and_ignored():
+    status = dataclasses.replace(initial_status(), since=5.0)
+    assert step(status, inputs(5.1, follower=FollowerStatus(5.1, 0, False, 6.3, True))) is status
+
+
+@pytest.mark.parametrize("verdict", ["complete", "stuck"])
+def test_the_selectors_verdict_ends_the_mission_with_its_reason(verdict):
+    status = dataclasses.replace(initial_status(), phase="choose", stage=4)
+    status = step(status, inputs(50.0, goal=goal(4, verdict)))
+    assert (status.phase, status.outcome, status.reason) == ("done", verdict, "because")
+    assert step(status, inputs(51.0, stop=True)) is status
+
+
+def test_a_blocked_path_is_planned_again_and_given_up_in_the_end():
+    status = following()
+    for replan in range(1, MAX_REPLANS + 1):
+        status = step(status, inputs(20.0, path_status=PathStatus(status.path_id, False)))
+        assert (status.phase, status.replans) == ("plan", replan)
+        status = step(status, inputs(20.0, path=Path(status.path_id + 1, 1, np.ones((5, 2)))))
+    status = step(status, inputs(21.0, path_status=PathStatus(status.path_id, False)))
+    assert (status.phase, status.failures) == ("observe", 1)
+
+
+def test_the_status_of_another_path_does_not_count():
+    status = following()
+    assert step(status, inputs(20.0, path_status=PathStatus(status.path_id - 1, False))) is status
+
+
+def test_goals_that_cannot_be_reached_end_the_mission_stuck():
+    status = dataclasses.replace(following(), phase="plan", failures=MAX_FAILURES - 1)
+    status = step(status, inputs(30.0, path=Path(status.path_id + 1, 1, np.zeros((0, 2)))))
+    assert (status.phase, status.outcome) == ("done", "stuck")
+    assert status.reason == f"{MAX_FAILURES} goals in a row could not be reached"
+
+
+def test_a_bumper_hit_asks_for_a_new_path_once_the_reflex_is_over():
+    status = following(10.0)
+    assert step(status, inputs(11.0, bumper=True)) is status
+    assert step(status, inputs(12.5, bumper=True)).phase == "plan"
+
+
+def test_a_path_that_takes_far_too_long_is_planned_again():
+    status = following(10.0)
+    assert step(status, inputs(69.0, path_time=1.0)) is status
+    assert step(status, inputs(75.0, path_time=1.0)).phase == "plan"
+
+
+@pytest.mark.parametrize(("phase", "resumed"), [("observe", "observe"), ("choose", "choose"), ("follow", "plan")])
+def test_pause_holds_and_resumes(phase, resumed):
+    status = dataclasses.replace(following(), phase=phase)
+    paused = step(status, inputs(20.0, pause=True))
+    assert (paused.phase, paused.resume_phase) == ("paused", phase)
+    assert step(paused, inputs(21.0, pause=True)) is paused
+    assert step(paused, inputs(22.0)).phase == resumed
+
+
+def test_nothing_moves_before_the_operator_enables_it():
+    status = step(initial_status(), inputs(0.0, enable=False))
+    assert status.phase == "paused"
+    assert step(status, inputs(5.0)).phase == "observe"
+
+
+def test_stop_ends_the_mission_as_interrupted():
+    status = step(following(), inputs(20.0, stop=True))
+    assert (status.phase, status.outcome, status.reason) == ("done", "interrupted", "stopped by the operator")

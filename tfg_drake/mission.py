@@ -1,0 +1,130 @@
+"""The mission's sequence: observe, map, choose, plan, follow, and again, until there is a reason to end.
+
+One pure step function over an immutable status (Sec. III-B of the paper: goal points split the problem into stages).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus
+
+# A follower status older than this after a phase began may still speak of the phase before, s.
+SETTLING_TIME = 0.125
+# New paths asked for at one stage before the robot observes where it stands instead.
+MAX_REPLANS = 5
+# Stages in a row without reaching the chosen goal before the mission is stuck.
+MAX_FAILURES = 6
+# The base's own reflex needs this long before a bumper that still reports contact means anything new, s.
+BUMPER_PATIENCE = 2.0
+# A path that is not finished after this many times its time at full speed, plus a minute, is planned again.
+PATIENCE = 4.0
+
+
+@dataclasses.dataclass(frozen=True)
+class MissionInputs:
+    """What the sequencer sees at one instant.
+
+    time: s. follower, goal, path, path_status: the newest messages. map_stage, tfg_stage: goals in the estimator's map
+    and in the TFG. path_time: s the path would take at full speed. bumper: the base reports contact. pause, enable,
+    stop: the operator's inputs.
+    """
+
+    time: float
+    follower: FollowerStatus
+    goal: GoalChoice
+    path: Path
+    path_status: PathStatus
+    map_stage: int
+    tfg_stage: int
+    path_time: float = 0.0
+    bumper: bool = False
+    pause: bool = False
+    enable: bool = True
+    stop: bool = False
+
+
+def initial_status() -> MissionStatus:
+    """The mission begins with a look round."""
+    return MissionStatus(phase="observe", stage=0, since=0.0)
+
+
+def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    """The status at inputs.time; the same object where nothing changed."""
+    if status.phase == "done":
+        return status
+    if inputs.stop:
+        return _end(status, inputs, "interrupted", "stopped by the operator")
+    held = inputs.pause or not inputs.enable
+    if status.phase == "paused":
+        if held:
+            return status
+        # A path may have gone stale while the robot stood (or was carried): plan it anew.
+        resume = "plan" if status.resume_phase == "follow" else status.resume_phase
+        since = status.since if resume == "observe" else inputs.time
+        replans = status.replans + (status.resume_phase == "follow")
+        return dataclasses.replace(status, phase=resume, resume_phase="", since=since, replans=replans)
+    if held:
+        return dataclasses.replace(status, phase="paused", resume_phase=status.phase)
+    return _PHASES[status.phase](status, inputs)
+
+
+def _begin(status: MissionStatus, inputs: MissionInputs, phase: str, **changes: int) -> MissionStatus:
+    return dataclasses.replace(status, phase=phase, since=inputs.time, **changes)  # type: ignore[arg-type]
+
+
+def _end(status: MissionStatus, inputs: MissionInputs, outcome: str, reason: str) -> MissionStatus:
+    return dataclasses.replace(status, phase="done", since=inputs.time, outcome=outcome, reason=reason)
+
+
+def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    fresh = inputs.follower.stamp > status.since + SETTLING_TIME
+    return _begin(status, inputs, "map") if fresh and inputs.follower.turn_done else status
+
+
+def _map(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    stage = status.stage + 1
+    ready = inputs.map_stage == stage and inputs.tfg_stage == stage
+    return _begin(status, inputs, "choose", stage=stage, replans=0) if ready else status
+
+
+def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    goal = inputs.goal
+    if goal.stage != status.stage:
+        return status
+    if goal.verdict == "goal":
+        return _begin(status, inputs, "plan")
+    return _end(status, inputs, goal.verdict, goal.reason)
+
+
+def _plan(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    path = inputs.path
+    if path.stage != status.stage or path.id <= status.path_id:
+        return status
+    if len(path.points):
+        return _begin(status, inputs, "follow", path_id=path.id)
+    return _give_up_goal(dataclasses.replace(status, path_id=path.id), inputs)
+
+
+def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    follower = inputs.follower
+    if follower.path_id == status.path_id and follower.arrived:
+        return _begin(status, inputs, "observe", failures=0)
+    blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
+    late = inputs.time - status.since > 60.0 + PATIENCE * inputs.path_time
+    bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE
+    if not (blocked or late or bumped):
+        return status
+    if status.replans < MAX_REPLANS:
+        return _begin(status, inputs, "plan", replans=status.replans + 1)
+    return _give_up_goal(status, inputs)
+
+
+def _give_up_goal(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    """Look round where the robot stands: the new view shows what is in the way."""
+    if status.failures + 1 >= MAX_FAILURES:
+        return _end(status, inputs, "stuck", f"{MAX_FAILURES} goals in a row could not be reached")
+    return _begin(status, inputs, "observe", failures=status.failures + 1)
+
+
+_PHASES = {"observe": _observe, "map": _map, "choose": _choose, "plan": _plan, "follow": _follow}
