@@ -1,0 +1,61 @@
+"""Typed access to abstract ports and state that hold messages (tfg_drake/messages.py).
+
+Drake's abstract values check no Python type; these few functions do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, InputPort, LeafSystem, OutputPort, State
+
+T = TypeVar("T")
+
+
+def declare_message_input(system: LeafSystem, name: str) -> InputPort:
+    """Declares an input port for messages."""
+    return cast(InputPort, system.DeclareAbstractInputPort(name, AbstractValue.Make(object())))
+
+
+def declare_message_output(
+    system: LeafSystem, name: str, calc: Callable[[Context], object], prerequisites_of_calc: set[Any]
+) -> OutputPort:
+    """Declares an output port whose message is calc(context), which depends on the prerequisites (tickets) only."""
+
+    def calc_value(context: Context, output: AbstractValue) -> None:
+        output.set_value(calc(context))
+
+    port = system.DeclareAbstractOutputPort(
+        name, lambda: AbstractValue.Make(object()), calc_value, prerequisites_of_calc
+    )
+    return cast(OutputPort, port)
+
+
+def eval_message(system: LeafSystem, context: Context, port_index: int, kind: type[T]) -> T:
+    """The message at an input port.
+
+    Raises TypeError where the port is not connected or holds anything else than a kind.
+    """
+    port = system.get_input_port(port_index)
+    if not port.HasValue(context):
+        raise TypeError(f"{system.get_name()}.{port.get_name()} must be connected to an output of {kind.__name__}.")
+    return _checked(port.Eval(context), kind, f"{system.get_name()}.{port.get_name()}")
+
+
+def state_message(context: Context | State, index: int, kind: type[T]) -> T:
+    """The message in an abstract state variable. Raises TypeError where it holds anything else than a kind."""
+    value = context.get_abstract_state(int(index)).get_value()
+    return _checked(value, kind, f"abstract state {int(index)}")
+
+
+def set_state_message(state: State, index: int, value: object) -> None:
+    """Puts a message into an abstract state variable."""
+    state.get_mutable_abstract_state(int(index)).set_value(value)
+
+
+def _checked(value: object, kind: type[T], where: str) -> T:
+    if not isinstance(value, kind):
+        raise TypeError(f"{where} must hold {kind.__name__}, not {type(value).__name__}.")
+    return value

@@ -1,0 +1,52 @@
+"""The typed helper for ports that hold messages."""
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import LeafSystem
+
+from tfg_drake.messages import Hazards, Odometry
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+
+class _Relay(LeafSystem):
+    def __init__(self):
+        super().__init__()
+        self.set_name("relay")
+        port = declare_message_input(self, "odometry")
+        self.state = self.DeclareAbstractState(AbstractValue.Make(Odometry(0.0, np.zeros(3), np.zeros(2))))
+        declare_message_output(self, "out", lambda c: eval_message(self, c, 0, Odometry), {port.ticket()})
+
+
+def test_a_message_passes_through():
+    relay = _Relay()
+    context = relay.CreateDefaultContext()
+    message = Odometry(1.0, np.zeros(3), np.zeros(2))
+    relay.get_input_port(0).FixValue(context, AbstractValue.Make(message))
+    assert relay.get_output_port(0).Eval(context).stamp == 1.0
+
+
+def test_the_wrong_message_and_no_message_are_named():
+    relay = _Relay()
+    context = relay.CreateDefaultContext()
+    with pytest.raises(TypeError, match=r"^relay\.odometry must be connected to an output of Odometry\.$"):
+        eval_message(relay, context, 0, Odometry)
+    relay.get_input_port(0).FixValue(context, AbstractValue.Make(Hazards(0.0, 0, 0, 0)))
+    with pytest.raises(TypeError, match=r"^relay\.odometry must hold Odometry, not Hazards\.$"):
+        eval_message(relay, context, 0, Odometry)
+
+
+def test_state_survives_a_clone():
+    relay = _Relay()
+    context = relay.CreateDefaultContext()
+    message = Odometry(2.0, np.zeros(3), np.zeros(2))
+    set_state_message(context.get_mutable_state(), relay.state, message)
+    assert state_message(context.Clone(), relay.state, Odometry) is message
+    with pytest.raises(TypeError, match="abstract state 0 must hold Hazards, not Odometry"):
+        state_message(context, relay.state, Hazards)
