@@ -27,7 +27,8 @@ T = TypeVar("T")
 def _freeze(array: NDArray[Any]) -> NDArray[Any]:
     # Over bytes no view of it can ever be written, and the caller's array stays the caller's. An array that another
     # message holds already is shared, not copied.
-    if type(array.base) is bytes:
+    base: object = array.base
+    if type(base) is bytes:
         return array
     return np.ndarray(array.shape, array.dtype, array.tobytes())
 
