@@ -1,0 +1,88 @@
+"""Star polygons: the free space seen from one point, packed one after the other into shared arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+
+
+@njit(cache=True)
+def _inside(x: float, y: float, vertices: FloatArray, start: int, stop: int) -> bool:
+    """Even-odd rule for one point and the polygon vertices[start:stop]."""
+    inside = False
+    previous = stop - 1
+    for i in range(start, stop):
+        xi, yi = vertices[i, 0], vertices[i, 1]
+        xj, yj = vertices[previous, 0], vertices[previous, 1]
+        if (yi > y) != (yj > y) and x < xi + (y - yi) / (yj - yi) * (xj - xi):
+            inside = not inside
+        previous = i
+    return inside
+
+
+@njit(cache=True)
+def _square_radii(star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray) -> FloatArray:
+    radii = np.zeros(star_centers.shape[0])
+    for j in range(star_centers.shape[0]):
+        for v in range(star_offsets[j], star_offsets[j + 1]):
+            dx = star_vertices[v, 0] - star_centers[j, 0]
+            dy = star_vertices[v, 1] - star_centers[j, 1]
+            radii[j] = max(radii[j], dx * dx + dy * dy)
+    return radii
+
+
+@njit(cache=True)
+def inside_any(
+    points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray
+) -> BoolArray:
+    """Which points (n, 2) lie inside at least one star polygon, (n,).
+
+    Star j has the vertices star_vertices[star_offsets[j]:star_offsets[j + 1]] round star_centers[j]; star_offsets is
+    (k + 1,), star_vertices (v, 2), star_centers (k, 2), all in the frame of the points, m. A point exactly on an edge
+    may fall on either side.
+    """
+    radii = _square_radii(star_offsets, star_vertices, star_centers)
+    result = np.zeros(points.shape[0], dtype=np.bool_)
+    for i in range(points.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        for j in range(star_centers.shape[0]):
+            dx, dy = x - star_centers[j, 0], y - star_centers[j, 1]
+            if dx * dx + dy * dy <= radii[j] and _inside(x, y, star_vertices, star_offsets[j], star_offsets[j + 1]):
+                result[i] = True
+                break
+    return result
+
+
+@njit(cache=True)
+def inspected(
+    points: FloatArray,
+    normals: FloatArray,
+    star_offsets: IntArray,
+    star_vertices: FloatArray,
+    star_centers: FloatArray,
+    max_range: float,
+    max_incidence: float,
+) -> BoolArray:
+    """Which points (n, 2) just in front of a surface with unit normals (n, 2) some star's centre saw well, (n,).
+
+    Seen well means inside the star, within max_range (m) of its centre and with at most max_incidence (rad) between
+    the normal and the line of sight. Star polygons as in `inside_any`.
+    """
+    radii = _square_radii(star_offsets, star_vertices, star_centers)
+    least_cosine = np.cos(max_incidence)
+    result = np.zeros(points.shape[0], dtype=np.bool_)
+    for i in range(points.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        for j in range(star_centers.shape[0]):
+            dx, dy = star_centers[j, 0] - x, star_centers[j, 1] - y
+            square = dx * dx + dy * dy
+            if square > radii[j] or square > max_range * max_range:
+                continue
+            if dx * normals[i, 0] + dy * normals[i, 1] < least_cosine * np.sqrt(square):
+                continue
+            if _inside(x, y, star_vertices, star_offsets[j], star_offsets[j + 1]):
+                result[i] = True
+                break
+    return result
