@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+
+from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.planning.information_gain import exact_gain, odometry_covariance, turn_noise
+
+
+def whitened(p_AL, noise):
+    r = np.linalg.norm(p_AL)
+    jacobian = np.array([[p_AL[0] / r, p_AL[1] / r], [-p_AL[1] / r**2, p_AL[0] / r**2]])
+    return jacobian / np.array([[max(noise[0] + noise[1] * r, noise[2])], [noise[3]]])
+
+
+def brute_force(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma, noise):
+    """Log-determinant difference of the landmarks' marginal information, poses eliminated by Schur complements."""
+    n, u = len(p_ML), int(sum(count))
+    size = 2 * n + 2 * u
+    information = np.zeros((size + 6, size + 6))  # landmarks, new landmarks, departure, arrival
+    old = np.r_[0 : 2 * n, size : size + 3]
+    information[np.ix_(old, old)] += np.linalg.inv(covariance)
+    information[range(2 * n, size), range(2 * n, size)] += prior_sigma**-2
+    F = np.eye(3)
+    F[:2, 2] = [-(point[1] - X_MD[1]), point[0] - X_MD[0]]
+    odometry = np.hstack([-F, np.eye(3)])
+    information[size:, size:] += odometry.T @ np.linalg.inv(Q) @ odometry
+
+    def marginal(matrix):
+        return matrix[:size, :size] - matrix[:size, size:] @ np.linalg.solve(matrix[size:, size:], matrix[size:, :size])
+
+    seen = [(2 * i, p_ML[i]) for i in known]
+    seen += [(2 * n + 2 * k, p) for k, p in enumerate(np.repeat(p_MU, count.astype(int), axis=0))]
+    after = information.copy()
+    for column, p in seen:
+        J = np.zeros((2, size + 6))
+        J[:, column : column + 2] = whitened(p - point, noise)
+        J[:, size + 3 : size + 5] = -J[:, column : column + 2]
+        J[1, size + 5] = -1 / noise[3]
+        after += J.T @ J
+    return 0.5 * (np.linalg.slogdet(marginal(after))[1] - np.linalg.slogdet(marginal(information))[1])
+
+
+def problem(seed, n=9, common=0.3):
+    """Landmarks and a departure pose that move together by `common` metres, and by centimetres on their own."""
+    rng = np.random.default_rng(seed)
+    p_ML, X_MD = rng.uniform(-6, 6, (n, 2)), np.r_[rng.uniform(-2, 2, 2), rng.uniform(-3, 3)]
+    together = np.zeros((2 * n + 3, 3))
+    for i, p in enumerate([*p_ML, X_MD[:2]]):
+        together[2 * i : 2 * i + 2] = [[1, 0, -p[1]], [0, 1, p[0]]]
+    together[-1, 2] = 1
+    loose = rng.normal(0, 0.02, (2 * n + 3, 2 * n + 3))
+    loose[-1] *= 0.2
+    covariance = common**2 * together @ np.diag([1, 1, 0.01]) @ together.T + loose @ loose.T + 1e-6 * np.eye(2 * n + 3)
+    point = rng.uniform(-3, 3, 2)
+    Q = odometry_covariance(X_MD, point[None], np.array([4.0]), np.array([9.0]), OdometryConfig())
+    Q = Q + 1e-6 * np.eye(3)
+    return rng, p_ML, X_MD, covariance, point, Q
+
+
+def kernel(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma, noise):
+    n = 2 * len(p_ML)
+    S = covariance
+    given = S[n:, n:] - S[n:, :n] @ np.linalg.solve(S[:n, :n], S[:n, n:]) if n else S
+    ends = np.array([0, len(known)]), np.array([0, len(p_MU)])
+    return exact_gain(
+        point[None], Q, ends[0], np.asarray(known, dtype=np.int64), ends[1], np.arange(len(p_MU)), p_ML, X_MD, S,
+        given, p_MU, count, prior_sigma, noise,
+    )[0]  # fmt: skip
+
+
+NOISE = turn_noise(TagSensorConfig(), 1.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(("seen", "new"), [(5, 0), (5, 3), (0, 4), (1, 2), (0, 0)])
+def test_gain_equals_brute_force(seed, seen, new):
+    rng, p_ML, X_MD, covariance, point, Q = problem(seed)
+    known = np.sort(rng.permutation(len(p_ML))[:seen])
+    p_MU, count = rng.uniform(-8, 8, (new, 2)), rng.integers(1, 4, new).astype(float)
+    exploitation, exploration, _ = kernel(point, Q, known, p_ML, X_MD, covariance, p_MU, count, 10.0, NOISE)
+    arguments = (point, Q[0], known, p_ML, X_MD, covariance)
+    assert exploitation == pytest.approx(brute_force(*arguments, p_MU[:0], count[:0], 10.0, NOISE), abs=1e-9)
+    assert exploitation + exploration == pytest.approx(brute_force(*arguments, p_MU, count, 10.0, NOISE), abs=1e-9)
+
+
+def test_pose_price_vanishes_with_a_known_pose_and_grows_with_its_uncertainty():
+    rng, p_ML, X_MD, covariance, point, Q = problem(3)
+    covariance = covariance.copy()
+    covariance[-3:, :] = covariance[:, -3:] = 0.0
+    p_MU, count = rng.uniform(-8, 8, (3, 2)), np.ones(3)
+    prices = [
+        kernel(point, scale * Q, range(9), p_ML, X_MD, covariance, p_MU, count, 10.0, NOISE)[2]
+        for scale in (0.0, 0.01, 1.0, 100.0)
+    ]
+    assert prices[0] == pytest.approx(0.0, abs=1e-9)
+    assert prices == sorted(prices)
+
+
+def test_fractions_of_a_landmark_interpolate():
+    rng, p_ML, X_MD, covariance, point, Q = problem(5)
+    p_MU = rng.uniform(-8, 8, (1, 2))
+    gains = [
+        kernel(point, Q, [0, 1, 2], p_ML, X_MD, covariance, p_MU, np.array([count]), 10.0, NOISE)[1]
+        for count in (0.0, 0.5, 1.0, 1.5, 2.0)
+    ]
+    assert gains[0] == pytest.approx(0.0, abs=1e-9)
+    assert gains == sorted(gains)
+
+
+def test_odometry_covariance_is_that_of_simulated_dead_reckoning():
+    rng = np.random.default_rng(0)
+    config = OdometryConfig()
+    runs, steps, distance, time = 4000, 200, 5.0, 10.0
+    heading = np.cumsum(rng.normal(0, config.gyro_noise * np.sqrt(time / steps), (runs, steps)), axis=1)
+    heading += rng.normal(0, config.gyro_bias, (runs, 1)) * np.linspace(0, time, steps)
+    step = distance / steps * (1 + rng.normal(0, config.distance_scale, (runs, 1)))
+    step = step + rng.normal(0, config.distance_noise * np.sqrt(distance / steps), (runs, steps))
+    ends = np.stack([np.sum(step, axis=1), np.sum(step * heading, axis=1), heading[:, -1]], axis=1)
+    X_MD, point = np.array([1.0, 2.0, 0.3]), np.array([[1.0, 7.0]])
+    Q = odometry_covariance(X_MD, point, np.array([distance]), np.array([time]), config)[0]
+    forward = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    scale = np.sqrt(np.diag(Q))
+    np.testing.assert_allclose(forward @ np.cov(ends.T) @ forward.T / np.outer(scale, scale),
+                               Q / np.outer(scale, scale), atol=0.08)  # fmt: skip

@@ -1,0 +1,130 @@
+"""What a full turn at a point is expected to see: known landmarks and frontier points (numba kernels)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.config import TagSensorConfig
+from tfg_drake.geometry.distance import segments_cross
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
+
+# A landmark lies on a surface piece that passes within the map's own error of it, m.
+SURFACE_TOLERANCE = 0.1
+# A frontier point lies a little inside the unknown: count it only well within range.
+FRONTIER_RANGE_SHARE = 0.9
+# Greatest angle between a frontier's normal and the direction to whoever is to look through it, rad.
+FRONTIER_INCIDENCE = math.radians(80.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Which targets each of c points sees: point i sees index[offsets[i]:offsets[i + 1]], ascending.
+
+    offsets: (c + 1,). index: rows of the targets.
+    """
+
+    offsets: IntArray
+    index: IntArray
+
+    @property
+    def count(self) -> IntArray:
+        """Targets seen from each point, (c,)."""
+        return np.diff(self.offsets)
+
+
+@njit(cache=True)
+def visible_targets(
+    points: FloatArray,
+    targets: FloatArray,
+    normals: FloatArray,
+    segments: FloatArray,
+    range_max: float,
+    max_incidence: float,
+    tolerance: float,
+) -> tuple[IntArray, IntArray]:
+    """Targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
+
+    points: (c, 2), targets: (n, 2) and segments: (m, 4) in one frame, m. normals: (n, 2) unit vectors, the side from
+    which each target can be seen. tolerance: length, m, by which lines of sight are shortened at the target.
+    """
+    cos_max = math.cos(max_incidence)
+    offsets = np.zeros(len(points) + 1, dtype=np.int64)
+    index = np.empty(256, dtype=np.int64)
+    near = np.empty((len(segments), 4))
+    count = 0
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        m = 0
+        for j in range(len(segments)):
+            s = segments[j]
+            if (
+                max(s[0], s[2]) >= x - range_max
+                and min(s[0], s[2]) <= x + range_max
+                and max(s[1], s[3]) >= y - range_max
+                and min(s[1], s[3]) <= y + range_max
+            ):
+                near[m] = s
+                m += 1
+        for t in range(len(targets)):
+            dx, dy = targets[t, 0] - x, targets[t, 1] - y
+            if abs(dx) > range_max or abs(dy) > range_max:
+                continue
+            r = math.sqrt(dx * dx + dy * dy)
+            if r > range_max or r == 0.0 or -(dx * normals[t, 0] + dy * normals[t, 1]) < cos_max * r:
+                continue
+            share = max(0.0, 1.0 - tolerance / r)
+            ex, ey = x + share * dx, y + share * dy
+            left, right, low, high = min(x, ex), max(x, ex), min(y, ey), max(y, ey)
+            clear = True
+            for j in range(m):
+                x0, y0, x1, y1 = near[j, 0], near[j, 1], near[j, 2], near[j, 3]
+                if (x0 < left and x1 < left) or (x0 > right and x1 > right):
+                    continue
+                if (y0 < low and y1 < low) or (y0 > high and y1 > high):
+                    continue
+                if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
+                    clear = False
+                    # What hid one target often hides the next: look there first.
+                    for k in range(4):
+                        near[0, k], near[j, k] = near[j, k], near[0, k]
+                    break
+            if clear:
+                if count == len(index):
+                    grown = np.empty(2 * count, dtype=np.int64)
+                    grown[:count] = index
+                    index = grown
+                index[count] = t
+                count += 1
+        offsets[i + 1] = count
+    return offsets, index[:count].copy()
+
+
+def expected_tags(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> View:
+    """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.ids.
+
+    A landmark is seen from the side it was seen from before, so those on the far face of a thin wall do not count.
+    """
+    return View(
+        *visible_targets(
+            points, estimate.p_ML, tfg.facing, tfg.segments, sensor.range, sensor.max_incidence, SURFACE_TOLERANCE
+        )
+    )
+
+
+def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig) -> View:
+    """Frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of tfg.frontiers."""
+    return View(
+        *visible_targets(
+            points,
+            tfg.frontiers,
+            tfg.frontier_normal,
+            tfg.segments,
+            FRONTIER_RANGE_SHARE * sensor.range,
+            FRONTIER_INCIDENCE,
+            0.0,
+        )
+    )
