@@ -1,0 +1,59 @@
+# Everything a clone needs: python3 (3.11 or newer, with venv), git and make. `make` alone lists the targets.
+
+PYTHON ?= python3
+VENV := .venv$(if $(filter-out python3,$(PYTHON)),-$(notdir $(PYTHON)))
+BIN := $(VENV)/bin
+
+# Empty when PYTHON will do, else one line that says why not.
+PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_info; \
+  v < (3, 11) and print("tfg_drake needs Python 3.11 or newer; $(PYTHON) is %d.%d" % v[:2])' 2>/dev/null \
+  || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
+require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
+
+.PHONY: help demo test lint format types check clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+
+demo: $(VENV)/.demo  ## explore the paper's world at eight times real time, shown in Meshcat
+	$(BIN)/tfg-drake explore paper --realtime-rate 8
+
+# Another Python is asked for by name (make test PYTHON=python3.12) and may be absent: that is no failure.
+ifneq ($(PYTHON),python3)
+test: skip := $(PROBLEM)
+endif
+test:  ## run the test suite (PYTHON=python3.12: with that Python, if it is there)
+	@$(if $(skip),echo "skipped: $(skip)",$(MAKE) --no-print-directory suite)
+
+.PHONY: suite
+suite: $(VENV)/.test
+	$(BIN)/pytest
+
+lint: $(VENV)/.test  ## ruff's rules
+	$(BIN)/ruff check
+
+format: $(VENV)/.test  ## rewrite the code in ruff's format
+	$(BIN)/ruff check --fix-only --quiet
+	$(BIN)/ruff format
+
+types: $(VENV)/.test  ## mypy: strict for the core, relaxed for the Drake layers
+	$(BIN)/mypy
+
+check: test lint types  ## what continuous integration runs
+	$(BIN)/ruff format --check
+
+clean:  ## remove the environments and every cache
+	rm -rf .venv* build dist *.egg-info .*_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+# One environment per Python. The demo needs no test tools; the tests' environment serves the demo as well.
+install = $(require_python)@echo "installing into $(VENV), a minute or two the first time"; \
+  $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip --disable-pip-version-check install -q -c constraints.txt -e
+
+$(VENV)/.demo: pyproject.toml constraints.txt
+	$(install) .
+	@touch $@
+
+$(VENV)/.test: pyproject.toml constraints.txt
+	$(install) ".[test]"
+	@touch $@ $(VENV)/.demo

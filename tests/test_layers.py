@@ -1,0 +1,107 @@
+"""The layers import downward only, and the tree is in the order that docs/ARCHITECTURE.md describes."""
+
+import ast
+import functools
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LAYERS = ("systems", "diagrams", "hardware")
+
+
+@functools.cache
+def files():
+    """Paths of all files of the project, relative to its root: those git tracks or would."""
+    listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split("\0")
+    return [Path(name) for name in sorted(set(names)) if (ROOT / name).is_file()]
+
+
+def sources(*folders):
+    return [path for path in files() if path.suffix == ".py" and (not folders or path.parts[0] in folders)]
+
+
+@functools.cache
+def tree(path):
+    return ast.parse((ROOT / path).read_text(encoding="utf-8"), str(path))
+
+
+def imports(path):
+    """(line, dotted name) of everything a file imports, also inside functions; `from a import b` as a.b."""
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            module = "." * node.level + (node.module or "")
+            yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+
+
+def offenders(paths, *banned):
+    return [
+        f"{path}:{line} imports {name}"
+        for path in paths
+        for line, name in imports(path)
+        if any(f"{name}.".startswith(f"{module}.") for module in banned)
+    ]
+
+
+def test_there_are_files_to_check():
+    for folder in ("tfg_drake", "systems", "diagrams", "tests"):
+        assert sources(folder)
+
+
+def test_the_core_imports_neither_drake_nor_a_layer_above():
+    assert not offenders(sources("tfg_drake"), "pydrake", *(f"tfg_drake.{layer}" for layer in LAYERS))
+
+
+def test_systems_and_hardware_do_not_import_diagrams():
+    assert not offenders(sources("systems", "hardware"), "tfg_drake.diagrams")
+
+
+def test_imports_go_through_the_package():
+    assert not offenders(sources(), *LAYERS)
+    assert not [f"{path}:{line}" for path in sources() for line, name in imports(path) if name.startswith(".")]
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_layers_are_symlinked_into_the_package(layer):
+    link = ROOT / "tfg_drake" / layer
+    assert link.is_symlink()
+    assert link.readlink() == Path("..") / layer
+
+
+def public(body, prefix):
+    """(qualified name, node) of the public functions and classes of a body and of public classes in it."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield f"{prefix}.{node.name}", node
+            if isinstance(node, ast.ClassDef):
+                yield from public(node.body, f"{prefix}.{node.name}")
+
+
+def test_everything_public_has_a_docstring():
+    missing = []
+    for path in sources("tfg_drake", *LAYERS):
+        module = ".".join(path.with_suffix("").parts)
+        named = [(module, tree(path)), *public(tree(path).body, module)]
+        missing += [f"{path}: {name}" for name, node in named if not ast.get_docstring(node)]
+    assert not missing, "\n".join(missing)
+
+
+MACHINE_PATH = re.compile(r"(?<![\w.])/(?:root|work|farm|tmp|home|Users)/\w")
+REGISTRY = re.compile(r"(?:pypi|npmjs|crates)\.(?:org|io)|pythonhoste[d]|(?:deb|archive)\.(?:debian|ubuntu)\.")
+
+
+@pytest.mark.parametrize("pattern", [MACHINE_PATH, REGISTRY], ids=["path of one machine", "host of a registry"])
+def test_no_file_names(pattern):
+    found = []
+    for path in files():
+        try:
+            text = (ROOT / path).read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        found += [f"{path}:{i}: {line.strip()}" for i, line in enumerate(text.splitlines(), 1) if pattern.search(line)]
+    assert not found, "\n".join(found)

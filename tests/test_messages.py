@@ -1,0 +1,95 @@
+import copy
+import dataclasses
+import inspect
+
+import numpy as np
+import pytest
+
+from tfg_drake import messages
+from tfg_drake.messages import LaserScan, Odometry, Path
+
+MESSAGES = [
+    kind for _, kind in inspect.getmembers(messages, dataclasses.is_dataclass) if kind.__module__ == messages.__name__
+]
+
+
+def make(kind):
+    """A message with an array in every field that holds one."""
+    return kind(
+        **{
+            field.name: np.arange(6.0).reshape(3, 2) if field.type.endswith("Array") else 0
+            for field in dataclasses.fields(kind)
+        }
+    )
+
+
+def arrays(message):
+    return [value for value in vars(message).values() if isinstance(value, np.ndarray)]
+
+
+@pytest.mark.parametrize("kind", MESSAGES)
+def test_a_message_is_frozen_and_its_copies_are_itself(kind):
+    message = make(kind)
+    for field in dataclasses.fields(kind):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(message, field.name, 0)
+    assert copy.copy(message) is message
+    assert copy.deepcopy({"state": [message]})["state"][0] is message
+    assert message == message
+    assert message != make(kind)
+    assert hash(message) == hash(copy.copy(message))
+
+
+@pytest.mark.parametrize("kind", MESSAGES)
+def test_no_array_of_a_message_can_be_written(kind):
+    for array in arrays(make(kind)):
+        for view in (array, array[1:], array.T):
+            with pytest.raises(ValueError, match="read-only"):
+                view[...] = 1.0
+            with pytest.raises(ValueError, match="WRITEABLE"):
+                view.flags.writeable = True
+
+
+def test_a_message_and_its_maker_do_not_share_memory():
+    own = np.zeros((4, 3))
+    whole, view, locked = own[:], own[1:3], own[:]
+    locked.flags.writeable = False
+    for points in (own, whole, view, locked):
+        path = Path(id=1, stage=0, points=points)
+        own[...] = 7.0
+        np.testing.assert_array_equal(path.points, np.zeros_like(points))
+        own[...] = 0.0
+    assert own.flags.writeable
+    assert view.flags.writeable
+
+
+def test_an_array_that_becomes_read_only_later_was_copied_before():
+    own = np.zeros(3)
+    view = own[:]
+    own.flags.writeable = False
+    odometry = Odometry(0.0, own, np.zeros(2))
+    view[0] = 1.0
+    assert odometry.X_OB[0] == 0.0
+
+
+def test_messages_share_what_a_message_holds_already():
+    scan = LaserScan(0.0, np.linspace(-1.0, 1.0, 5), np.ones(5), 10.0, 0.01)
+    assert dataclasses.replace(scan, stamp=1.0).angles is scan.angles
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.empty((0, 2)),
+        np.empty(0, dtype=np.int64),
+        np.array([[True, False], [False, True]]),
+        np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        np.arange(12.0).reshape(3, 4)[:, ::2],
+        np.array(3.0),
+    ],
+)
+def test_frozen_arrays_keep_shape_type_and_values_in_c_order(array):
+    frozen = Path(id=0, stage=0, points=array).points
+    assert frozen.dtype == array.dtype
+    assert frozen.flags.c_contiguous
+    np.testing.assert_array_equal(frozen, array, strict=True)
