@@ -1,0 +1,318 @@
+"""The live picture of a mission in Drake's Meshcat, seen from above: what is true, faint, and what the robot knows."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeVar
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.common.value import AbstractValue
+from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.caption import HEIGHT as CAPTION_HEIGHT
+from tfg_drake.caption import WIDTH as CAPTION_WIDTH
+from tfg_drake.caption import Colour, caption_gltf, gain_colours, render_caption
+from tfg_drake.drawing import Mesh as Triangles
+from tfg_drake.drawing import discs, ellipses, outline_segments, polyline_segments, ribbons
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.messages import (
+    FloatArray,
+    GoalChoice,
+    LaserScan,
+    MapEstimate,
+    MissionStatus,
+    Path,
+    PoseEstimate,
+    Roadmap,
+    TfgMap,
+)
+from tfg_drake.systems.ports import declare_message_input, eval_message
+from tfg_drake.world.world import World
+
+T = TypeVar("T")
+
+# Pictures a simulated second.
+RATE = 8.0
+# Width over height of the window that the first view is made for.
+ASPECT = 1.6
+
+WALL: Colour = (0.84, 0.85, 0.87)
+EDGE: Colour = (0.16, 0.18, 0.22)
+WALL_END: Colour = (0.52, 0.54, 0.58)
+BARE_SURFACE: Colour = (0.93, 0.60, 0.22)
+LANDMARK: Colour = (0.07, 0.53, 0.44)
+FRONTIER: Colour = (0.10, 0.36, 0.88)
+ROADMAP: Colour = (0.90, 0.92, 0.95)
+PATH: Colour = (0.84, 0.15, 0.16)
+SCAN: Colour = (0.36, 0.72, 0.90)
+ROBOT: Colour = (0.10, 0.22, 0.42)
+GHOST: Colour = (0.45, 0.48, 0.53)
+
+LEGEND = (
+    ("true wall", WALL, "line"),
+    ("edge", EDGE, "line"),
+    ("wall end", WALL_END, "line"),
+    ("surface without tag", BARE_SURFACE, "line"),
+    ("landmark, 3\u03c3", LANDMARK, "dot"),
+    ("frontier", FRONTIER, "dot"),
+    ("information gain", FRONTIER, "ramp"),
+    ("path", PATH, "line"),
+    ("scan", SCAN, "dot"),
+)
+
+# Heights, m, one a layer, so that nothing fights for the same pixel and the robot stays on top.
+_LAYERS = (
+    "walls",
+    "roadmap",
+    "scan",
+    "surfaces",
+    "candidates",
+    "frontiers",
+    "ellipses",
+    "landmarks",
+    "path",
+    "robot",
+    "heading",
+)
+_Z = {name: 0.02 * (1 + i) for i, name in enumerate(_LAYERS)}
+
+_SLOW_INPUTS = {"map": MapEstimate, "tfg": TfgMap, "roadmap": Roadmap, "goal": GoalChoice, "path": Path}
+
+
+class TfgVisualizer(LeafSystem):
+    """Draws a mission.
+
+    .. pydrake_system::
+
+        name: TfgVisualizer
+        input_ports:
+        - pose
+        - map
+        - tfg
+        - roadmap
+        - goal
+        - path
+        - mission
+        - scan
+        - truth
+
+    Every port is optional and draws its own part. `truth` is the true pose (x, y, theta, v, w) in W. The robot, its
+    scan and the path are drawn at every picture, the rest when its message has changed: the state holds the messages
+    that the scene shows. Simulator publishes before it updates, so an unrestricted update at the same instant sees
+    exactly the inputs that the picture was made of. A forced publish draws everything.
+    """
+
+    def __init__(self, meshcat: Meshcat, world: World | None, X_WM: FloatArray, radius: float, title: str) -> None:
+        """
+        Args:
+            meshcat: where to draw; only what lies under /tfg is touched, and the camera.
+            world: the true walls, None for a real robot.
+            X_WM: (3,) pose of the map frame in the world, m and rad.
+            radius: of the robot, m.
+            title: the first words of the caption.
+        """
+        super().__init__()
+        self._meshcat = meshcat
+        self._X_WM = np.array(X_WM, dtype=float)
+        self._radius = radius
+        self._title = title
+        self._inputs = {
+            name: declare_message_input(self, name).get_index() for name in (*_SLOW_INPUTS, "pose", "mission", "scan")
+        }
+        self._truth = self.DeclareVectorInputPort("truth", 5).get_index()
+        self._drawn = self.DeclareAbstractState(AbstractValue.Make(object()))
+        self.DeclareInitializationPublishEvent(self._DrawEverything)
+        self.DeclarePeriodicPublishEvent(1.0 / RATE, 1.0 / RATE, self._Draw)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / RATE, 0.0, self._Remember)
+        self.DeclareForcedPublishEvent(self._DrawEverything)
+        # A symbol's size: visible when the whole building fills the window.
+        self._view = _view(world, self._X_WM)
+        self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
+
+        meshcat.Delete("/tfg")
+        meshcat.SetTransform("/tfg/map", _planar(self._X_WM))
+        self._ShowWalls(world)
+        self._ShowRobots()
+        self._ShowCamera()
+
+    # Events
+
+    def _DrawEverything(self, context: Context) -> EventStatus:
+        self._DrawSlow(context, drawn=None)
+        self._DrawFast(context)
+        self._DrawCaption(context)
+        return EventStatus.Succeeded()
+
+    def _Draw(self, context: Context) -> EventStatus:
+        drawn = context.get_abstract_state(int(self._drawn)).get_value()
+        self._DrawSlow(context, drawn if isinstance(drawn, tuple) else None)
+        self._DrawFast(context)
+        if round(context.get_time() * RATE) % RATE == 0:
+            self._DrawCaption(context)
+        return EventStatus.Succeeded()
+
+    def _Remember(self, context: Context, state: State) -> None:
+        # A tuple of messages: copying the context costs nothing, since a message's deep copy is itself.
+        shown = tuple(self._Get(context, name, kind) for name, kind in _SLOW_INPUTS.items())
+        state.get_mutable_abstract_state(int(self._drawn)).set_value(shown)
+
+    def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
+        index = self._inputs[name]
+        return eval_message(self, context, index, kind) if self.get_input_port(index).HasValue(context) else None
+
+    # What changes with the stage
+
+    def _DrawSlow(self, context: Context, drawn: tuple[object, ...] | None) -> None:
+        now: dict[str, Any] = {name: self._Get(context, name, kind) for name, kind in _SLOW_INPUTS.items()}
+        before = dict(zip(_SLOW_INPUTS, drawn, strict=True)) if drawn is not None else {}
+        changed = {name for name, message in now.items() if message is not None and message is not before.get(name)}
+        if "map" in changed:
+            self._ShowLandmarks(now["map"])
+        if "tfg" in changed:
+            self._ShowSurfaces(now["tfg"])
+        if "roadmap" in changed:
+            self._ShowRoadmap(now["roadmap"])
+        if "goal" in changed and now["roadmap"] is not None:
+            self._ShowChoice(now["goal"], now["roadmap"])
+        if "path" in changed:
+            self._ShowRibbons("map/path/line", polyline_segments(now["path"].points), 0.8 * self._unit, "path", PATH)
+
+    def _ShowWalls(self, world: World | None) -> None:
+        walls = world.walls if world is not None else np.zeros((0, 4))
+        self._ShowRibbons("walls", walls, 1.2 * self._unit, "walls", WALL)
+
+    def _ShowLandmarks(self, estimate: MapEstimate) -> None:
+        n = len(estimate.ids)
+        blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+        self._ShowTriangles("map/landmarks", discs(estimate.p_ML, 1.3 * self._unit, _Z["landmarks"]), LANDMARK)
+        self._ShowLines("map/ellipses", outline_segments(ellipses(estimate.p_ML, blocks)), "ellipses", LANDMARK)
+
+    def _ShowSurfaces(self, tfg: TfgMap) -> None:
+        for kind, (name, colour) in enumerate((("edge", EDGE), ("end", WALL_END), ("bare", BARE_SURFACE))):
+            pieces = tfg.segments[tfg.segment_kind == kind]
+            self._ShowRibbons(f"map/surfaces/{name}", pieces, self._unit, "surfaces", colour)
+        self._ShowTriangles("map/frontiers", discs(tfg.frontiers, 1.1 * self._unit, _Z["frontiers"]), FRONTIER)
+
+    def _ShowRoadmap(self, roadmap: Roadmap) -> None:
+        self._ShowLines("map/roadmap", roadmap.points[roadmap.edges].reshape(-1, 4), "roadmap", ROADMAP)
+
+    def _ShowChoice(self, choice: GoalChoice, roadmap: Roadmap) -> None:
+        best = max(float(np.max(choice.gain, initial=0.0)), 1e-9)
+        shade = gain_colours(np.clip(choice.gain / best, 0.0, 1.0))
+        candidates = discs(roadmap.points[choice.candidates], 1.1 * self._unit, _Z["candidates"], corners=10)
+        self._ShowTriangles("map/candidates", candidates, np.repeat(shade, 10, axis=0))
+        goal = choice.p_MG[None] if choice.verdict == "goal" else np.zeros((0, 2))
+        self._ShowRibbons("map/path/goal", _circles(goal, 4.0 * self._unit), 0.8 * self._unit, "path", PATH)
+
+    # What changes all the time
+
+    def _DrawFast(self, context: Context) -> None:
+        pose, scan = self._Get(context, "pose", PoseEstimate), self._Get(context, "scan", LaserScan)
+        mission = self._Get(context, "mission", MissionStatus)
+        if pose is not None:
+            self._meshcat.SetTransform("/tfg/map/robot", _planar(pose.X_MB))
+        if pose is not None and scan is not None:
+            hit = np.isfinite(scan.ranges) & (scan.ranges < scan.range_max)
+            rays = scan.ranges[hit, None] * np.stack([np.cos(scan.angles[hit]), np.sin(scan.angles[hit])], axis=1)
+            points = transform(pose.X_MB, rays)
+            self._ShowTriangles("map/scan", discs(points, 0.6 * self._unit, _Z["scan"], corners=6), SCAN)
+        if mission is not None:
+            self._meshcat.SetProperty("/tfg/map/path", "visible", mission.phase == "follow")
+        truth = self._Truth(context)
+        if truth is not None:
+            self._meshcat.SetTransform("/tfg/truth", _planar(truth))
+
+    def _Truth(self, context: Context) -> FloatArray | None:
+        port = self.get_input_port(self._truth)
+        return np.asarray(port.Eval(context))[:3] if port.HasValue(context) else None
+
+    def _DrawCaption(self, context: Context) -> None:
+        estimate, mission = self._Get(context, "map", MapEstimate), self._Get(context, "mission", MissionStatus)
+        pose, truth = self._Get(context, "pose", PoseEstimate), self._Truth(context)
+        title, figures = self._title, [("time", f"{context.get_time():.0f} s")]
+        if mission is not None:
+            title = f"{self._title}, {mission.outcome or mission.phase}"
+            figures.insert(0, ("stage", str(mission.stage)))
+        if estimate is not None:
+            figures.append(("landmarks", str(len(estimate.ids))))
+        if pose is not None:
+            figures.append(
+                ("1\u03c3", f"{100.0 * math.sqrt(max(np.trace(pose.covariance[:2, :2]) / 2.0, 0.0)):.1f} cm")
+            )
+        if pose is not None and truth is not None:
+            error = np.linalg.norm(transform(self._X_WM, pose.X_MB[:2]) - truth[:2])
+            figures.append(("error", f"{100.0 * error:.1f} cm"))
+        document = caption_gltf(render_caption(title, figures, LEGEND), self._view[2] - self._view[0])
+        file = MemoryFile(document.encode(), ".gltf", "caption")
+        self._meshcat.SetObject("/tfg/caption", Mesh(mesh_data=InMemoryMesh(mesh_file=file)))
+
+    # Meshcat
+
+    def _ShowCamera(self) -> None:
+        """Looks straight down; the whole building and the caption above it fill the window."""
+        x_min, y_min, x_max, y_max = self._view
+        caption = (x_max - x_min) * CAPTION_HEIGHT / CAPTION_WIDTH
+        margin = 0.025 * (x_max - x_min)
+        height, width = y_max - y_min + caption + 3.0 * margin, x_max - x_min + 2.0 * margin
+        height = max(height, width / ASPECT)
+        center = np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max + caption + margin), 50.0])
+        camera = Meshcat.OrthographicCamera()
+        camera.left, camera.right = -0.5 * height * ASPECT, 0.5 * height * ASPECT
+        camera.bottom, camera.top = -0.5 * height, 0.5 * height
+        camera.near, camera.far, camera.zoom = 0.1, 200.0, 1.0
+        self._meshcat.SetCamera(camera)
+        # A hair to the south of straight down: the orbit controls keep z up, and so north stays up in the picture.
+        self._meshcat.SetCameraPose(center - [0.0, 1e-3, 0.0], center * [1.0, 1.0, 0.0])
+        for path in ("/Background", "/Grid", "/Axes"):
+            self._meshcat.SetProperty(path, "visible", False)
+        # Flat colours: ambient light only, so that a surface has the colour it was given.
+        for path in ("/Lights/PointLightNegativeX", "/Lights/PointLightPositiveX", "/Lights/FillLight"):
+            self._meshcat.SetProperty(path, "visible", False)
+        self._meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", math.pi)
+        self._meshcat.SetTransform("/tfg/caption", RigidTransform([x_min, y_max + margin + caption, 0.0]))
+
+    def _ShowRobots(self) -> None:
+        # At true size, or as large as a symbol where that could not be seen.
+        r, z = max(self._radius, 2.2 * self._unit), _Z["robot"]
+        tick = np.array([[0.0, 0.0, 0.8 * r, 0.0]])
+        self._ShowTriangles("map/robot/body", discs(np.zeros((1, 2)), r, z, corners=32), ROBOT)
+        self._ShowRibbons("map/robot/heading", tick, 0.25 * r, "heading", (1.0, 1.0, 1.0))
+        self._ShowRibbons("truth", np.vstack([_circles(np.zeros((1, 2)), 1.25 * r), tick]), 0.15 * r, "robot", GHOST)
+
+    def _ShowTriangles(self, path: str, mesh: Triangles, colour: Colour | FloatArray) -> None:
+        vertices, faces = mesh
+        if not len(faces):
+            self._meshcat.Delete(f"/tfg/{path}")
+            return
+        # Vertex colours are taken as linear light.
+        colours = np.broadcast_to(np.asarray(colour) ** 2.2, vertices.shape)
+        self._meshcat.SetTriangleColorMesh(f"/tfg/{path}", vertices.T, faces.T, colours.T)
+
+    def _ShowRibbons(self, path: str, segments: FloatArray, width: float, layer: str, colour: Colour) -> None:
+        self._ShowTriangles(path, ribbons(segments, width, _Z[layer]), colour)
+
+    def _ShowLines(self, path: str, segments: FloatArray, layer: str, colour: Colour) -> None:
+        z = np.full((1, len(segments)), _Z[layer])
+        start, end = np.vstack([segments[:, :2].T, z]), np.vstack([segments[:, 2:].T, z])
+        self._meshcat.SetLineSegments(f"/tfg/{path}", start, end, 1.0, Rgba(*colour))
+
+
+def _planar(X_AB: FloatArray) -> RigidTransform:
+    return RigidTransform(RotationMatrix.MakeZRotation(float(X_AB[2])), [X_AB[0], X_AB[1], 0.0])
+
+
+def _circles(centers: FloatArray, radius: float) -> FloatArray:
+    """Circles round centers (n, 2) as segments (32 n, 4)."""
+    return outline_segments(ellipses(centers, np.tile(np.eye(2), (len(centers), 1, 1)), sigmas=radius))
+
+
+def _view(world: World | None, X_WM: FloatArray) -> tuple[float, float, float, float]:
+    """x_min, y_min, x_max, y_max in W, m: the walls, or 15 m round the start where none are known."""
+    if world is None or not len(world.walls):
+        return X_WM[0] - 15.0, X_WM[1] - 10.0, X_WM[0] + 15.0, X_WM[1] + 10.0
+    points = world.walls.reshape(-1, 2)
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0), points.max(axis=0)
+    return float(x_min), float(y_min), float(x_max), float(y_max)
