@@ -1,0 +1,67 @@
+"""The goal selector: once a stage, the roadmap node that promises the most information per time."""
+
+from __future__ import annotations
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, PoseEstimate, Roadmap, TfgMap
+from tfg_drake.planning.goal_choice import choose, empty_choice
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+PERIOD = 1 / 16
+
+
+class InfoGainGoalSelector(LeafSystem):
+    """Runs `tfg_drake.planning.goal_choice.choose` when the mission asks for it and map, TFG and roadmap are ready.
+
+    .. pydrake_system::
+
+        name: InfoGainGoalSelector
+        input_ports:
+        - map
+        - tfg
+        - roadmap
+        - pose
+        - mission
+        output_ports:
+        - goal
+    """
+
+    def __init__(self, robot: RobotConfig, sensor: TagSensorConfig, odometry: OdometryConfig, explorer: ExplorerConfig):
+        super().__init__()
+        self._robot, self._sensor, self._odometry, self._explorer = robot, sensor, odometry, explorer
+        self._map = declare_message_input(self, "map").get_index()
+        self._tfg = declare_message_input(self, "tfg").get_index()
+        self._roadmap = declare_message_input(self, "roadmap").get_index()
+        self._pose = declare_message_input(self, "pose").get_index()
+        self._mission = declare_message_input(self, "mission").get_index()
+        self._goal = self.DeclareAbstractState(AbstractValue.Make(empty_choice()))
+        declare_message_output(
+            self,
+            "goal",
+            lambda context: state_message(context, self._goal, GoalChoice),
+            {self.abstract_state_ticket(self._goal)},
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        mission = eval_message(self, context, self._mission, MissionStatus)
+        if mission.phase != "choose" or mission.stage <= state_message(context, self._goal, GoalChoice).stage:
+            return EventStatus.DidNothing()
+        estimate = eval_message(self, context, self._map, MapEstimate)
+        tfg = eval_message(self, context, self._tfg, TfgMap)
+        roadmap = eval_message(self, context, self._roadmap, Roadmap)
+        if not mission.stage == estimate.stage == tfg.stage == roadmap.stage:
+            return EventStatus.DidNothing()
+        here = eval_message(self, context, self._pose, PoseEstimate).X_MB[:2]
+        goal = choose(estimate, tfg, roadmap, here, self._sensor, self._odometry, self._robot, self._explorer)
+        set_state_message(state, self._goal, goal)
+        return EventStatus.Succeeded()

@@ -1,0 +1,100 @@
+"""The follower: drives along the path and turns in place at goals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
+
+from tfg_drake.config import ExplorerConfig, RobotConfig
+from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.messages import FollowerStatus, MissionStatus, Path, PoseEstimate
+from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place
+from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
+
+PERIOD = 1 / 32
+# Commands this long zero, s, before measured speeds are believed to be those of rest.
+SETTLING = 0.25
+
+# The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
+# began, s, how far it has turned and the last heading, rad; the path's id, the progress on it, m, and whether the robot
+# turns in place on it; whether it is finished; whether the robot is at rest, and since when the command is zero, s.
+SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, PATH, PROGRESS, TURNING, FINISHED, REST, ZERO_SINCE = range(12)
+
+
+class PurePursuitFollower(LeafSystem):
+    """Follows the path in the mission's phase "follow", turns in place in "observe", and stands still otherwise.
+
+    .. pydrake_system::
+
+        name: PurePursuitFollower
+        input_ports:
+        - pose
+        - path
+        - mission
+        output_ports:
+        - velocity_commanded
+        - status
+
+    velocity_commanded: (2,) forward speed, m/s, and turn rate, rad/s.
+    """
+
+    def __init__(self, robot: RobotConfig, explorer: ExplorerConfig):
+        super().__init__()
+        self._robot, self._turn_rate = robot, explorer.turn_rate
+        self._pose = declare_message_input(self, "pose").get_index()
+        self._path = declare_message_input(self, "path").get_index()
+        self._mission = declare_message_input(self, "mission").get_index()
+        initial = np.zeros(12)
+        initial[[TURN_SINCE, PATH]] = -1.0
+        ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
+        self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity, ticket)
+        declare_message_output(self, "status", self._CalcStatus, ticket)
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_discrete_state_vector().value()[[SPEED, TURN_RATE]])
+
+    def _CalcStatus(self, context: Context) -> FollowerStatus:
+        x = context.get_discrete_state_vector().value()
+        return FollowerStatus(
+            stamp=float(x[STAMP]),
+            path_id=int(x[PATH]),
+            arrived=bool(x[FINISHED] and x[REST]),
+            turned=float(x[TURNED]),
+            turn_done=bool(x[TURNED] >= 2.0 * math.pi and x[REST]),
+        )
+
+    def _Update(self, context: Context, discrete: DiscreteValues) -> EventStatus:
+        x = context.get_discrete_state_vector().value().copy()
+        mission = eval_message(self, context, self._mission, MissionStatus)
+        pose = eval_message(self, context, self._pose, PoseEstimate)
+        x[STAMP] = context.get_time()
+        x[[SPEED, TURN_RATE]] = 0.0
+        if mission.phase == "observe":
+            self._Turn(x, mission, pose)
+        elif mission.phase == "follow":
+            self._Follow(x, eval_message(self, context, self._path, Path), pose)
+        if x[SPEED] != 0.0 or x[TURN_RATE] != 0.0:
+            x[ZERO_SINCE] = x[STAMP]
+        x[REST] = x[STAMP] - x[ZERO_SINCE] >= SETTLING and at_rest(*pose.speed)
+        discrete.get_mutable_vector().SetFromVector(x)
+        return EventStatus.Succeeded()
+
+    def _Turn(self, x: np.ndarray, mission: MissionStatus, pose: PoseEstimate) -> None:
+        heading = float(pose.X_MB[2])
+        if x[TURN_SINCE] != mission.since:
+            x[[TURN_SINCE, TURNED, HEADING]] = mission.since, 0.0, heading
+        x[TURNED] += float(wrap_angle(heading - x[HEADING]))
+        x[HEADING] = heading
+        x[TURN_RATE] = turn_in_place(x[TURNED], 2.0 * math.pi, self._turn_rate, self._robot)
+
+    def _Follow(self, x: np.ndarray, path: Path, pose: PoseEstimate) -> None:
+        if x[PATH] != path.id:
+            x[[PATH, PROGRESS, TURNING, FINISHED]] = path.id, 0.0, 1.0, 0.0
+        if x[FINISHED]:
+            return
+        command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)
+        x[[SPEED, TURN_RATE, PROGRESS]] = command.speed, command.turn_rate, command.progress
+        x[[TURNING, FINISHED]] = command.turning, command.finished

@@ -1,0 +1,134 @@
+"""Where to go next: the candidate with the most expected information per expected time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
+from tfg_drake.planning.information_gain import Gains, information_gain
+
+# Time lost at a goal besides the turn itself: settling, solving, planning, s.
+OVERHEAD = 1.0
+# The robot never goes back to within this of where it has just turned, m.
+APART = 0.3
+
+
+def empty_choice() -> GoalChoice:
+    """Before the first choice."""
+    none = np.zeros(0)
+    return GoalChoice(
+        stage=0,
+        node=-1,
+        p_MG=np.zeros(2),
+        candidates=np.zeros(0, dtype=np.int64),
+        exploitation=none,
+        exploration=none,
+        pose_price=none,
+        gain=none,
+        value=none,
+        verdict="goal",
+        reason="",
+    )
+
+
+def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> IntArray:
+    """At most count of the nodes (n,), ascending, those that see a frontier (n,) first, evenly taken."""
+    if len(nodes) <= count:
+        return nodes
+    seeing, others = nodes[sees_frontier > 0], nodes[sees_frontier == 0]
+
+    def take(which: IntArray, number: int) -> IntArray:
+        return which[np.linspace(0, len(which) - 1, number).astype(np.int64)] if len(which) > number else which
+
+    seeing = take(seeing, count)
+    return np.sort(np.append(seeing, take(others, count - len(seeing))))
+
+
+def choose(
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    roadmap: Roadmap,
+    here: FloatArray,
+    sensor: TagSensorConfig,
+    odometry: OdometryConfig,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+) -> GoalChoice:
+    """The choice at one stage: estimate, tfg and roadmap are of the same stage.
+
+    Candidates are the roadmap's reachable nodes, but for those next to where the robot stands, here (2,) m in M: it has
+    just turned there. While a live frontier is in
+    view of one of them, the best candidate wins whatever its gain; after that it has to promise more than
+    explorer.stop_gain.
+    """
+    nodes = np.flatnonzero(roadmap.reachable & (np.hypot(*(roadmap.points - here).T) >= APART))
+    sees = expected_frontiers(roadmap.points[nodes], tfg, sensor).count
+    candidates = thin_candidates(nodes, sees, explorer.samples)
+    points = roadmap.points[candidates]
+    time = roadmap.travel_time[candidates]
+    frontiers = expected_frontiers(points, tfg, sensor)
+    gains = information_gain(
+        points,
+        robot.max_speed * time,
+        time,
+        expected_tags(points, estimate, tfg, sensor),
+        frontiers,
+        estimate,
+        tfg,
+        sensor,
+        odometry,
+        explorer,
+    )
+    value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
+    return decide(
+        estimate.stage, candidates, points, gains, value, frontiers.count > 0,
+        float(tfg.frontier_length.sum()), explorer.stop_gain,
+    )  # fmt: skip
+
+
+def decide(
+    stage: int,
+    candidates: IntArray,
+    points: FloatArray,
+    gains: Gains,
+    value: FloatArray,
+    sees_frontier: BoolArray,
+    frontier_length: float,
+    stop_gain: float,
+) -> GoalChoice:
+    """The verdict on candidates (c,) at points (c, 2) with gains and value (c,); the first of equals wins.
+
+    frontier_length: m of live frontier, seen or not.
+    """
+    gain = gains.gain
+    worth = np.ones(len(candidates), dtype=np.bool_) if np.any(sees_frontier) else gain > stop_gain
+    pick, verdict = -1, "goal"
+    if worth.any():
+        pick = int(np.argmax(np.where(worth, value, -np.inf)))
+        reason = f"{gain[pick]:.1f} nats are expected at the rate of {value[pick]:.2f} nats per second."
+    elif frontier_length > 0.0:
+        verdict = "stuck"
+        reason = f"{frontier_length:.1f} m of frontier cannot be seen from anywhere the robot can reach."
+    elif len(candidates) == 0:
+        verdict = "stuck"
+        reason = "The robot cannot reach any other place."
+    else:
+        verdict = "complete"
+        reason = f"No frontier is left and no place promises more than {stop_gain:g} nats."
+    return GoalChoice(
+        stage=stage,
+        node=int(candidates[pick]) if pick >= 0 else -1,
+        p_MG=points[pick] if pick >= 0 else np.zeros(2),
+        candidates=candidates,
+        exploitation=gains.exploitation,
+        exploration=gains.exploration,
+        pose_price=gains.pose_price,
+        gain=gain,
+        value=value,
+        verdict=verdict,
+        reason=reason,
+    )

@@ -1,0 +1,180 @@
+"""From a roadmap to a path that a robot can follow, and whether the path is still open."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.geometry.distance import clearance, point_distance
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.messages import FloatArray, LaserScan, TfgMap
+from tfg_drake.planning.roadmap import (
+    FREE_STEP,
+    OBSTACLE_MARGIN,
+    RoadmapState,
+    Routes,
+    in_free_space,
+    node_path,
+    routes,
+)
+
+# A shortcut is as good as what it replaces with this clearance, m.
+SHORTCUT_CLEARANCE = 0.35
+# Shortcuts begin and end at this interval, m, and are no longer than this many of them.
+SHORTCUT_STEP = 0.4
+SHORTCUT_REACH = 24
+# A corner is rounded from at most this far before to this far behind it, m.
+ROUNDING = 0.6
+# Interval of a path's points, m.
+PATH_STEP = 0.1
+# How much of the path ahead has to be open, m.
+LOOK_AHEAD = 2.0
+# A return is of an unmapped obstacle when no mapped surface is within this of it, m.
+MAPPED_WITHIN = 0.15
+# Returns this far off still belong to the obstacle that blocks the path, m.
+OBSTACLE_REACH = 1.0
+
+
+def resample(points: FloatArray, step: float) -> FloatArray:
+    """Points (k, 2) at equal intervals of at most step (m) along a polyline (n, 2), both ends included."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    count = max(1, int(np.ceil(along[-1] / step - 1e-9)))
+    s = np.linspace(0.0, along[-1], count + 1)
+    return np.stack([np.interp(s, along, points[:, 0]), np.interp(s, along, points[:, 1])], axis=1)
+
+
+def _lines(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.hstack(np.broadcast_arrays(np.atleast_2d(a), np.atleast_2d(b)))
+
+
+def _insert(points: FloatArray, step: float) -> FloatArray:
+    """A polyline (n, 2) with extra points on its pieces, at intervals of at most step, m."""
+    parts = [resample(points[i : i + 2], step)[:-1] for i in range(len(points) - 1)]
+    return np.vstack([*parts, points[-1:]])
+
+
+def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float) -> FloatArray:
+    """A polyline (n, 2) with detours cut out, where the straight line is as safe as what it replaces.
+
+    segments: (m, 4) all obstacles, m in M. The line keeps the clearance of the part it replaces or `enough` (m),
+    whichever is less, and lies in known free space.
+    """
+    points = _insert(points, SHORTCUT_STEP)
+    pieces = clearance(_lines(points[:-1], points[1:]), segments, enough)
+    kept = [0]
+    i = 0
+    while i < len(points) - 1:
+        ends = np.arange(i + 2, min(i + 1 + SHORTCUT_REACH, len(points)))
+        lines = _lines(points[i], points[ends]) if len(ends) else np.zeros((0, 4))
+        replaced = np.minimum.accumulate(pieces[i : i + 1 + len(ends)])[1:]
+        good = clearance(lines, segments, enough) >= replaced - 1e-9
+        i += 1
+        for j in np.flatnonzero(good)[::-1]:
+            if in_free_space(lines[j : j + 1], tfg)[0]:
+                i = int(ends[j])
+                break
+        kept.append(i)
+    return points[kept]
+
+
+def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> FloatArray:
+    """A polyline (n, 2) with its corners replaced by parabolas, as large as the clearance (see shortcut) allows."""
+    smooth = [points[:1]]
+    t = np.linspace(0.0, 1.0, 8)[:, None]
+    for before, corner, after in zip(points[:-2], points[1:-1], points[2:], strict=True):
+        back, on = before - corner, after - corner
+        reach = [float(np.hypot(*back)), float(np.hypot(*on))]
+        sharp = clearance(_lines(corner, np.stack([before, after])), segments, enough).min()
+        cut = min(ROUNDING, 0.5 * min(reach))
+        arc = corner[None]
+        while cut > 0.05:
+            a, b = corner + back / reach[0] * cut, corner + on / reach[1] * cut
+            proposal = (1 - t) ** 2 * a + 2 * t * (1 - t) * corner + t**2 * b
+            if clearance(_lines(proposal[:-1], proposal[1:]), segments, enough).min() >= sharp - 1e-9:
+                arc = proposal
+                break
+            cut *= 0.6
+        smooth.append(arc)
+    return np.vstack([*smooth, points[-1:]])
+
+
+def plan_path(
+    state: RoadmapState,
+    tfg: TfgMap,
+    X_MB: FloatArray,
+    node: int,
+    robot: RobotConfig,
+    obstacles: FloatArray | None = None,
+) -> FloatArray:
+    """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
+
+    obstacles: (b, 4) segments met at this stage that the map does not hold, m in M.
+    """
+    ways = routes(state, tfg, X_MB, robot, obstacles)
+    points = node_path(state, ways, X_MB, node)
+    if len(points) < 2 or np.hypot(*np.ptp(points, axis=0)) < 1e-6:
+        return np.zeros((0, 2))
+    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
+    enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node))
+    points = shortcut(points, tfg, segments, enough)
+    return resample(round_corners(points, segments, enough), PATH_STEP)
+
+
+def _required(state: RoadmapState, ways: Routes, node: int) -> float:
+    """The largest clearance, m, that the chance constraint asks for on the way to a node."""
+    nodes = []
+    while node < len(state.points):
+        nodes.append(node)
+        node = int(ways.predecessor[node])
+    on_way = np.isin(state.edges, nodes).all(axis=1) & state.usable
+    return float(state.edge_required[on_way].max(initial=0.0))
+
+
+def _returns(scan: LaserScan, X_MB: FloatArray) -> FloatArray:
+    hit = np.isfinite(scan.ranges)
+    r, angle = scan.ranges[hit], scan.angles[hit]
+    return transform(X_MB, np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
+
+
+def _ahead(points: FloatArray, X_MB: FloatArray) -> FloatArray:
+    """The next LOOK_AHEAD metres of a path (k, 2) from the point nearest to the robot, as segments (s, 4)."""
+    if len(points) == 0:
+        return np.zeros((0, 4))
+    nearest = int(np.argmin(np.hypot(*(points - X_MB[:2]).T)))
+    ahead = points[nearest : nearest + 1 + round(LOOK_AHEAD / PATH_STEP)]
+    if len(ahead) == 1:
+        return _lines(ahead, ahead)
+    return _lines(ahead[:-1], ahead[1:])
+
+
+def path_is_free(points: FloatArray, scan: LaserScan, X_MB: FloatArray, radius: float, segments: FloatArray) -> bool:
+    """Whether the next two metres of a path (k, 2), m in M, are open to a disc of this radius (m) at pose X_MB (3,).
+
+    Two returns of the scan that no mapped surface (segments (m, 4)) explains, nearer to the path than the radius and
+    2 cm, block it; so do returns of mapped surfaces, where the disc would touch them.
+    """
+    ahead = _ahead(points, X_MB)
+    hits = _returns(scan, X_MB)
+    distance = point_distance(hits, ahead)
+    close = distance < radius + 0.02
+    if close.sum() < 2:
+        return True
+    unmapped = point_distance(hits[close], segments) > MAPPED_WITHIN
+    return int(unmapped.sum()) < 2 and int((distance[close] < radius - 0.02).sum()) < 2
+
+
+def unmapped_obstacles(
+    points: FloatArray, scan: LaserScan, X_MB: FloatArray, radius: float, segments: FloatArray
+) -> FloatArray:
+    """What blocks a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
+
+    The returns within a metre of the path ahead that no mapped surface explains, neighbours joined to a surface.
+    """
+    hits = _returns(scan, X_MB)
+    distance = point_distance(hits, _ahead(points, X_MB))
+    hits = hits[(distance < radius + OBSTACLE_REACH) & (point_distance(hits, segments) > MAPPED_WITHIN)]
+    if len(hits) == 0:
+        return np.zeros((0, 4))
+    following = np.vstack([hits[1:], hits[-1:]])
+    joined = np.hypot(*(following - hits).T) < OBSTACLE_MARGIN + FREE_STEP
+    return _lines(hits, np.where(joined[:, None], following, hits))

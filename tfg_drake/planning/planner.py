@@ -1,0 +1,130 @@
+"""The planner's part in a stage: extend the roadmap, plan a path to the goal chosen, watch it while it is followed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from tfg_drake.geometry.se2 import compose
+from tfg_drake.messages import (
+    FloatArray,
+    GoalChoice,
+    LaserScan,
+    MapEstimate,
+    MissionStatus,
+    Path,
+    PathStatus,
+    PoseEstimate,
+    Roadmap,
+    TfgMap,
+    message,
+)
+from tfg_drake.planning.expected_view import expected_frontiers
+from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
+from tfg_drake.planning.roadmap import (
+    RoadmapParameters,
+    RoadmapState,
+    empty_roadmap,
+    extend,
+    roadmap_message,
+    routes,
+)
+
+
+@message
+class PlannerState:
+    """All that the planner remembers.
+
+    nodes: the roadmap itself. roadmap, path, status: what it says of it. replans: the mission's count when the path
+    was planned. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. scan_stamp: s, of the
+    newest scan the path was checked against.
+    """
+
+    nodes: RoadmapState
+    roadmap: Roadmap
+    path: Path
+    status: PathStatus
+    replans: int
+    obstacles: FloatArray
+    scan_stamp: float
+
+
+def initial_state() -> PlannerState:
+    """Before the first goal."""
+    nodes = empty_roadmap()
+    none = np.zeros(0)
+    return PlannerState(
+        nodes=nodes,
+        roadmap=Roadmap(0, nodes.points, nodes.edges, np.zeros(0, dtype=np.bool_), none),
+        path=Path(id=0, stage=0, points=nodes.points),
+        status=PathStatus(path_id=0, free=True),
+        replans=0,
+        obstacles=np.zeros((0, 4)),
+        scan_stamp=-np.inf,
+    )
+
+
+def step(
+    state: PlannerState,
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    pose: PoseEstimate,
+    goal: GoalChoice,
+    scan: LaserScan,
+    mission: MissionStatus,
+    parameters: RoadmapParameters,
+) -> PlannerState:
+    """The state after one look at the newest messages; the same object where nothing changed."""
+    if tfg.stage == estimate.stage > state.nodes.stage:
+        return _grow(state, estimate, tfg, parameters)
+    chosen = goal.stage == mission.stage == state.nodes.stage == estimate.stage and goal.node >= 0
+    if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
+        return _plan(state, estimate, tfg, pose, goal, mission, parameters)
+    if mission.phase == "follow" and state.status.free and scan.stamp > state.scan_stamp:
+        return _watch(state, tfg, pose, scan, parameters.robot.radius)
+    return state
+
+
+def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
+    nodes = state.nodes
+    for effort in (1, 2):
+        nodes = extend(nodes, tfg, estimate, parameters, driven=state.path.points, effort=effort)
+        ways = routes(nodes, tfg, estimate.X_MD, parameters.robot)
+        reached = nodes.points[np.isfinite(ways.cost)]
+        if len(tfg.frontiers) == 0 or len(expected_frontiers(reached, tfg, parameters.sensor).index):
+            break
+    return dataclasses.replace(state, nodes=nodes, roadmap=roadmap_message(nodes, ways), obstacles=np.zeros((0, 4)))
+
+
+def _plan(
+    state: PlannerState,
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    pose: PoseEstimate,
+    goal: GoalChoice,
+    mission: MissionStatus,
+    parameters: RoadmapParameters,
+) -> PlannerState:
+    X_MB = pose.X_MB if pose.stage == estimate.stage else estimate.X_MD
+    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, state.obstacles)
+    path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
+    return dataclasses.replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
+
+
+def _watch(state: PlannerState, tfg: TfgMap, pose: PoseEstimate, scan: LaserScan, radius: float) -> PlannerState:
+    X_MS = pose_at(pose, scan.stamp)
+    seen = dataclasses.replace(state, scan_stamp=scan.stamp)
+    if path_is_free(state.path.points, scan, X_MS, radius, tfg.segments):
+        return seen
+    met = unmapped_obstacles(state.path.points, scan, X_MS, radius, tfg.segments)
+    return dataclasses.replace(
+        seen, status=PathStatus(path_id=state.path.id, free=False), obstacles=np.vstack([state.obstacles, met])
+    )
+
+
+def pose_at(pose: PoseEstimate, stamp: float) -> FloatArray:
+    """The pose X_MB (3,) at a time (s) near pose.stamp, by the measured speed."""
+    dt = stamp - pose.stamp
+    v, w = pose.speed * dt
+    return compose(pose.X_MB, np.array([v * np.cos(0.5 * w), v * np.sin(0.5 * w), w]))

@@ -1,0 +1,167 @@
+"""Following a path and turning in place: regulated pure pursuit and a ramped turn, without memory of their own.
+
+Regulated pure pursuit (Macenski et al., Autonomous Robots 2023): steer along the arc to a point a little ahead on
+the path, slowly where the path bends and where it ends.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.messages import FloatArray
+
+# The point steered for is what the robot reaches in LOOK_AHEAD_TIME s, within these bounds, m.
+LOOK_AHEAD_TIME = 0.7
+LOOK_AHEAD_MIN = 0.2
+LOOK_AHEAD_MAX = 0.4
+# A heading error beyond TURN_ABOVE stops the robot to turn in place until it is below TURN_BELOW, rad.
+TURN_ABOVE = math.radians(50.0)
+TURN_BELOW = math.radians(6.0)
+# The shares of the base's limits that plans use, so that control has something left.
+BRAKING_SHARE = 0.6
+TURNING_SHARE = 0.6
+# The end of the path is reached within this, m.
+ARRIVED = 0.01
+# At rest: below these speeds, m/s and rad/s.
+REST_SPEED = 0.01
+REST_TURN_RATE = 0.02
+# Gain of the turn towards a heading, 1/s.
+HEADING_GAIN = 3.0
+# The path is searched this far ahead of the progress made so far, m.
+SEARCH = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class PathCommand:
+    """speed: m/s. turn_rate: rad/s. progress: m along the path. turning: the robot turns in place. finished."""
+
+    speed: float
+    turn_rate: float
+    progress: float
+    turning: bool
+    finished: bool
+
+
+@njit(cache=True)
+def _project(points: FloatArray, x: float, y: float, progress: float, reach: float) -> tuple[float, float]:
+    """Progress (m) of the path's nearest point to (x, y) within reach ahead of progress, and the path's length."""
+    best, found, s = np.inf, progress, 0.0
+    for i in range(len(points) - 1):
+        dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+        length = math.sqrt(dx * dx + dy * dy)
+        if length > 0.0 and s + length >= progress and s <= progress + reach:
+            t = min(1.0, max(0.0, ((x - points[i, 0]) * dx + (y - points[i, 1]) * dy) / (length * length)))
+            t = min(max(t, (progress - s) / length), 1.0)
+            d = (points[i, 0] + t * dx - x) ** 2 + (points[i, 1] + t * dy - y) ** 2
+            if d < best:
+                best, found = d, s + t * length
+        s += length
+    return found, s
+
+
+@njit(cache=True)
+def _at(points: FloatArray, s: float) -> tuple[float, float, float]:
+    """Place (m) and heading (rad) of a path at progress s; straight on beyond its end."""
+    last = len(points) - 2
+    for i in range(last + 1):
+        dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+        length = math.sqrt(dx * dx + dy * dy)
+        if length > 0.0 and (s <= length or i == last):
+            return points[i, 0] + s / length * dx, points[i, 1] + s / length * dy, math.atan2(dy, dx)
+        s -= length
+    return points[-1, 0], points[-1, 1], 0.0
+
+
+@njit(cache=True)
+def _speed_limit(points: FloatArray, progress: float, max_speed: float, turn_rate: float, braking: float) -> float:
+    """Speed (m/s) from which the robot can brake in time for each bend ahead and for the end."""
+    limit, s = max_speed, 0.0
+    for i in range(1, len(points)):
+        dx, dy = points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1]
+        before = math.sqrt(dx * dx + dy * dy)
+        s += before
+        if s < progress - before:
+            continue
+        ahead = max(0.0, s - progress)
+        if 2.0 * braking * ahead > max_speed * max_speed:
+            break
+        slow = 0.0
+        if i < len(points) - 1:
+            ex, ey = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+            after = math.sqrt(ex * ex + ey * ey)
+            turn = abs(math.atan2(dx * ey - dy * ex, dx * ex + dy * ey))
+            # A bend within half a step before and behind.
+            slow = turn_rate * 0.5 * (before + after) / max(turn, 1e-9)
+        if slow < max_speed:
+            limit = min(limit, math.sqrt(slow * slow + 2.0 * braking * ahead))
+    return limit
+
+
+def _wrap(angle: float) -> float:
+    return math.atan2(math.sin(angle), math.cos(angle))
+
+
+def _turn_towards(error: float, robot: RobotConfig) -> float:
+    """Turn rate, rad/s, that takes a heading error (rad) out and can still brake."""
+    rate = min(
+        HEADING_GAIN * abs(error),
+        math.sqrt(2.0 * BRAKING_SHARE * robot.max_turn_acceleration * abs(error)),
+        TURNING_SHARE * robot.max_turn_rate,
+    )
+    return math.copysign(rate, error)
+
+
+def follow(
+    points: FloatArray, X_MB: FloatArray, speed: float, progress: float, turning: bool, robot: RobotConfig
+) -> PathCommand:
+    """The command at pose X_MB (3,) and speed (m/s) on a path (k, 2), m in M, of which progress (m) is done.
+
+    turning: whether the robot was turning in place before; it goes on until it faces along the path.
+    """
+    if len(points) < 2:
+        return PathCommand(0.0, 0.0, 0.0, False, True)
+    x, y, heading = (float(value) for value in X_MB)
+    progress, length = _project(points, x, y, progress, SEARCH)
+    remaining = length - progress
+    if remaining < ARRIVED:
+        return PathCommand(0.0, 0.0, progress, False, True)
+    ahead = min(max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN), LOOK_AHEAD_MAX)
+    px, py, _ = _at(points, progress + ahead)
+    error = _wrap(math.atan2(py - y, px - x) - heading)
+    # Off the path by no more than the rest of it, the robot must not turn round for a point beside it.
+    if remaining < 0.5 * LOOK_AHEAD_MIN:
+        turning = False
+    elif abs(error) > (TURN_BELOW if turning else TURN_ABOVE):
+        return PathCommand(0.0, _turn_towards(error, robot), progress, True, False)
+    curvature = 2.0 * math.sin(error) / max(math.hypot(px - x, py - y), 1e-3)
+    limit = _speed_limit(
+        points,
+        progress,
+        robot.max_speed,
+        TURNING_SHARE * robot.max_turn_rate,
+        BRAKING_SHARE * robot.max_acceleration,
+    )
+    limit = min(limit, TURNING_SHARE * robot.max_turn_rate / max(abs(curvature), 1e-9))
+    return PathCommand(limit, limit * curvature, progress, False, False)
+
+
+def turn_in_place(turned: float, target: float, turn_rate: float, robot: RobotConfig) -> float:
+    """Turn rate, rad/s, of a turn of target (rad), of which `turned` (rad) is done; 0 from the target on.
+
+    Smooth at the end: it brakes at a share of the base's limit. The base's own limit shapes the start.
+    """
+    left = target - turned
+    if left <= 0.0:
+        return 0.0
+    braking = BRAKING_SHARE * robot.max_turn_acceleration
+    return min(turn_rate, robot.max_turn_rate, max(0.05, math.sqrt(2.0 * braking * left)))
+
+
+def at_rest(speed: float, turn_rate: float) -> bool:
+    """Whether measured speeds (m/s, rad/s) are those of a robot that stands."""
+    return abs(speed) < REST_SPEED and abs(turn_rate) < REST_TURN_RATE

@@ -1,0 +1,439 @@
+"""A probabilistic roadmap that persists from stage to stage and moves with the map (the paper's Sec. V).
+
+Every node keeps its place in the frame of a goal's arrival pose, so it moves when a loop closes; every stage checks
+all edges against the surfaces as they are now. What the robot has travelled stays in the roadmap: a narrow door once
+passed is not lost again to bad luck in sampling.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+from numba import njit
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.distance import clearance, segment_distance
+from tfg_drake.geometry.star import inside_any
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap, message
+from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
+
+# Least distance between nodes in the open, near frontiers and in narrow passages, m.
+SPACING = 0.75
+FRONTIER_SPACING = 0.5
+PASSAGE_SPACING = 0.3
+# Neighbours that a new node is joined to, and how far they may be, m.
+NEIGHBOURS = 10
+EDGE_LENGTH = 3.0
+# Darts thrown into the newest star, into older ones and at each frontier point.
+NEWEST_DARTS = 700
+OLDER_DARTS = 300
+FRONTIER_DARTS = 5
+# Gaps between surfaces up to this width get a node in the middle, m.
+PASSAGE_WIDTH = 1.5
+# A node keeps this much more than the robot's radius from any surface, m.
+NODE_MARGIN = 0.05
+# Edges are looked up in the free space at this interval, m.
+FREE_STEP = 0.25
+# Clearance beyond which a path costs its length only, m.
+COMFORT = 1.0
+# Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
+OBSTACLE_MARGIN = 0.08
+
+
+@dataclasses.dataclass(frozen=True)
+class RoadmapParameters:
+    """What the roadmap needs to know of the robot, its sensors and the explorer, and the seed of its samples."""
+
+    robot: RobotConfig
+    sensor: TagSensorConfig
+    odometry: OdometryConfig
+    explorer: ExplorerConfig
+    seed: int
+
+
+@message
+class RoadmapState:
+    """The roadmap and its edges as checked at one stage.
+
+    stage. anchor: (n,) the goal in whose arrival frame A each node is kept, p_AN: (n, 2), m. edges: (e, 2) nodes,
+    all that were ever proposed. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space.
+    points: (n, 2) the nodes in M at this stage, m. edge_clearance and edge_required: (e,) m, what it has and needs (no
+    more than edge_reach is told apart). usable: (e,).
+    """
+
+    stage: int
+    anchor: IntArray
+    p_AN: FloatArray
+    edges: IntArray
+    travelled: BoolArray
+    free: BoolArray
+    points: FloatArray
+    edge_clearance: FloatArray
+    edge_required: FloatArray
+    usable: BoolArray
+
+
+def empty_roadmap() -> RoadmapState:
+    """The roadmap before the first goal."""
+    return RoadmapState(
+        stage=0,
+        anchor=np.zeros(0, dtype=np.int64),
+        p_AN=np.zeros((0, 2)),
+        edges=np.zeros((0, 2), dtype=np.int64),
+        travelled=np.zeros(0, dtype=np.bool_),
+        free=np.zeros(0, dtype=np.bool_),
+        points=np.zeros((0, 2)),
+        edge_clearance=np.zeros(0),
+        edge_required=np.zeros(0),
+        usable=np.zeros(0, dtype=np.bool_),
+    )
+
+
+@njit(cache=True)
+def thin(proposals: FloatArray, spacing: FloatArray, nodes: FloatArray) -> BoolArray:
+    """Which proposals (p, 2) to keep, in order, each at least its own spacing (p,) from nodes (n, 2) and those kept."""
+    keep = np.zeros(len(proposals), dtype=np.bool_)
+    for i in range(len(proposals)):
+        x, y = proposals[i, 0], proposals[i, 1]
+        near = spacing[i] * spacing[i]
+        ok = True
+        for j in range(len(nodes)):
+            if (nodes[j, 0] - x) ** 2 + (nodes[j, 1] - y) ** 2 < near:
+                ok = False
+                break
+        if ok:
+            for j in range(i):
+                if keep[j] and (proposals[j, 0] - x) ** 2 + (proposals[j, 1] - y) ** 2 < near:
+                    ok = False
+                    break
+        keep[i] = ok
+    return keep
+
+
+@njit(cache=True)
+def passages(ends: FloatArray, segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
+    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind.
+
+    A gap joins two ends (n, 2) of the segments (m, 4), is between narrowest and widest (m) wide, and nothing is nearer
+    to its middle than its two sides.
+    """
+    found = np.empty((64, 2))
+    count = 0
+    box = np.empty(4)
+    for i in range(len(ends)):
+        for j in range(i):
+            dx, dy = ends[j, 0] - ends[i, 0], ends[j, 1] - ends[i, 1]
+            if abs(dx) > widest or abs(dy) > widest:
+                continue
+            width = math.sqrt(dx * dx + dy * dy)
+            if width < narrowest or width > widest:
+                continue
+            x, y = ends[i, 0] + 0.5 * dx, ends[i, 1] + 0.5 * dy
+            box[0], box[1], box[2], box[3] = x, y, x, y
+            if clearance(box.reshape(1, 4), segments, 0.5 * width)[0] < 0.475 * width:
+                continue
+            if count + 3 > len(found):
+                grown = np.empty((2 * len(found), 2))
+                grown[:count] = found[:count]
+                found = grown
+            for k in range(-1, 2):
+                found[count, 0], found[count, 1] = x - 0.5 * k * dy / width, y + 0.5 * k * dx / width
+                count += 1
+    return found[:count].copy()
+
+
+def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
+    """Which edges (e, 4), m in M, lie in the free space seen from past goals, looked up every FREE_STEP, (e,)."""
+    if len(edges) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    steps = np.maximum(1, np.ceil(np.hypot(*(edges[:, 2:] - edges[:, :2]).T) / FREE_STEP)).astype(np.int64)
+    edge = np.repeat(np.arange(len(edges)), steps)
+    first = np.repeat(np.cumsum(steps) - steps, steps)
+    t = ((np.arange(len(edge)) - first + 0.5) / steps[edge])[:, None]
+    samples = (1 - t) * edges[edge, :2] + t * edges[edge, 2:]
+    inside = inside_any(samples, tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    return np.asarray(np.bincount(edge, weights=~inside, minlength=len(edges)) == 0)
+
+
+def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int, count: int) -> FloatArray:
+    """Points spread evenly over the discs round stars first:stop, those outside the stars still among them."""
+    if count == 0 or stop <= first:
+        return np.zeros((0, 2))
+    star = rng.integers(first, stop, count)
+    radius = np.array(
+        [
+            np.hypot(*(tfg.star_vertices[a:b] - center).T).max(initial=0.0)
+            for a, b, center in zip(tfg.star_offsets[:-1], tfg.star_offsets[1:], tfg.star_centers, strict=True)
+        ]
+    )
+    r, angle = radius[star] * np.sqrt(rng.random(count)), rng.uniform(-math.pi, math.pi, count)
+    return np.asarray(tfg.star_centers[star] + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
+
+
+def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, effort: int) -> tuple[FloatArray, FloatArray]:
+    """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) each must keep."""
+    need = radius + NODE_MARGIN
+    gaps = passages(np.unique(tfg.segments.reshape(-1, 2), axis=0), tfg.segments, 2 * need, PASSAGE_WIDTH)
+    normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * effort, axis=0)
+    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
+    fringe = np.repeat(tfg.frontiers, FRONTIER_DARTS * effort, axis=0) + back * normal + aside * tangent
+    stars = len(tfg.star_centers)
+    newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * effort)
+    older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * effort**2)
+    groups = [
+        (gaps, PASSAGE_SPACING),
+        (fringe, FRONTIER_SPACING / effort),
+        (newest, SPACING / effort),
+        (older, SPACING / effort),
+    ]
+    points = np.vstack([group for group, _ in groups])
+    spacing = np.concatenate([np.full(len(group), value) for group, value in groups])
+    ok = inside_any(points, tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    ok[ok] = clearance(np.hstack([points[ok]] * 2), tfg.segments, need) >= need
+    return points[ok], spacing[ok]
+
+
+def _travelled_nodes(
+    nodes: FloatArray, driven: FloatArray, estimate: MapEstimate
+) -> tuple[FloatArray, list[tuple[int, int]]]:
+    """New nodes along the path driven to the last goal, and the chain of edges between them and existing nodes."""
+    goal = estimate.X_MA[-1, :2]
+    chain = [goal]
+    if len(driven):
+        reached = int(np.argmin(np.hypot(*(driven - goal).T)))
+        if np.hypot(*(driven[reached] - goal)) < 0.5:
+            along = np.append(0.0, np.cumsum(np.hypot(*np.diff(driven[: reached + 1], axis=0).T)))
+            picks = np.searchsorted(along, np.arange(0.0, along[-1], SPACING))
+            chain = [*driven[picks], goal]
+    added: list[FloatArray] = []
+    index: list[int] = []
+    for point in chain:
+        everything = np.vstack([nodes, *added])
+        distance = np.hypot(*(everything - point).T)
+        nearest = int(np.argmin(distance)) if len(distance) else -1
+        if nearest >= 0 and distance[nearest] < 0.15:
+            index.append(nearest)
+        else:
+            index.append(len(everything))
+            added.append(np.asarray(point)[None])
+    new = np.vstack([np.zeros((0, 2)), *added])
+    return new, [(a, b) for a, b in itertools.pairwise(index) if a != b]
+
+
+def _nearest_edges(points: FloatArray, first_new: int) -> IntArray:
+    """Edges (e, 2), smaller node first, from each node first_new... to its nearest neighbours among all points."""
+    if len(points) < 2 or first_new == len(points):
+        return np.zeros((0, 2), dtype=np.int64)
+    k = min(NEIGHBOURS + 1, len(points))
+    distance, neighbour = cKDTree(points).query(points[first_new:], k=k, distance_upper_bound=EDGE_LENGTH)
+    a = np.repeat(np.arange(first_new, len(points)), k)
+    b = neighbour.ravel()
+    ok = np.isfinite(distance.ravel()) & (a != b)
+    return np.stack([np.minimum(a, b)[ok], np.maximum(a, b)[ok]], axis=1).astype(np.int64)
+
+
+def extend(
+    state: RoadmapState,
+    tfg: TfgMap,
+    estimate: MapEstimate,
+    parameters: RoadmapParameters,
+    *,
+    driven: FloatArray | None = None,
+    effort: int = 1,
+) -> RoadmapState:
+    """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
+
+    driven: (d, 2) m in M, the path the robot followed to the last goal. effort: 1, or 2 to sample again, more and
+    more densely, before the mission is declared done. The same arguments give the same roadmap.
+    """
+    rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
+    nodes = _resolve(state.anchor, state.p_AN, estimate.X_MA)
+    path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
+    travelled, chain = _travelled_nodes(nodes, path, estimate)
+    nodes = np.vstack([nodes, travelled])
+    proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, effort)
+    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes)]])
+
+    first_new = len(state.anchor)
+    _, nearest = cKDTree(estimate.X_MA[:, :2]).query(points[first_new:])
+    anchor = np.append(state.anchor, np.asarray(nearest, dtype=np.int64))
+    p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
+
+    chain_edges = np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
+    edges = np.vstack([state.edges, chain_edges, _nearest_edges(points, first_new)])
+    was_travelled = np.zeros(len(edges), dtype=np.bool_)
+    was_travelled[: len(state.edges)] = state.travelled
+    was_travelled[len(state.edges) : len(state.edges) + len(chain_edges)] = True
+    was_free = np.zeros(len(edges), dtype=np.bool_)
+    was_free[: len(state.edges)] = state.free
+    # One row for each pair of nodes; a travelled one stands for its twin.
+    order = np.lexsort((~was_travelled, edges[:, 1], edges[:, 0]))
+    edges, was_travelled, was_free = edges[order], was_travelled[order], was_free[order]
+    first = np.ones(len(edges), dtype=np.bool_)
+    first[1:] = (edges[1:] != edges[:-1]).any(axis=1)
+    edges, was_travelled, was_free = edges[first], was_travelled[first], was_free[first]
+
+    sigma = predicted_deviation(
+        points, estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
+    )
+    need = required_clearance(
+        parameters.robot.radius, sigma[edges].max(axis=1), parameters.explorer.collision_probability
+    )
+    # Where the robot has been it can go again: its own radius is enough there.
+    need = np.where(was_travelled, parameters.robot.radius, need)
+    lines = points[edges].reshape(-1, 4)
+    has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
+    wide = has >= need
+    free = was_free | was_travelled
+    ask = ~free & wide
+    free[ask] = in_free_space(lines[ask], tfg)
+    return RoadmapState(
+        stage=estimate.stage,
+        anchor=anchor,
+        p_AN=p_AN,
+        edges=edges,
+        travelled=was_travelled,
+        free=free,
+        points=points,
+        edge_clearance=has,
+        edge_required=need,
+        usable=wide & free,
+    )
+
+
+def _resolve(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
+    X = X_MA[anchor]
+    c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
+    return np.stack([X[:, 0] + c * p_AN[:, 0] - s * p_AN[:, 1], X[:, 1] + s * p_AN[:, 0] + c * p_AN[:, 1]], axis=1)
+
+
+def _to_anchor(p_MN: FloatArray, anchor: IntArray, X_MA: FloatArray) -> FloatArray:
+    d, theta = p_MN - X_MA[anchor, :2], X_MA[anchor, 2]
+    c, s = np.cos(theta), np.sin(theta)
+    return np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]], axis=1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Routes:
+    """Cheapest ways from the robot to all nodes of a roadmap.
+
+    cost: (n,) m weighted by clearance, inf where unreachable. predecessor: (n,) node before each, n for the robot
+    itself, -1 where unreachable. length: (n,) m. time: (n,) expected s of travel, turns included.
+    """
+
+    cost: FloatArray
+    predecessor: IntArray
+    length: FloatArray
+    time: FloatArray
+
+
+def routes(
+    state: RoadmapState, tfg: TfgMap, X_MB: FloatArray, robot: RobotConfig, obstacles: FloatArray | None = None
+) -> Routes:
+    """Cheapest ways from the robot's pose X_MB (3,) to every node.
+
+    An edge costs length * (1 + 2 max(0, 1 - d)^2), d its clearance in metres. obstacles: (b, 4) segments met at this
+    stage that the map does not hold, m in M. A robot that stands too near a surface may still leave, as long as it
+    comes no nearer.
+    """
+    n = len(state.points)
+    if n == 0:
+        return Routes(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+    a, b = state.edges[state.usable].T
+    has = state.edge_clearance[state.usable]
+    if obstacles is not None and len(obstacles):
+        room = clearance(state.points[state.edges[state.usable]].reshape(-1, 4), obstacles, COMFORT)
+        passable = room >= robot.radius + OBSTACLE_MARGIN
+        a, b, has = a[passable], b[passable], np.minimum(has, room)[passable]
+    links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
+    length = np.hypot(*(state.points[a] - state.points[b]).T)
+    links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
+    source = np.concatenate([a, b, np.full(len(links), n)])
+    target = np.concatenate([b, a, links])
+    lengths = np.concatenate([length, length, links_length])
+    gap = np.concatenate([has, has, links_has])
+    weight = np.maximum(lengths, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
+    graph = csr_matrix((weight, (source, target)), shape=(n + 1, n + 1))
+    cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
+    predecessor = np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
+    cost = cost[:n]
+    travelled, time = _travel(
+        state.points, X_MB, predecessor, np.argsort(cost, kind="stable"), robot.max_speed, robot.max_turn_rate
+    )
+    time[np.isfinite(time)] += robot.max_speed / robot.max_acceleration
+    return Routes(cost, predecessor, travelled, time)
+
+
+@njit(cache=True)
+def _travel(
+    points: FloatArray, X_MB: FloatArray, predecessor: IntArray, order: IntArray, speed: float, turn_rate: float
+) -> tuple[FloatArray, FloatArray]:
+    """Length (m) and time (s) along the tree of routes; order: nodes by increasing cost."""
+    n = len(points)
+    length, time, heading = np.full(n, np.inf), np.full(n, np.inf), np.zeros(n)
+    for i in order:
+        before = predecessor[i]
+        if before < 0:
+            continue
+        at_robot = before == n
+        x, y = (X_MB[0], X_MB[1]) if at_robot else (points[before, 0], points[before, 1])
+        dx, dy = points[i, 0] - x, points[i, 1] - y
+        step = math.sqrt(dx * dx + dy * dy)
+        heading[i] = math.atan2(dy, dx)
+        turn = heading[i] - (X_MB[2] if at_robot else heading[before])
+        turn = abs(math.atan2(math.sin(turn), math.cos(turn)))
+        length[i] = step + (0.0 if at_robot else length[before])
+        time[i] = step / speed + turn / turn_rate + (0.0 if at_robot else time[before])
+    return length, time
+
+
+def _connect(
+    state: RoadmapState, tfg: TfgMap, X_MB: FloatArray, robot: RobotConfig, obstacles: FloatArray | None
+) -> tuple[IntArray, FloatArray]:
+    """Nodes the robot can drive to directly (l,), and the clearance of the way there (l,), m."""
+    here = X_MB[:2]
+    distance = np.hypot(*(state.points - here).T)
+    near = np.argsort(distance, kind="stable")[: 3 * NEIGHBOURS]
+    near = near[distance[near] <= EDGE_LENGTH]
+    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
+    # No surface can pass through where the robot stands.
+    apart = segment_distance(segments, np.concatenate([here, here])[None])
+    segments = segments[apart > 0.02]
+    own = float(apart[apart > 0.02].min(initial=np.inf))
+    lines = np.hstack([np.broadcast_to(here, (len(near), 2)), state.points[near]])
+    has = clearance(lines, segments, COMFORT)
+    ok = has >= min(robot.radius + NODE_MARGIN, 0.95 * own)
+    free = ok.copy()
+    free[ok] = in_free_space(lines[ok], tfg)
+    # Outside the space it has seen the robot may still drive where no surface is in the way.
+    chosen = free if free.any() else ok
+    return near[chosen].astype(np.int64), has[chosen]
+
+
+def roadmap_message(state: RoadmapState, ways: Routes) -> Roadmap:
+    """What the goal selector and the pictures need of a roadmap and the routes through it."""
+    return Roadmap(
+        stage=state.stage,
+        points=state.points,
+        edges=state.edges[state.usable],
+        reachable=np.isfinite(ways.cost),
+        travel_time=ways.time,
+    )
+
+
+def node_path(state: RoadmapState, ways: Routes, X_MB: FloatArray, node: int) -> FloatArray:
+    """The way from the robot to a node as a polyline (k, 2), m in M, the robot's place first; empty if unreachable."""
+    if not 0 <= node < len(state.points) or not np.isfinite(ways.cost[node]):
+        return np.zeros((0, 2))
+    reverse = []
+    while node < len(state.points):
+        reverse.append(state.points[node])
+        node = int(ways.predecessor[node])
+    return np.array([X_MB[:2], *reverse[::-1]])
