@@ -1,0 +1,365 @@
+"""The scenario: everything that defines a run, as one tree of dataclasses read from YAML.
+
+Drake's typed loader merges a file into the tree; the files are checked first, because its errors do not say where.
+This module has no `from __future__ import annotations`: the loader reads the types.
+"""
+
+import copy
+import dataclasses
+import difflib
+import importlib.resources
+import math
+import typing
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydrake.common.yaml import yaml_load_typed
+
+from tfg_drake.config import (
+    ExplorerConfig,
+    OdometryConfig,
+    RobotConfig,
+    SafetyConfig,
+    ScanConfig,
+    TagSensorConfig,
+)
+from tfg_drake.world.load import furnish, load_map
+from tfg_drake.world.world import World, WorldError, check_world
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; the message is one line: file, place, what is wrong, how to mend it."""
+
+
+@dataclasses.dataclass
+class TagConfig:
+    """One tag on a wall."""
+
+    # The tag's code, unique in the world.
+    id: int = 0
+    # Centre (x, y) in W, on the wall's surface, m.
+    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
+    # Heading of the outward normal, rad.
+    facing: float = 0.0
+
+
+@dataclasses.dataclass
+class WorldConfig:
+    """The true world, see tfg_drake.world.world.World."""
+
+    # Opaque wall segments [x0, y0, x1, y1] in W, m.
+    walls: list[list[float]] = dataclasses.field(default_factory=list)
+    # Tags on the walls.
+    tags: list[TagConfig] = dataclasses.field(default_factory=list)
+    # Start [x, y, yaw] in W, m and rad.
+    start: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+@dataclasses.dataclass
+class Scenario:
+    """Everything that defines a run."""
+
+    # Every random number of the run comes from it.
+    seed: int = 0
+    world: WorldConfig = dataclasses.field(default_factory=WorldConfig)
+    robot: RobotConfig = dataclasses.field(default_factory=RobotConfig)
+    odometry: OdometryConfig = dataclasses.field(default_factory=OdometryConfig)
+    tags: TagSensorConfig = dataclasses.field(default_factory=TagSensorConfig)
+    scan: ScanConfig = dataclasses.field(default_factory=ScanConfig)
+    safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
+    explorer: ExplorerConfig = dataclasses.field(default_factory=ExplorerConfig)
+
+
+# Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "robot.radius": (0.0, math.inf),
+    "robot.max_speed": (0.0, math.inf),
+    "robot.max_turn_rate": (0.0, math.inf),
+    "robot.max_acceleration": (0.0, math.inf),
+    "robot.max_turn_acceleration": (0.0, math.inf),
+    "tags.range": (0.0, math.inf),
+    "tags.field_of_view": (0.0, 2.0 * math.pi),
+    "tags.max_incidence": (0.0, 0.5 * math.pi),
+    "tags.rate": (0.0, math.inf),
+    "tags.detection_probability": (0.0, 1.0),
+    "tags.range_scale": (0.0, math.inf),
+    "scan.range": (0.0, math.inf),
+    "scan.field_of_view": (0.0, 2.0 * math.pi),
+    "scan.resolution": (0.0, math.pi),
+    "scan.rate": (0.0, math.inf),
+    "safety.command_timeout": (0.0, math.inf),
+    "explorer.density": (0.0, math.inf),
+    "explorer.prior_sigma": (0.0, math.inf),
+    "explorer.samples": (1.0, math.inf),
+    "explorer.frontier_attempts": (1.0, math.inf),
+    "explorer.turn_rate": (0.0, math.inf),
+    "explorer.collision_probability": (0.0, 0.5),
+}
+# Numbers that may have either sign.
+_SIGNED = ("world.walls", "world.tags", "world.start")
+# Lists of a fixed length, and how to write them.
+_LENGTHS = {
+    "world.walls[]": (4, "[x0, y0, x1, y1]"),
+    "world.tags[].position": (2, "[x, y]"),
+    "world.start": (3, "[x, y, yaw]"),
+}
+
+
+def FindScenario(name_or_path: str) -> Path:
+    """The file of a shipped scenario ("paper") or the path itself; raises ScenarioError if there is neither."""
+    shipped = Path(str(importlib.resources.files("tfg_drake.diagrams"))) / "scenarios"
+    path = shipped / f"{name_or_path}.yaml"
+    if path.is_file():
+        return path
+    path = Path(name_or_path)
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
+        raise ScenarioError(f"{name_or_path}: no such file or scenario; name a YAML file or one of {names}")
+    return path
+
+
+def LoadScenario(
+    filename: str | Path | None = None,
+    data: str | None = None,
+    scenario_name: str | None = None,
+    defaults: Scenario | None = None,
+) -> Scenario:
+    """The scenario in a YAML file or string, merged into `defaults` (Drake's convention for stations).
+
+    filename is a path or a shipped name; scenario_name chooses a child of the document. A document may name another
+    scenario as its `base:` (a shipped name, or a path relative to the document): it is loaded first and this one is
+    merged into it, lists replaced, sections key by key. Raises ScenarioError.
+    """
+    if (filename is None) == (data is None):
+        raise ScenarioError("LoadScenario: give either filename or data")
+    path = None if filename is None else FindScenario(str(filename))
+    return _Load(path, data, scenario_name, defaults, above=())
+
+
+def _Load(
+    path: Path | None, data: str | None, scenario_name: str | None, defaults: Scenario | None, above: tuple[Path, ...]
+) -> Scenario:
+    source = "scenario" if path is None else str(path)
+    text = _ReadText(path) if path is not None else typing.cast(str, data)
+    tree = _Parse(text, source)
+    if scenario_name is not None:
+        if not isinstance(tree, dict) or scenario_name not in tree:
+            names = ", ".join(map(str, tree)) if isinstance(tree, dict) else "none"
+            raise ScenarioError(f"{source}: no scenario {scenario_name}; the file has {names}")
+        tree = tree[scenario_name]
+    if not isinstance(tree, dict):
+        raise ScenarioError(f"{source}: expected keys and values such as `seed: 0`, found {_Describe(tree)}")
+    base = tree.pop("base", None)
+    _CheckTree(tree, Scenario, "", source)
+    if base is not None:
+        if defaults is not None:
+            raise ScenarioError(f"{source}: base: {base} cannot be combined with defaults; give one of them")
+        if path is not None and path.resolve() in above:
+            raise ScenarioError(f"{source}: base: {base} leads back to this file; break the circle")
+        defaults = _LoadBase(base, path, source, above)
+    # Unknown keys were refused above; what is left without a schema is `base`.
+    scenario = yaml_load_typed(
+        schema=Scenario, data=text, child_name=scenario_name, defaults=defaults, allow_yaml_with_no_schema=True
+    )
+    assert isinstance(scenario, Scenario)
+    _CheckWorld(scenario, source)
+    return scenario
+
+
+def _LoadBase(base: object, path: Path | None, source: str, above: tuple[Path, ...]) -> Scenario:
+    if not isinstance(base, str):
+        raise ScenarioError(f"{source}: base: expected a scenario's name or file, found {_Describe(base)}")
+    beside = path.parent / base if path is not None else Path(base)
+    try:
+        base_path = beside if beside.is_file() else FindScenario(base)
+    except ScenarioError as error:
+        raise ScenarioError(f"{source}: base: {error}") from None
+    return _Load(base_path, None, None, None, above if path is None else (*above, path.resolve()))
+
+
+def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenario:
+    """A copy of the scenario with settings such as "explorer.stop_gain=5" applied in order; raises ScenarioError."""
+    result = copy.deepcopy(scenario)
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        source = f"--set {setting}"
+        if not equals or not key or not text.strip():
+            raise ScenarioError(f"{source}: expected KEY=VALUE, such as explorer.stop_gain=5")
+        owner, schema, names = result, Scenario, key.split(".")
+        for depth, name in enumerate(names):
+            keys = _Keys(schema) if dataclasses.is_dataclass(schema) else []
+            if name not in keys:
+                raise ScenarioError(f"{source}: {_UnknownKey(name, keys, '.'.join(names[:depth]))}")
+            schema = _Types(schema)[name]
+            if depth + 1 < len(names):
+                owner = getattr(owner, name)
+        value = _Parse(text, source)
+        _CheckTree(value, schema, key, source)
+        if dataclasses.is_dataclass(schema) or typing.get_origin(schema) is list:
+            raise ScenarioError(f"{source}: {key} is a section; set one of its keys, or write a scenario file")
+        setattr(owner, names[-1], schema(value))
+    _CheckWorld(result, "--set")
+    return result
+
+
+def MakeWorld(config: WorldConfig) -> World:
+    """The world of a scenario as arrays."""
+    return World(
+        walls=np.array(config.walls, dtype=float).reshape(-1, 4),
+        tag_ids=np.array([tag.id for tag in config.tags], dtype=np.int64),
+        p_WT=np.array([tag.position for tag in config.tags], dtype=float).reshape(-1, 2),
+        tag_facing=np.array([tag.facing for tag in config.tags], dtype=float),
+        start=np.array(config.start, dtype=float),
+    )
+
+
+def MakeWorldConfig(world: World) -> WorldConfig:
+    """The world as a scenario's section: the inverse of MakeWorld."""
+    rows = zip(world.tag_ids.tolist(), world.p_WT.tolist(), world.tag_facing.tolist(), strict=True)
+    tags = [TagConfig(id=i, position=position, facing=facing) for i, position, facing in rows]
+    return WorldConfig(walls=world.walls.tolist(), tags=tags, start=world.start.tolist())
+
+
+def ApplyWorldFile(
+    scenario: Scenario,
+    path: str | Path | None = None,
+    tag_spacing: float | None = None,
+    start: typing.Sequence[float] | None = None,
+) -> Scenario:
+    """A copy of the scenario with walls, tags and start replaced.
+
+    path: a scenario file, a map_server .yaml or a *.vectormap.txt; None keeps the walls. tag_spacing: m, replaces
+    the tags by tags along every reachable surface. start: (x, y, yaw) in m and rad; without it a scenario's own start
+    is kept and a map's is drawn from the seed. Raises ScenarioError.
+    """
+    result = copy.deepcopy(scenario)
+    source = "world" if path is None else str(path)
+    try:
+        if path is not None and not _IsScenario(Path(path)):
+            world = load_map(Path(path), scenario.robot.radius, tag_spacing, start, scenario.seed)
+        else:
+            world = MakeWorld((result if path is None else LoadScenario(path)).world)
+            world = furnish(world, scenario.robot.radius, tag_spacing, start)
+    except WorldError as error:
+        raise ScenarioError(f"{source}: {error}" if source not in str(error) else str(error)) from None
+    result.world = MakeWorldConfig(world)
+    return result
+
+
+def _IsScenario(path: Path) -> bool:
+    """Whether a world file is a scenario (or a shipped scenario's name), and not a map to import."""
+    if not path.is_file():
+        return path.suffix in ("", ".yaml", ".yml")
+    if path.suffix not in (".yaml", ".yml"):
+        return False
+    tree = _Parse(_ReadText(path), str(path))
+    return not (isinstance(tree, dict) and "image" in tree)
+
+
+def _ReadText(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ScenarioError(f"{path}: cannot be read: {reason}") from None
+
+
+def _Parse(text: str, source: str) -> object:
+    try:
+        return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark is not None else "somewhere"
+        problem = getattr(error, "problem", None) or "not readable"
+        raise ScenarioError(f"{source}: {place}: broken YAML: {' '.join(str(problem).split())}") from None
+
+
+def _Types(schema: typing.Any) -> dict[str, typing.Any]:
+    return {field.name: field.type for field in dataclasses.fields(schema)}
+
+
+def _Keys(schema: typing.Any) -> list[str]:
+    return [field.name for field in dataclasses.fields(schema)]
+
+
+def _UnknownKey(name: object, keys: list[str], place: str) -> str:
+    """The complaint about an unknown key, with the valid ones that look like it, and all of them otherwise."""
+    near = difflib.get_close_matches(str(name), keys, cutoff=0.5)
+    full = f"{place}.{name}" if place else str(name)
+    if not keys:
+        return f"{full}: unknown key; {place} is a value, not a section"
+    where = f"the keys of {place}" if place else "the sections"
+    return (
+        f"{full}: unknown key; did you mean {' or '.join(near)}?"
+        if near
+        else (f"{full}: unknown key; {where} are {', '.join(keys)}")
+    )
+
+
+def _Describe(value: object) -> str:
+    names = {dict: "a section", list: "a list", str: "text", bool: "a yes/no value", type(None): "nothing"}
+    kind = names.get(type(value), type(value).__name__)
+    return f"{kind} ({value!r})" if isinstance(value, str | bool | int | float) else kind
+
+
+def _CheckTree(value: object, schema: typing.Any, place: str, source: str) -> None:
+    """Refuses a parsed YAML value that does not fit the schema, naming its place."""
+    if dataclasses.is_dataclass(schema):
+        if not isinstance(value, dict):
+            raise ScenarioError(f"{source}: {place}: expected a section of keys, found {_Describe(value)}")
+        types = _Types(schema)
+        for key, item in value.items():
+            if key not in types:
+                raise ScenarioError(f"{source}: {_UnknownKey(key, list(types), place)}")
+            _CheckTree(item, types[key], f"{place}.{key}" if place else key, source)
+    elif typing.get_origin(schema) is list:
+        if not isinstance(value, list):
+            raise ScenarioError(f"{source}: {place}: expected a list, found {_Describe(value)}")
+        length, form = _LENGTHS.get(_General(place), (len(value), ""))
+        if len(value) != length:
+            raise ScenarioError(f"{source}: {place}: expected {length} numbers {form}, found {len(value)}")
+        (item_schema,) = typing.get_args(schema)
+        for i, item in enumerate(value):
+            _CheckTree(item, item_schema, f"{place}[{i}]", source)
+    elif schema in (int, float):
+        _CheckNumber(value, schema, place, source)
+    elif type(value) is not schema:
+        kind = {str: "text", bool: "true or false"}[schema]
+        raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
+
+
+def _General(place: str) -> str:
+    """world.tags[3].id -> world.tags[].id."""
+    return "[]".join(part.split("]")[-1] if i else part for i, part in enumerate(place.split("[")))
+
+
+def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> None:
+    kind = "a whole number" if schema is int else "a number"
+    number = value
+    if isinstance(value, str) and schema is float:
+        try:  # YAML 1.1 takes 1e-3 for text; Drake's loader and we do not.
+            number = float(value)
+        except ValueError:
+            number = None
+    if isinstance(number, bool) or not isinstance(number, int if schema is int else int | float):
+        raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
+    if not math.isfinite(number):
+        raise ScenarioError(f"{source}: {place}: must be finite, is {number}")
+    if place.startswith(_SIGNED):
+        return
+    least, greatest = _BOUNDS.get(place, (-math.inf, math.inf))
+    if place not in _BOUNDS and number < 0:
+        raise ScenarioError(f"{source}: {place}: must not be negative, is {number:g}")
+    if number < least or (number == least == 0.0):
+        relation = "greater than 0" if least == 0.0 else f"at least {least:g}"
+        raise ScenarioError(f"{source}: {place}: must be {relation}, is {number:g}")
+    if number > greatest:
+        raise ScenarioError(f"{source}: {place}: must be at most {greatest:.6g}, is {number:g}")
+
+
+def _CheckWorld(scenario: Scenario, source: str) -> None:
+    try:
+        check_world(MakeWorld(scenario.world), scenario.robot.radius)
+    except WorldError as error:
+        raise ScenarioError(f"{source}: {error}") from None

@@ -1,0 +1,67 @@
+"""From a map's file to a world: walls by the file's format, then tags and a start."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray
+from tfg_drake.world.map_server import load_map_server
+from tfg_drake.world.start import draw_start
+from tfg_drake.world.tag_placement import place_tags
+from tfg_drake.world.vectormap import load_vectormap
+from tfg_drake.world.world import World, WorldError, check_world
+
+_log = logging.getLogger(__name__)
+
+
+def load_map(
+    path: Path, robot_radius: float, tag_spacing: float | None, start: Sequence[float] | None, seed: int
+) -> World:
+    """The world in a ROS map_server file (.yaml) or a vector map (*.vectormap.txt).
+
+    robot_radius: m. tag_spacing: m, None for a world without tags. start: X_WS (x, y, yaw), None to draw it from the
+    seed. Raises WorldError.
+    """
+    if not path.is_file():
+        raise WorldError(f"{path}: no such file")
+    if path.name.endswith(".vectormap.txt"):
+        walls, dropped = load_vectormap(path)
+        if dropped:
+            _log.warning("%s: dropped %d walls of zero length", path, dropped)
+    elif path.suffix in (".yaml", ".yml"):
+        walls = load_map_server(path)
+    else:
+        raise WorldError(f"{path}: unknown kind of map; give a scenario or map_server .yaml or a *.vectormap.txt")
+    try:
+        X_WS = draw_start(walls, robot_radius, seed) if start is None else np.array(start, dtype=float)
+        world = World(
+            walls=walls, tag_ids=np.zeros(0, dtype=np.int64), p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=X_WS
+        )
+        return furnish(world, robot_radius, tag_spacing, None)
+    except WorldError as error:
+        raise WorldError(f"{path}: {error}") from None
+
+
+def furnish(
+    world: World, robot_radius: float, tag_spacing: float | None, start: Sequence[float] | FloatArray | None
+) -> World:
+    """The world with another start X_WS (x, y, yaw) and with tags every tag_spacing (m), each where it is not None.
+
+    Raises WorldError as check_world does, before and after tags are placed.
+    """
+    X_WS = world.start if start is None else np.array(start, dtype=float)
+    if X_WS.shape != (3,):
+        raise WorldError(f"world.start: expected x, y, yaw, found {X_WS.size} numbers")
+    ids, p_WT, facing = world.tag_ids, world.p_WT, world.tag_facing
+    if tag_spacing is not None:
+        ids, p_WT, facing = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0)
+    moved = World(walls=world.walls, tag_ids=ids, p_WT=p_WT, tag_facing=facing, start=X_WS)
+    check_world(moved, robot_radius)
+    if tag_spacing is None:
+        return moved
+    ids, p_WT, facing = place_tags(world.walls, X_WS, tag_spacing, robot_radius)
+    return World(walls=world.walls, tag_ids=ids, p_WT=p_WT, tag_facing=facing, start=X_WS)

@@ -1,0 +1,132 @@
+"""ROS map_server maps: an occupancy image and a .yaml that says how to read it; the walls are its free cells' borders."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import yaml
+from PIL import Image
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.world.world import WorldError
+
+# Walls may leave the cells' borders by this many cells: half a cell straightens the staircases of slanted walls.
+_TOLERANCE = 1.0
+
+
+def load_map_server(path: Path) -> FloatArray:
+    """Walls (m, 4) in W, m, between the free cells of the map and all others (occupied, unknown, beyond the image).
+
+    path: the map's .yaml, whose `image` (.pgm, .pgm.gz, .png) is relative to it. Raises WorldError.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise WorldError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    if not isinstance(tree, dict) or not isinstance(tree.get("image"), str):
+        raise WorldError(f"{path}: image: missing; a map_server file names its image, for example image: map.pgm")
+    resolution = _number(path, tree, "resolution")
+    if resolution <= 0.0:
+        raise WorldError(f"{path}: resolution: must be greater than 0 metres per cell, is {resolution:g}")
+    origin = tree.get("origin", [0.0, 0.0, 0.0])
+    if not (isinstance(origin, list) and len(origin) == 3 and all(_is_number(value) for value in origin)):
+        raise WorldError(f"{path}: origin: expected [x, y, yaw] of the image's lower left corner, found {origin!r}")
+    free = _free_cells(path, tree)
+    if not free.any():
+        raise WorldError(f"{path}: no free space in the image; check negate and free_thresh")
+    polylines = [_simplify(line, _TOLERANCE) for line in _borders(free)]
+    corners = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in polylines]) * resolution
+    x, y, yaw = (float(value) for value in origin)
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.column_stack(
+        [x + c * corners[:, 0] - s * corners[:, 1], y + s * corners[:, 0] + c * corners[:, 1]]
+        + [x + c * corners[:, 2] - s * corners[:, 3], y + s * corners[:, 2] + c * corners[:, 3]]
+    )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _number(path: Path, tree: dict[str, object], key: str, default: float | None = None) -> float:
+    value = tree.get(key, default)
+    if not _is_number(value):
+        raise WorldError(f"{path}: {key}: expected a number, found {value!r}")
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
+    """The free cells, row 0 lowest, as map_server reads them: occupancy p below free_thresh, transparent is unknown."""
+    file = path.parent / str(tree["image"])
+    try:
+        data = file.read_bytes()
+        if file.suffix == ".gz":
+            data = gzip.decompress(data)
+        with Image.open(io.BytesIO(data)) as image:
+            pixels = np.asarray(image.convert("LA"), dtype=float)
+    except FileNotFoundError:
+        raise WorldError(f"{path}: image: {file} does not exist") from None
+    except (OSError, EOFError, SyntaxError, ValueError) as error:
+        raise WorldError(f"{path}: image: {file} is not a readable image: {' '.join(str(error).split())}") from None
+    shade = pixels[::-1, :, 0] / 255.0
+    occupancy = shade if tree.get("negate", 0) else 1.0 - shade
+    return np.asarray((occupancy < _number(path, tree, "free_thresh", 0.196)) & (pixels[::-1, :, 1] > 0.0))
+
+
+def _borders(free: BoolArray) -> list[IntArray]:
+    """Closed polylines (k + 1, 2) of cell corners (column, row), free cells on the left.
+
+    Where two free cells touch at a corner only, the polylines keep them apart.
+    """
+    padded = np.pad(free, 1)
+    following: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    # A border is walked with the free cell on its left: along the lower side of a cell to +x, its right side to +y, ...
+    for (dr, dc), (start, end) in {
+        (-1, 0): ((0, 0), (1, 0)),
+        (0, 1): ((1, 0), (1, 1)),
+        (1, 0): ((1, 1), (0, 1)),
+        (0, -1): ((0, 1), (0, 0)),
+    }.items():
+        rows, columns = np.nonzero(free & ~padded[1 + dr : 1 + dr + free.shape[0], 1 + dc : 1 + dc + free.shape[1]])
+        for r, c in zip(rows.tolist(), columns.tolist(), strict=True):
+            following.setdefault((c + start[0], r + start[1]), []).append((c + end[0], r + end[1]))
+    lines = []
+    for first in sorted(following):
+        while following[first]:
+            line = [first, following[first].pop()]
+            while line[-1] != first:
+                ways = following[line[-1]]
+                if len(ways) == 2:
+                    dx, dy = line[-1][0] - line[-2][0], line[-1][1] - line[-2][1]
+                    left = (line[-1][0] - dy, line[-1][1] + dx)
+                    line.append(ways.pop(ways.index(left)))
+                else:
+                    line.append(ways.pop())
+            lines.append(np.array(line))
+    return lines
+
+
+def _simplify(line: IntArray, tolerance: float) -> FloatArray:
+    """Corners (k + 1, 2) of the closed polyline by Douglas and Peucker: none dropped is farther than tolerance off."""
+    keep = np.zeros(len(line), dtype=np.bool_)
+    far = int(np.argmax(np.sum((line - line[0]) ** 2, axis=1)))
+    keep[[0, far, -1]] = True
+    spans = [(0, far), (far, len(line) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        chord = (line[last] - line[first]).astype(float)
+        offset = line[first + 1 : last] - line[first]
+        away = np.abs(offset[:, 0] * chord[1] - offset[:, 1] * chord[0]) / np.hypot(*chord)
+        split = int(np.argmax(away))
+        if away[split] > tolerance:
+            split += first + 1
+            keep[split] = True
+            spans += [(first, split), (split, last)]
+    return line[keep].astype(float)

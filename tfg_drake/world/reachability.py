@@ -1,0 +1,229 @@
+"""What of a world a robot can reach and see: the yardstick of every coverage figure.
+
+Reachable cells are the cells of a 5 cm grid that a disc of robot radius + 5 cm can be moved to from the start. A tag is
+reachable if some reachable cell has line of sight to it within range and incidence, a surface point if some reachable
+cell sees it within scan range.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numba import njit
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.world.world import World
+
+# Side of a cell, m.
+CELL = 0.05
+# The robot's outline keeps at least this from walls, m.
+MARGIN = 0.05
+# Surfaces are cut into pieces of this length, m, and two faces nearer than FACE_GAP are one, m.
+PIECE = 0.05
+FACE_GAP = 0.25
+# Visibility is tried from every n-th cell in x and y first.
+_COARSE = 4
+# A face is looked at from this far off its wall, m: from the wall itself nothing is visible.
+_OFF_WALL = 2e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """A grid over the world: the centre of cell (row, column) is p_WG + CELL (column, row). shape: (rows, columns)."""
+
+    p_WG: FloatArray
+    shape: tuple[int, int]
+
+    def cell(self, p_WP: FloatArray) -> tuple[IntArray, IntArray]:
+        """Rows and columns (n,) of the cells holding the points p_WP (n, 2), clipped to the grid."""
+        index = np.floor((p_WP - self.p_WG) / CELL + 0.5).astype(np.int64)
+        return np.clip(index[:, 1], 0, self.shape[0] - 1), np.clip(index[:, 0], 0, self.shape[1] - 1)
+
+    def centers(self, mask: BoolArray) -> FloatArray:
+        """Centres (n, 2) in W of the cells where mask is true, row by row, m."""
+        row, column = np.nonzero(mask)
+        return self.p_WG + CELL * np.column_stack([column, row])
+
+
+@njit(cache=True)
+def _mark_near(blocked, p_WG, cell, walls, clearance):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Sets blocked (rows, columns) where a cell's centre is nearer than clearance to a wall."""
+    rows, columns = blocked.shape
+    for k in range(walls.shape[0]):
+        ax, ay, bx, by = walls[k, 0], walls[k, 1], walls[k, 2], walls[k, 3]
+        dx, dy = bx - ax, by - ay
+        length_squared = dx * dx + dy * dy
+        c0 = max(0, int(np.floor((min(ax, bx) - clearance - p_WG[0]) / cell)))
+        c1 = min(columns - 1, int(np.ceil((max(ax, bx) + clearance - p_WG[0]) / cell)))
+        r0 = max(0, int(np.floor((min(ay, by) - clearance - p_WG[1]) / cell)))
+        r1 = min(rows - 1, int(np.ceil((max(ay, by) + clearance - p_WG[1]) / cell)))
+        for r in range(r0, r1 + 1):
+            y = p_WG[1] + cell * r
+            for c in range(c0, c1 + 1):
+                x = p_WG[0] + cell * c
+                t = 0.0
+                if length_squared > 0.0:
+                    t = min(1.0, max(0.0, ((x - ax) * dx + (y - ay) * dy) / length_squared))
+                ex, ey = ax + t * dx - x, ay + t * dy - y
+                if ex * ex + ey * ey < clearance * clearance:
+                    blocked[r, c] = True
+
+
+def make_grid(world: World) -> Grid:
+    """The grid over the world's bounding box and 1 m more on every side, a cell's centre on the start."""
+    points = np.concatenate([world.walls.reshape(-1, 2), world.p_WT, world.start[None, :2]])
+    start = world.start[:2]
+    first = np.floor((points.min(axis=0) - 1.0 - start) / CELL)
+    last = np.ceil((points.max(axis=0) + 1.0 - start) / CELL)
+    columns, rows = (last - first).astype(int) + 1
+    return Grid(p_WG=start + CELL * first, shape=(int(rows), int(columns)))
+
+
+def free_cells(grid: Grid, walls: FloatArray, clearance: float) -> BoolArray:
+    """Cells (rows, columns) whose centre is at least `clearance` (m) from every wall (m, 4)."""
+    blocked = np.zeros(grid.shape, dtype=np.bool_)
+    _mark_near(blocked, grid.p_WG, CELL, np.ascontiguousarray(walls), clearance)
+    return ~blocked
+
+
+def reachable_cells(grid: Grid, world: World, robot_radius: float) -> BoolArray:
+    """Cells (rows, columns) connected to the start for a disc of robot_radius + MARGIN.
+
+    A robot that starts nearer to a wall than that counts from the nearest cell it can get to within its own radius;
+    without one no cell is reachable.
+    """
+    free = free_cells(grid, world.walls, robot_radius + MARGIN)
+    row, column = grid.cell(world.start[None, :2])
+    reach = int(np.ceil(robot_radius / CELL))
+    rows, columns = np.nonzero(
+        free[max(0, row[0] - reach) : row[0] + reach + 1, max(0, column[0] - reach) :][:, : 2 * reach + 1]
+    )
+    if not len(rows):
+        return np.zeros(grid.shape, dtype=np.bool_)
+    rows, columns = rows + max(0, row[0] - reach), columns + max(0, column[0] - reach)
+    nearest = int(np.argmin((rows - row[0]) ** 2 + (columns - column[0]) ** 2))
+    labels, _ = ndimage.label(free)
+    return np.asarray(labels == labels[rows[nearest], columns[nearest]])
+
+
+def _seen(
+    walls: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    cells: FloatArray,
+    range_max: float,
+    max_incidence: float,
+) -> BoolArray:
+    """Which points (n, 2) on faces with normals (n, 2) are seen from some cell centre (c, 2): nearest cells first."""
+    seen = np.zeros(len(points), dtype=np.bool_)
+    if not len(points) or not len(cells):
+        return seen
+    tree = cKDTree(cells)
+    origins = points + _OFF_WALL * normals
+    left = np.arange(len(points))
+    count = 1
+    while len(left):
+        distance, index = tree.query(
+            points[left], k=np.arange(max(1, count // 8), count + 1), distance_upper_bound=range_max
+        )
+        for row, i in enumerate(left):
+            near = cells[index[row, : np.searchsorted(distance[row], range_max, side="right")]]
+            offset = near - origins[i]
+            facing = offset @ normals[i] >= np.cos(max_incidence) * np.linalg.norm(offset, axis=1)
+            near = np.ascontiguousarray(near[facing])
+            seen[i] = len(near) > 0 and bool(line_of_sight(walls, origins[i], near).any())
+        exhausted = ~np.isfinite(distance[:, -1])
+        left = left[~seen[left] & ~exhausted]
+        count *= 8
+    return seen
+
+
+def reachable_tags(world: World, grid: Grid, reachable: BoolArray, tag_range: float, max_incidence: float) -> BoolArray:
+    """Which tags (n,) some reachable cell sees within tag_range (m) and max_incidence (rad)."""
+    normals = np.column_stack([np.cos(world.tag_facing), np.sin(world.tag_facing)])
+    seen = _seen(world.walls, world.p_WT, normals, _coarse(grid, reachable), tag_range, max_incidence)
+    rest = np.nonzero(~seen)[0]
+    cells = grid.centers(reachable)
+    seen[rest] = _seen(world.walls, world.p_WT[rest], normals[rest], cells, tag_range, max_incidence)
+    return seen
+
+
+def _coarse(grid: Grid, mask: BoolArray) -> FloatArray:
+    coarse = np.zeros_like(mask)
+    coarse[::_COARSE, ::_COARSE] = mask[::_COARSE, ::_COARSE]
+    return grid.centers(coarse)
+
+
+def reachable_surface(world: World, grid: Grid, reachable: BoolArray, scan_range: float) -> FloatArray:
+    """Centres (n, 2) in W of the wall pieces, PIECE long, of which some reachable cell sees a face; m."""
+    points, normals = cut_walls(world.walls)
+    seen = np.zeros(len(points), dtype=np.bool_)
+    cells = _coarse(grid, reachable)
+    connected = _connected_space(world, grid, reachable)
+    for side in (1.0, -1.0):
+        candidates = np.nonzero(~seen & _beside(world.walls, grid, connected, points, side * normals))[0]
+        seen[candidates] = _seen(
+            world.walls, points[candidates], side * normals[candidates], cells, scan_range, 0.5 * np.pi
+        )
+    points, normals = points[seen], normals[seen]
+    return points[~_second_faces(points, normals)]
+
+
+def cut_walls(walls: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centres (n, 2) of equal pieces of the walls (m, 4), at most PIECE long, m, and the pieces' unit normals (n, 2)."""
+    if not len(walls):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    d = walls[:, 2:] - walls[:, :2]
+    length = np.linalg.norm(d, axis=1)
+    count = np.maximum(np.ceil(length / PIECE - 1e-9), 1.0).astype(np.int64)
+    wall = np.repeat(np.arange(len(walls)), count)
+    k = np.arange(len(wall)) - np.repeat(np.cumsum(count) - count, count)
+    points = walls[wall, :2] + ((k + 0.5) / count[wall])[:, None] * d[wall]
+    normal = np.column_stack([-d[:, 1], d[:, 0]]) / length[:, None]
+    return points, normal[wall]
+
+
+def _connected_space(world: World, grid: Grid, reachable: BoolArray) -> BoolArray:
+    """Cells of the space open to the reachable ones, through gaps however narrow: what lies outside is never seen."""
+    labels, _ = ndimage.label(free_cells(grid, world.walls, 0.55 * CELL))
+    inside = np.unique(labels[reachable])
+    return np.asarray(np.isin(labels, inside[inside > 0]))
+
+
+def _beside(walls: FloatArray, grid: Grid, connected: BoolArray, points: FloatArray, normals: FloatArray) -> BoolArray:
+    """Which face points (n, 2) have a cell of the connected space right in front of them, in line of sight."""
+    origins = points + _OFF_WALL * normals
+    row, column = grid.cell(points + 1.5 * CELL * normals)
+    candidates = []
+    for dr in (-1, 0, 1):
+        for dc in (-1, 0, 1):
+            r = np.clip(row + dr, 0, grid.shape[0] - 1)
+            c = np.clip(column + dc, 0, grid.shape[1] - 1)
+            candidates.append((connected[r, c], grid.p_WG + CELL * np.column_stack([c, r])))
+    result = np.zeros(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        near = np.array([center[i] for inside, center in candidates if inside[i]]).reshape(-1, 2)
+        near = np.ascontiguousarray(near[(near - origins[i]) @ normals[i] > 0.0])
+        result[i] = len(near) > 0 and bool(line_of_sight(walls, origins[i], near).any())
+    return result
+
+
+def _second_faces(points: FloatArray, normals: FloatArray) -> BoolArray:
+    """Marks (n,) every piece that lies straight behind an earlier parallel one, nearer than FACE_GAP."""
+    second = np.zeros(len(points), dtype=np.bool_)
+    if not len(points):
+        return second
+    pairs = cKDTree(points).query_pairs(FACE_GAP, output_type="ndarray")
+    offset = points[pairs[:, 1]] - points[pairs[:, 0]]
+    n = normals[pairs[:, 0]]
+    along = np.abs(offset[:, 0] * n[:, 1] - offset[:, 1] * n[:, 0])
+    parallel = np.abs(np.sum(n * normals[pairs[:, 1]], axis=1)) > 0.9
+    pairs = pairs[parallel & (along < 0.5 * PIECE)]
+    for i, j in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
+        if not second[i]:
+            second[j] = True
+    return second

@@ -1,0 +1,41 @@
+"""Where a robot begins in a world that does not say."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.world.reachability import CELL, MARGIN, cut_walls, free_cells, make_grid
+from tfg_drake.world.world import World, WorldError
+
+
+def draw_start(walls: FloatArray, robot_radius: float, seed: int) -> FloatArray:
+    """A start pose X_WS (3,) drawn from the seed in the connected free region with the most wall length.
+
+    walls: (m, 4), m. robot_radius: m. Regions are those of a disc of robot_radius + MARGIN on the 5 cm grid; a region's
+    wall length is the length of wall right beside it. A world without walls begins at the origin. Raises WorldError if
+    the robot fits nowhere inside the walls.
+    """
+    if not len(walls):
+        return np.zeros(3)
+    corner = np.array([walls[:, [0, 2]].min(), walls[:, [1, 3]].min(), 0.0])
+    none = np.zeros(0, dtype=np.int64)
+    grid = make_grid(World(walls=walls, tag_ids=none, p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=corner))
+    labels, count = ndimage.label(free_cells(grid, walls, robot_radius + MARGIN))
+    labels[labels == labels[0, 0]] = 0  # outside everything
+    pieces, normals = cut_walls(walls)
+    beside = robot_radius + MARGIN + CELL
+    length: IntArray = np.zeros(count + 1, dtype=np.int64)
+    for side in (beside, -beside):
+        row, column = grid.cell(pieces + side * normals)
+        length += np.bincount(labels[row, column], minlength=count + 1)
+    length[0] = 0
+    if not length.any():
+        raise WorldError(
+            f"no free space inside the walls for a robot of radius {robot_radius:g} m; check the map's scale"
+        )
+    cells = grid.centers(labels == np.argmax(length))
+    random = np.random.default_rng(seed)
+    position = cells[random.integers(len(cells))]
+    return np.array([position[0], position[1], random.uniform(-np.pi, np.pi)])

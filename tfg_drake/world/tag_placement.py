@@ -1,0 +1,99 @@
+"""Placing tags along the surfaces that a robot's free space touches."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tfg_drake.geometry.distance import point_distance
+from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.world.reachability import CELL, MARGIN, make_grid, reachable_cells
+from tfg_drake.world.world import World, WorldError
+
+# A tag's centre is this far off its wall, m, so that the wall itself does not hide it.
+TAG_OFFSET = 0.01
+# The space a tag needs in front of it, m: none in the crotch of two walls.
+_TAG_SPACE = 0.05
+# Where a tag is tried in its stretch of wall, in stretches from its middle.
+_SHIFTS = (0.0, 0.15, -0.15, 0.3, -0.3)
+
+
+def place_tags(
+    walls: FloatArray, start: FloatArray, spacing: float, robot_radius: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Tags about `spacing` apart along every surface touched by the free space that the robot can reach from start.
+
+    walls: (m, 4), m. start: (3,) X_WS. spacing, robot_radius: m. Returns ids (n,) = 0..n-1 in the order of the walls,
+    p_WT (n, 2) in m, TAG_OFFSET in front of the surface, and the outward normals' headings (n,) in rad. Each face of
+    a wall is cut into equal stretches of about `spacing` with a tag in the middle of each; pieces shorter than half
+    a stretch (curves, posts) get a tag only where none is near. Raises WorldError for a spacing that is not positive.
+    """
+    if not (np.isfinite(spacing) and spacing > 0.0):
+        raise WorldError(f"tag spacing: must be a positive number of metres, is {spacing:g}")
+    no_tags = np.zeros(0, dtype=np.int64)
+    world = World(walls=walls, tag_ids=no_tags, p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=start)
+    grid = make_grid(world)
+    reachable = grid.centers(reachable_cells(grid, world, robot_radius))
+    if not len(walls) or not len(reachable):
+        return no_tags, np.zeros((0, 2)), np.zeros(0)
+    tree = cKDTree(reachable)
+    length = np.hypot(walls[:, 2] - walls[:, 0], walls[:, 3] - walls[:, 1])
+    is_short = length < 0.5 * spacing
+    placed = _Placed(spacing)
+    for wall in np.argsort(is_short, kind="stable"):
+        d = walls[wall, 2:] - walls[wall, :2]
+        count = max(1, round(length[wall] / spacing))
+        apart = spacing if is_short[wall] else 0.5 * spacing
+        for side, normal in enumerate((np.array([-d[1], d[0]]), np.array([d[1], -d[0]]))):
+            normal = normal / length[wall]
+            for stretch in range(count):
+                for shift in _SHIFTS:
+                    p = walls[wall, :2] + (stretch + 0.5 + shift) / count * d + TAG_OFFSET * normal
+                    if not placed.crowds(p, normal, apart) and _touched(p, normal, walls, tree, robot_radius):
+                        placed.add((int(wall), side, stretch), p, normal)
+                        break
+    return placed.tags()
+
+
+class _Placed:
+    """The tags placed so far, in buckets of one spacing."""
+
+    def __init__(self, spacing: float) -> None:
+        self._spacing = spacing
+        self._keys: list[tuple[int, int, int]] = []  # (wall, side, stretch), the order of the ids
+        self._tags: list[tuple[FloatArray, FloatArray]] = []
+        self._buckets: dict[tuple[int, int], list[int]] = {}
+
+    def _bucket(self, p: FloatArray) -> tuple[int, int]:
+        return int(p[0] // self._spacing), int(p[1] // self._spacing)
+
+    def add(self, key: tuple[int, int, int], p: FloatArray, normal: FloatArray) -> None:
+        self._buckets.setdefault(self._bucket(p), []).append(len(self._tags))
+        self._keys.append(key)
+        self._tags.append((p, normal))
+
+    def crowds(self, p: FloatArray, normal: FloatArray, apart: float) -> bool:
+        """Whether a tag nearer than apart faces about the same way: the far face of a wall is another surface."""
+        i, j = self._bucket(p)
+        for bucket in [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]:
+            for k in self._buckets.get(bucket, []):
+                q, other = self._tags[k]
+                if np.hypot(*(p - q)) < apart and normal @ other > -0.5:
+                    return True
+        return False
+
+    def tags(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        order = sorted(range(len(self._keys)), key=self._keys.__getitem__)
+        p_WT = np.array([self._tags[k][0] for k in order]).reshape(-1, 2)
+        normal = np.array([self._tags[k][1] for k in order]).reshape(-1, 2)
+        return np.arange(len(order)), p_WT, np.arctan2(normal[:, 1], normal[:, 0])
+
+
+def _touched(p: FloatArray, normal: FloatArray, walls: FloatArray, reachable: cKDTree, robot_radius: float) -> bool:
+    """Whether the robot can come right in front of the surface point p, and p is not in the crotch of two walls."""
+    if point_distance((p + _TAG_SPACE * normal)[None], walls)[0] < 0.99 * _TAG_SPACE:
+        return False
+    near = reachable.data[reachable.query_ball_point(p, np.sqrt(2.0) * (robot_radius + MARGIN) + CELL)]
+    near = np.ascontiguousarray(near[(near - p) @ normal > 0.0])
+    return len(near) > 0 and bool(line_of_sight(walls, p, near).any())

@@ -1,0 +1,62 @@
+"""The true world: what is simulated, what metrics compare with, never what the explorer knows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray, IntArray, message
+
+
+class WorldError(ValueError):
+    """A world that cannot be used; the message is one line: where, what is wrong, how to mend it."""
+
+
+@message
+class World:
+    """Walls, tags and the robot's start, in the world frame W.
+
+    walls: (m, 4) opaque segments x0, y0, x1, y1, m. tag_ids: (n,). p_WT: (n, 2) tag centres on the walls' surfaces,
+    m. tag_facing: (n,) heading of each tag's outward normal, rad. start: (3,) X_WS, where the robot begins.
+    """
+
+    walls: FloatArray
+    tag_ids: IntArray
+    p_WT: FloatArray
+    tag_facing: FloatArray
+    start: FloatArray
+
+
+def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
+    """Distance (m,) from the point p_WP (2,) to each wall (m, 4), m."""
+    a, d = walls[:, :2], walls[:, 2:] - walls[:, :2]
+    length_squared = np.maximum(np.sum(d * d, axis=1), np.finfo(float).tiny)
+    t = np.clip(np.sum((p_WP - a) * d, axis=1) / length_squared, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(a + t[:, None] * d - p_WP, axis=1))
+
+
+def check_world(world: World, robot_radius: float) -> None:
+    """Raises WorldError for what no simulation could use: see the messages below. An empty world is valid."""
+    for i, wall in enumerate(world.walls):
+        if not np.isfinite(wall).all():
+            raise WorldError(f"world.walls[{i}]: a coordinate is not a finite number; write [x0, y0, x1, y1] in metres")
+        if wall[0] == wall[2] and wall[1] == wall[3]:
+            raise WorldError(f"world.walls[{i}]: zero length at ({wall[0]:g}, {wall[1]:g}); remove the wall")
+    first: dict[int, int] = {}
+    for i, (tag, p, facing) in enumerate(zip(world.tag_ids.tolist(), world.p_WT, world.tag_facing, strict=True)):
+        if not (np.isfinite(p).all() and np.isfinite(facing)):
+            raise WorldError(f"world.tags[{i}]: position or facing is not a finite number; write metres and radians")
+        if tag in first:
+            raise WorldError(
+                f"world.tags[{i}].id: {tag} is taken by world.tags[{first[tag]}]; give each tag its own id"
+            )
+        first[tag] = i
+    if not np.isfinite(world.start).all():
+        raise WorldError("world.start: not a finite number; write [x, y, yaw] in metres and radians")
+    if len(world.walls):
+        distance = wall_distance(world.start[:2], world.walls)
+        nearest = int(np.argmin(distance))
+        if distance[nearest] < robot_radius:
+            raise WorldError(
+                f"world.start: ({world.start[0]:g}, {world.start[1]:g}) is inside a wall: {distance[nearest]:.3f} m from"
+                f" world.walls[{nearest}], the robot's radius is {robot_radius:g} m; start further away"
+            )
