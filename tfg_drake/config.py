@@ -88,6 +88,10 @@ class SafetyConfig:
     # How long the base backs away after a bumper hit, s, and how fast, m/s.
     reflex_time: float = 1.0
     reflex_speed: float = 0.1
+    # Turn rate of the reflex when only one side was hit, rad/s.
+    reflex_turn_rate: float = 0.4
+    # The corridor kept free ahead is this much wider than the base on either side, m.
+    side_margin: float = 0.03
 
 
 @dataclasses.dataclass
@@ -108,5 +112,3 @@ class ExplorerConfig:
     turn_rate: float = 1.0
     # Largest probability that a point of a path lies in an obstacle (the paper's last equation).
     collision_probability: float = 0.01
-
-

@@ -1,0 +1,71 @@
+"""The simulated base: a round differential drive among walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.messages import FloatArray, Hazards
+from tfg_drake.simulation import differential_drive as drive
+from tfg_drake.systems.ports import declare_message_output
+from tfg_drake.world.world import World
+
+PERIOD = 1.0 / 64.0
+
+
+class DifferentialDrivePlant(LeafSystem):
+    """Follows a velocity within the robot's limits; walls stop it, see tfg_drake.simulation.differential_drive.
+
+    .. pydrake_system::
+
+        name: DifferentialDrivePlant
+        input_ports:
+        - velocity_commanded
+        output_ports:
+        - pose
+        - hazards
+        - contacts
+        - clearance
+
+    velocity_commanded: forward speed (m/s) and turn rate (rad/s). pose: x, y, theta of X_WB (m, rad), then speed and
+    turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often the base began to
+    touch a wall. clearance: the least distance of its outline to any wall so far, m.
+    """
+
+    def __init__(self, world: World, robot: RobotConfig):
+        super().__init__()
+        self._walls, self._robot = world.walls, robot
+        self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
+        self.DeclareDiscreteState(drive.initial_state(world.start, world.walls, robot))
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Step)
+        state = self.xd_ticket()
+        self.DeclareVectorOutputPort("pose", 5, self._CalcPose, {state, self.time_ticket()})
+        declare_message_output(self, "hazards", self._Hazards, {state, self.time_ticket()})
+        self.DeclareVectorOutputPort("contacts", 1, self._CalcContacts, {state})
+        self.DeclareVectorOutputPort("clearance", 1, self._CalcClearance, {state})
+
+    def _Step(self, context: Context, update: DiscreteValues) -> None:
+        command = self._command.Eval(context)
+        update.set_value(drive.step(self._State(context), command, self._walls, self._robot, PERIOD))
+
+    def _State(self, context: Context) -> FloatArray:
+        state: FloatArray = context.get_discrete_state_vector().value()
+        return state
+
+    def _CalcPose(self, context: Context, output: BasicVector) -> None:
+        # The state holds at the end of the running step; sensors whose periods are no multiple of ours look inside it.
+        state = self._State(context)
+        pose = state[drive.X : drive.THETA + 1]
+        speed, turn_rate = state[drive.SPEED], state[drive.TURN_RATE]
+        pose = drive.advance(pose, speed, turn_rate, context.get_time() - state[drive.TIME])
+        output.SetFromVector(np.array([*pose, speed, turn_rate]))
+
+    def _Hazards(self, context: Context) -> Hazards:
+        return Hazards(context.get_time(), int(self._State(context)[drive.BUMPER]), cliff=0, wheel_drop=0)
+
+    def _CalcContacts(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._State(context)[drive.CONTACTS])
+
+    def _CalcClearance(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._State(context)[drive.CLEARANCE])

@@ -1,0 +1,52 @@
+"""The simulated wheel encoders and gyro."""
+
+from __future__ import annotations
+
+from pydrake.common import RandomDistribution
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.messages import FloatArray
+from tfg_drake.simulation.odometry import initial_state, integrate, message, run_errors
+from tfg_drake.systems.ports import declare_message_output
+
+PERIOD = 1.0 / 32.0
+
+
+class Odometry(LeafSystem):
+    """Integrates the true motion with the errors of wheels and gyro, see tfg_drake.simulation.odometry.
+
+    .. pydrake_system::
+
+        name: Odometry
+        input_ports:
+        - pose
+        - noise
+        - run_errors
+        output_ports:
+        - odometry
+
+    pose: x, y, theta, v, w of the plant. noise: 2 standard normal numbers, fresh every PERIOD. run_errors: 3 standard
+    normal numbers, the same all along. odometry: an Odometry message; X_OB is 0 at the start X_WS (3,).
+    """
+
+    def __init__(self, X_WS: FloatArray, config: OdometryConfig):
+        super().__init__()
+        self._config = config
+        self._pose = self.DeclareVectorInputPort("pose", 5)
+        self._noise = self.DeclareVectorInputPort("noise", 2, RandomDistribution.kGaussian)
+        self._run_errors = self.DeclareVectorInputPort("run_errors", 3, RandomDistribution.kGaussian)
+        self.DeclareDiscreteState(initial_state(X_WS))
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Integrate)
+        declare_message_output(
+            self,
+            "odometry",
+            lambda context: message(context.get_discrete_state_vector().value()),
+            {self.xd_ticket()},
+        )
+
+    def _Integrate(self, context: Context, update: DiscreteValues) -> None:
+        state = context.get_discrete_state_vector().value()
+        errors = run_errors(self._run_errors.Eval(context), self._config)
+        noise = self._noise.Eval(context)
+        update.set_value(integrate(state, context.get_time(), self._pose.Eval(context), errors, noise, self._config))

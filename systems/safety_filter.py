@@ -1,0 +1,53 @@
+"""The filter between any controller and the base."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from tfg_drake.config import RobotConfig, SafetyConfig
+from tfg_drake.messages import Hazards, LaserScan
+from tfg_drake.simulation.safety import STATE_SIZE, filter_command
+from tfg_drake.systems.ports import declare_message_input, eval_message
+
+PERIOD = 1.0 / 32.0
+
+
+class SafetyFilter(LeafSystem):
+    """Lets through what is safe, see tfg_drake.simulation.safety. An unconnected command is zero.
+
+    .. pydrake_system::
+
+        name: SafetyFilter
+        input_ports:
+        - velocity_commanded
+        - hazards
+        - scan
+        output_ports:
+        - velocity
+
+    velocity_commanded, velocity: forward speed (m/s) and turn rate (rad/s). hazards: a Hazards message. scan: a
+    LaserScan message.
+    """
+
+    def __init__(self, robot: RobotConfig, safety: SafetyConfig):
+        super().__init__()
+        self._robot, self._safety = robot, safety
+        self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
+        self._hazards = declare_message_input(self, "hazards")
+        self._scan = declare_message_input(self, "scan")
+        self.DeclareDiscreteState(np.zeros(STATE_SIZE))
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
+        self.DeclareVectorOutputPort("velocity", 2, self._CalcVelocity, {self.xd_ticket()})
+
+    def _Filter(self, context: Context, update: DiscreteValues) -> None:
+        command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
+        hazards = eval_message(self, context, self._hazards.get_index(), Hazards)
+        scan = eval_message(self, context, self._scan.get_index(), LaserScan)
+        state = context.get_discrete_state_vector().value()
+        update.set_value(
+            filter_command(state, context.get_time(), command, hazards, scan, self._robot, self._safety, PERIOD)
+        )
+
+    def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_discrete_state_vector().value()[:2])

@@ -1,0 +1,194 @@
+"""Motion of a round differential-drive base among walls.
+
+The state is one vector, so that it fits Drake's discrete state; its entries are named by the constants below.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.messages import FloatArray
+
+# Entries of the state: the time (s) it holds at, the pose X_WB, forward speed and turn rate, rising edges of contact so
+# far, whether the base touches a wall, least clearance of the outline so far (m), and the bumper's bits.
+TIME, X, Y, THETA, SPEED, TURN_RATE, CONTACTS, IN_CONTACT, CLEARANCE, BUMPER = range(10)
+STATE_SIZE = 10
+
+# A contact ends when the outline is this far from the wall again, m.
+_RELEASE = 0.01
+# The bumper covers the front half; its middle third reports "centre".
+_BUMPER_HALF_WIDTH = 0.5 * math.pi
+_CENTRE_HALF_WIDTH = math.pi / 6.0
+# Penetration that is rounding, m.
+_ROUNDING = 1e-9
+
+
+@njit(cache=True)
+def advance(pose: FloatArray, speed: float, turn_rate: float, duration: float) -> FloatArray:
+    """The pose (3,) after an arc at constant speed (m/s) and turn rate (rad/s); exact; duration (s) may be negative."""
+    half = 0.5 * turn_rate * duration
+    chord = speed * duration * (math.sin(half) / half if abs(half) > 1e-8 else 1.0)
+    heading = pose[2] + half
+    theta = pose[2] + 2.0 * half
+    theta = math.pi - (math.pi - theta) % (2.0 * math.pi)
+    return np.array([pose[0] + chord * math.cos(heading), pose[1] + chord * math.sin(heading), theta])
+
+
+@njit(cache=True)
+def _nearest_on_wall(walls: FloatArray, i: int, x: float, y: float) -> tuple[float, float]:
+    """The point of wall i nearest to (x, y)."""
+    ax, ay = walls[i, 0], walls[i, 1]
+    dx, dy = walls[i, 2] - ax, walls[i, 3] - ay
+    length_squared = dx * dx + dy * dy
+    t = 0.0
+    if length_squared > 0.0:
+        t = min(1.0, max(0.0, ((x - ax) * dx + (y - ay) * dy) / length_squared))
+    return ax + t * dx, ay + t * dy
+
+
+@njit(cache=True)
+def _near(walls: FloatArray, i: int, x: float, y: float, distance: float) -> bool:
+    """Whether wall i's bounding box is within distance of (x, y) on both axes."""
+    return bool(
+        min(walls[i, 0], walls[i, 2]) <= x + distance
+        and max(walls[i, 0], walls[i, 2]) >= x - distance
+        and min(walls[i, 1], walls[i, 3]) <= y + distance
+        and max(walls[i, 1], walls[i, 3]) >= y - distance
+    )
+
+
+@njit(cache=True)
+def _deepest(walls: FloatArray, x: float, y: float, reach: float) -> tuple[float, float, float]:
+    """The nearest wall point within reach, and its distance; the distance is inf where there is none."""
+    least, px, py = np.inf, 0.0, 0.0
+    for i in range(walls.shape[0]):
+        if _near(walls, i, x, y, reach):
+            qx, qy = _nearest_on_wall(walls, i, x, y)
+            distance = math.hypot(x - qx, y - qy)
+            if distance < least:
+                least, px, py = distance, qx, qy
+    return least, px, py
+
+
+@njit(cache=True)
+def clearance(walls: FloatArray, x: float, y: float, radius: float) -> float:
+    """Distance (m) from the outline of a disc at (x, y) to the nearest wall; inf without walls, negative inside one."""
+    return _deepest(walls, x, y, np.inf)[0] - radius
+
+
+@njit(cache=True)
+def _push_out(walls: FloatArray, pose: FloatArray, previous: FloatArray, radius: float) -> bool:
+    """Moves the disc out of the walls along their normals, in place; returns whether it had to.
+
+    Where that does not settle (a corner too narrow for the disc) the disc stays at its previous position.
+    """
+    touched = False
+    for _ in range(10):
+        distance, px, py = _deepest(walls, pose[0], pose[1], radius)
+        if distance >= radius - _ROUNDING:
+            return touched
+        touched = True
+        if distance == 0.0:
+            break
+        pose[0] = px + (pose[0] - px) * (radius / distance)
+        pose[1] = py + (pose[1] - py) * (radius / distance)
+    pose[0], pose[1] = previous[0], previous[1]
+    return touched
+
+
+@njit(cache=True)
+def _bumper_bits(walls: FloatArray, pose: FloatArray, reach: float) -> int:
+    """Bumper bits (1 right, 2 centre, 4 left) pressed by walls within reach (m) of the centre."""
+    bits = 0
+    for i in range(walls.shape[0]):
+        if _near(walls, i, pose[0], pose[1], reach):
+            qx, qy = _nearest_on_wall(walls, i, pose[0], pose[1])
+            if math.hypot(qx - pose[0], qy - pose[1]) <= reach:
+                bearing = math.atan2(qy - pose[1], qx - pose[0]) - pose[2]
+                bearing = math.pi - (math.pi - bearing) % (2.0 * math.pi)
+                if abs(bearing) <= _CENTRE_HALF_WIDTH:
+                    bits |= 2
+                elif abs(bearing) <= _BUMPER_HALF_WIDTH:
+                    bits |= 4 if bearing > 0.0 else 1
+    return bits
+
+
+@njit(cache=True)
+def _towards(value: float, target: float, limit: float, change: float) -> float:
+    """The value moved towards the target, the target kept within +-limit and the step within +-change."""
+    target = min(limit, max(-limit, target))
+    return value + min(change, max(-change, target - value))
+
+
+@njit(cache=True)
+def _step(
+    state: FloatArray,
+    command: FloatArray,
+    walls: FloatArray,
+    period: float,
+    radius: float,
+    max_speed: float,
+    max_turn_rate: float,
+    max_acceleration: float,
+    max_turn_acceleration: float,
+) -> FloatArray:
+    after = state.copy()
+    after[TIME] = state[TIME] + period
+    speed = _towards(state[SPEED], command[0], max_speed, max_acceleration * period)
+    turn_rate = _towards(state[TURN_RATE], command[1], max_turn_rate, max_turn_acceleration * period)
+    previous = state[X : THETA + 1]
+    pose = advance(previous, speed, turn_rate, period)
+    blocked = _push_out(walls, pose, previous, radius)
+    if blocked:
+        # What is left of the speed is the progress the walls allowed along the heading.
+        heading = previous[2] + 0.5 * turn_rate * period
+        progress = (pose[0] - previous[0]) * math.cos(heading) + (pose[1] - previous[1]) * math.sin(heading)
+        allowed = progress / period
+        speed = min(max(allowed, 0.0), speed) if speed >= 0.0 else max(min(allowed, 0.0), speed)
+    after[X : THETA + 1] = pose
+    after[SPEED], after[TURN_RATE] = speed, turn_rate
+
+    # Walls farther than the least clearance so far cannot change anything below.
+    reach = radius + max(_RELEASE, state[CLEARANCE])
+    gap = _deepest(walls, pose[0], pose[1], reach)[0] - radius
+    after[CLEARANCE] = min(state[CLEARANCE], max(0.0, gap) if blocked else gap)
+    if blocked and state[IN_CONTACT] == 0.0:
+        after[CONTACTS] = state[CONTACTS] + 1.0
+    after[IN_CONTACT] = 1.0 if blocked or (state[IN_CONTACT] > 0.0 and gap <= _RELEASE) else 0.0
+    after[BUMPER] = float(_bumper_bits(walls, pose, radius + _RELEASE)) if after[IN_CONTACT] > 0.0 else 0.0
+    return after
+
+
+def step(state: FloatArray, command: FloatArray, walls: FloatArray, robot: RobotConfig, period: float) -> FloatArray:
+    """The base's state one period (s) later.
+
+    state: (STATE_SIZE,), see the constants above. command: (2,) forward speed (m/s) and turn rate (rad/s), followed
+    within the robot's limits on both and on their rates. walls: (m, 4) in W, m.
+
+    The disc does not pass a wall: it is pushed back along the wall's normal, so it slides, and keeps the part of its
+    speed that the wall leaves it. A contact is counted when it begins and lasts until the outline is 1 cm clear.
+    """
+    after: FloatArray = _step(
+        state,
+        command,
+        walls,
+        period,
+        robot.radius,
+        robot.max_speed,
+        robot.max_turn_rate,
+        robot.max_acceleration,
+        robot.max_turn_acceleration,
+    )
+    return after
+
+
+def initial_state(X_WS: FloatArray, walls: FloatArray, robot: RobotConfig) -> FloatArray:
+    """The state (STATE_SIZE,) of a base that stands at the pose X_WS (3,) at time 0."""
+    state = np.zeros(STATE_SIZE)
+    state[X : THETA + 1] = X_WS
+    state[CLEARANCE] = clearance(walls, state[X], state[Y], robot.radius)
+    return state

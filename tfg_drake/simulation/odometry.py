@@ -1,0 +1,101 @@
+"""Dead reckoning as wheel encoders and a gyro give it.
+
+The state is one vector, so that it fits Drake's discrete state; its entries are named by the constants below.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.messages import FloatArray, Odometry
+
+# Entries of the state: the time (s) it holds at; the true pose X_WB (x, y, theta); the integrated pose X_OB (x, y, theta);
+# the measured forward speed and turn rate.
+TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE = 0, 1, 4, 7, 8
+STATE_SIZE = 9
+
+
+@njit(cache=True)
+def _wrap(angle: float) -> float:
+    return float(math.pi - (math.pi - angle) % (2.0 * math.pi))
+
+
+@njit(cache=True)
+def _integrate(
+    state: FloatArray,
+    stamp: float,
+    pose: FloatArray,
+    errors: FloatArray,
+    normal: FloatArray,
+    distance_noise: float,
+    gyro_noise: float,
+) -> FloatArray:
+    duration = stamp - state[TIME]
+    if duration <= 0.0:
+        return state.copy()
+    dx, dy = pose[0] - state[TRUTH], pose[1] - state[TRUTH + 1]
+    cosine, sine = math.cos(state[TRUTH + 2]), math.sin(state[TRUTH + 2])
+    scale = 1.0 + errors[0]
+    slip = distance_noise * math.sqrt(math.hypot(dx, dy)) * normal[0]
+    ahead = scale * (cosine * dx + sine * dy) + slip
+    aside = scale * (cosine * dy - sine * dx)
+    turn = (1.0 + errors[2]) * _wrap(pose[2] - state[TRUTH + 2]) + errors[1] * duration
+    turn += gyro_noise * math.sqrt(duration) * normal[1]
+
+    after = np.empty(STATE_SIZE)
+    after[TIME] = stamp
+    after[TRUTH : TRUTH + 3] = pose[:3]
+    cosine, sine = math.cos(state[INTEGRATED + 2]), math.sin(state[INTEGRATED + 2])
+    after[INTEGRATED] = state[INTEGRATED] + cosine * ahead - sine * aside
+    after[INTEGRATED + 1] = state[INTEGRATED + 1] + sine * ahead + cosine * aside
+    after[INTEGRATED + 2] = _wrap(state[INTEGRATED + 2] + turn)
+    after[SPEED] = scale * pose[3]
+    after[TURN_RATE] = turn / duration
+    return after
+
+
+def run_errors(standard_normal: FloatArray, config: OdometryConfig) -> FloatArray:
+    """The errors that stay constant over a run, from (3,) standard normal numbers.
+
+    Returns (3,): relative scale error of distance, gyro bias (rad/s), relative scale error of the gyro. The
+    configuration holds their standard deviations.
+    """
+    errors: FloatArray = standard_normal * np.array([config.distance_scale, config.gyro_bias, config.gyro_scale])
+    return errors
+
+
+def integrate(
+    state: FloatArray,
+    stamp: float,
+    pose: FloatArray,
+    errors: FloatArray,
+    standard_normal: FloatArray,
+    config: OdometryConfig,
+) -> FloatArray:
+    """The state (STATE_SIZE,) at stamp (s), some time after the one given.
+
+    pose: (5,) true x, y, theta of X_WB, forward speed and turn rate. errors: (3,) from run_errors. standard_normal: (2,)
+    numbers, fresh every time. The distance takes the scale error and a random walk that grows with distance; the heading
+    takes the gyro's scale error, its bias and a random walk that grows with time. The random walk of distance is slip,
+    which the wheels' speed does not show. Before any time has passed the state stays as it is.
+    """
+    after: FloatArray = _integrate(
+        state, stamp, pose, errors, standard_normal, config.distance_noise, config.gyro_noise
+    )
+    return after
+
+
+def initial_state(X_WS: FloatArray) -> FloatArray:
+    """The state (STATE_SIZE,) at time 0, at rest at X_WS (3,): X_OB = 0."""
+    state = np.zeros(STATE_SIZE)
+    state[TRUTH : TRUTH + 3] = X_WS
+    return state
+
+
+def message(state: FloatArray) -> Odometry:
+    """What the state (STATE_SIZE,) says to the robot."""
+    return Odometry(float(state[TIME]), state[INTEGRATED : INTEGRATED + 3].copy(), state[SPEED : TURN_RATE + 1].copy())

@@ -1,0 +1,139 @@
+"""What any command passes before it reaches the base."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.config import RobotConfig, SafetyConfig
+from tfg_drake.messages import FloatArray, Hazards, LaserScan
+from tfg_drake.simulation.differential_drive import advance
+
+# Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
+# (0: none) and the time left to it (s).
+SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT = range(4)
+STATE_SIZE = 4
+
+_RIGHT, _CENTRE, _LEFT = 1, 2, 4
+
+
+@njit(cache=True)
+def _free_distance(
+    angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, curvature: float, radius: float, margin: float
+) -> float:
+    cosine, sine = math.cos(X_SB[2]), math.sin(X_SB[2])
+    corridor = radius + margin
+    turn_radius = 1.0 / abs(curvature) if abs(curvature) > 1e-6 else np.inf
+    least = np.inf
+    for i in range(angles.shape[0]):
+        if not ranges[i] < np.inf:
+            continue
+        dx = ranges[i] * math.cos(angles[i]) - X_SB[0]
+        dy = ranges[i] * math.sin(angles[i]) - X_SB[1]
+        x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
+        if turn_radius == np.inf:
+            if x <= 0.0 or abs(y) >= corridor:
+                continue
+            distance = x - math.sqrt(max(0.0, radius * radius - y * y))
+        else:
+            # Polar coordinates about the centre of the turn, the angle counted from the robot onwards.
+            inward = turn_radius - (y if curvature > 0.0 else -y)
+            from_centre = math.hypot(x, inward)
+            if x <= 0.0 or abs(from_centre - turn_radius) >= corridor:
+                continue
+            # The outline touches the point this much before the robot's centre is level with it.
+            cos_early = (turn_radius**2 + from_centre**2 - radius**2) / (2.0 * turn_radius * from_centre)
+            early = math.acos(max(-1.0, cos_early)) if cos_early < 1.0 else 0.0
+            distance = turn_radius * (math.atan2(x, inward) - early)
+        least = min(least, distance)
+    return least
+
+
+def free_distance(
+    scan: LaserScan, X_SB: FloatArray, speed: float, turn_rate: float, radius: float, margin: float
+) -> float:
+    """How far (m) the base can drive along the arc of a velocity until its outline meets a scan return; inf if none.
+
+    X_SB: (3,) the body's pose now in the frame S the scan was taken in. speed > 0 (m/s), turn_rate (rad/s). Only
+    returns ahead and inside the corridor swept by a disc of radius + margin (m) count, so neither a wall alongside nor
+    a door's jambs do.
+    """
+    distance: float = _free_distance(scan.angles, scan.ranges, X_SB, turn_rate / speed, radius, margin)
+    return distance
+
+
+def _bounded(value: float, bound: float) -> float:
+    return min(bound, max(-bound, value))
+
+
+def _reflex(bits: int, safety: SafetyConfig) -> tuple[float, float]:
+    """Back away from a bumper, and turn away where only one side was hit."""
+    turn_rate = {_LEFT: -safety.reflex_turn_rate, _RIGHT: safety.reflex_turn_rate}.get(bits, 0.0)
+    return -safety.reflex_speed, turn_rate
+
+
+def filter_command(
+    state: FloatArray,
+    stamp: float,
+    command: FloatArray,
+    hazards: Hazards,
+    scan: LaserScan,
+    robot: RobotConfig,
+    safety: SafetyConfig,
+    period: float,
+) -> FloatArray:
+    """The filter's state one period (s) later; its first two entries are the velocity for the base.
+
+    state: (STATE_SIZE,). stamp: the time now, s. command: (2,) forward speed (m/s) and turn rate (rad/s).
+
+    - A command that is not finite is zero.
+    - A cliff or a dropped wheel stops the base at once.
+    - A bumper starts a reflex of reflex_time: back away, turning away from the side that was hit. It starts again as
+      long as the bumper is still pressed when it ends.
+    - Speed, turn rate and their rates stay within the robot's limits.
+    - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance). Without
+      a scan younger than command_timeout there is no forward speed. Turning in place and backing away stay allowed.
+    """
+    if hazards.cliff or hazards.wheel_drop:
+        return np.zeros(STATE_SIZE)
+    left = float(state[REFLEX_LEFT]) - period
+    bits = int(state[REFLEX_BITS]) | hazards.bumper if left > 0.0 else hazards.bumper
+    if bits:
+        speed, turn_rate = _reflex(bits, safety)
+        return np.array([speed, turn_rate, bits, left if left > 0.0 else safety.reflex_time])
+
+    wanted = command if np.isfinite(command).all() else np.zeros(2)
+    before, turn_before = float(state[SPEED]), float(state[TURN_RATE])
+    speed = _bounded(float(wanted[0]), robot.max_speed)
+    speed = before + _bounded(speed - before, robot.max_acceleration * period)
+    turn_rate = _bounded(float(wanted[1]), robot.max_turn_rate)
+    turn_rate = turn_before + _bounded(turn_rate - turn_before, robot.max_turn_acceleration * period)
+    if speed > 0.0:
+        speed = min(speed, _speed_allowed(stamp, state, speed, turn_rate, scan, robot, safety, period))
+    return np.array([speed, turn_rate, 0.0, 0.0])
+
+
+def _speed_allowed(
+    stamp: float,
+    state: FloatArray,
+    speed: float,
+    turn_rate: float,
+    scan: LaserScan,
+    robot: RobotConfig,
+    safety: SafetyConfig,
+    period: float,
+) -> float:
+    """The greatest forward speed (m/s) from which the base can stop in time."""
+    age = stamp - scan.stamp
+    if age > safety.command_timeout:
+        return 0.0
+    # The base has moved on since the scan; its velocity changed little in that time.
+    X_SB = advance(np.zeros(3), float(state[SPEED]), float(state[TURN_RATE]), age)
+    room = free_distance(scan, X_SB, speed, turn_rate, robot.radius, safety.side_margin) - safety.stop_distance
+    if room == math.inf:
+        return math.inf
+    # Speed v needs v * delay + v^2 / (2 a): the command takes effect a period later, and the next one too.
+    delay, acceleration = 2.0 * period, robot.max_acceleration
+    return acceleration * (math.sqrt(delay**2 + 2.0 * max(0.0, room) / acceleration) - delay)

@@ -1,0 +1,91 @@
+"""The paper's feature sensor: range and bearing of every coded landmark in view (Section V)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from scipy.special import ndtri
+
+from tfg_drake.config import TagSensorConfig
+from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.messages import FloatArray, IntArray, TagDetections
+from tfg_drake.world.world import World
+
+# A tag lies on its wall, or this far off it; either way the wall must not hide it, m.
+_ON_SURFACE = 0.01
+# Standard normal numbers a tag needs in each frame: range, bearing, detection.
+NOISE_PER_TAG = 3
+
+
+@njit(cache=True)
+def _in_view(
+    p_WT: FloatArray,
+    facing: FloatArray,
+    X_WB: FloatArray,
+    range_max: float,
+    field_of_view: float,
+    max_incidence: float,
+) -> IntArray:
+    """Rows of the tags within range, field of view and incidence, walls ignored."""
+    rows = np.empty(p_WT.shape[0], dtype=np.int64)
+    count = 0
+    ahead_x, ahead_y = math.cos(X_WB[2]), math.sin(X_WB[2])
+    cos_half, cos_incidence = math.cos(0.5 * field_of_view), math.cos(max_incidence)
+    for i in range(p_WT.shape[0]):
+        dx, dy = p_WT[i, 0] - X_WB[0], p_WT[i, 1] - X_WB[1]
+        distance = math.hypot(dx, dy)
+        if distance > range_max or distance == 0.0:
+            continue
+        if ahead_x * dx + ahead_y * dy < cos_half * distance:
+            continue
+        if -(math.cos(facing[i]) * dx + math.sin(facing[i]) * dy) < cos_incidence * distance:
+            continue
+        rows[count] = i
+        count += 1
+    return rows[:count]
+
+
+def visible_tags(world: World, X_WB: FloatArray, config: TagSensorConfig) -> IntArray:
+    """Rows (k,) of world.tag_ids that the sensor at X_WB (3,) has in view.
+
+    In view means within range and field of view, seen at no more than max_incidence from the tag's normal, and with no
+    wall in between.
+    """
+    rows = _in_view(world.p_WT, world.tag_facing, X_WB, config.range, config.field_of_view, config.max_incidence)
+    visible: IntArray = rows[line_of_sight(world.walls, X_WB[:2], world.p_WT[rows], _ON_SURFACE)]
+    return visible
+
+
+def detect(
+    world: World, X_WB: FloatArray, stamp: float, standard_normal: FloatArray, config: TagSensorConfig
+) -> TagDetections:
+    """One frame of the sensor at the true pose X_WB (3,), the ids ascending.
+
+    standard_normal: (n, NOISE_PER_TAG) numbers, row for row with world.tag_ids. The stated standard deviations are
+    those of the noise: range_noise + range_noise_per_metre * r at the true range r, and bearing_noise.
+    """
+    rows = visible_tags(world, X_WB, config)
+    rows = rows[standard_normal[rows, 2] < ndtri(config.detection_probability)]
+    rows = rows[np.argsort(world.tag_ids[rows])]
+    offset = world.p_WT[rows] - X_WB[:2]
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    sigma_range = config.range_noise + config.range_noise_per_metre * distance
+    sigma_bearing = np.full(len(rows), config.bearing_noise)
+    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - X_WB[2] + sigma_bearing * standard_normal[rows, 1]
+    return TagDetections(
+        stamp=stamp,
+        ids=world.tag_ids[rows],
+        range=np.maximum(0.0, config.range_scale * distance + sigma_range * standard_normal[rows, 0]),
+        bearing=wrap_angle(bearing),
+        sigma_range=sigma_range,
+        sigma_bearing=sigma_bearing,
+    )
+
+
+def no_detections() -> TagDetections:
+    """What the sensor shows before its first frame: nothing, stamped -inf."""
+    none = np.zeros(0)
+    return TagDetections(-math.inf, np.zeros(0, dtype=np.int64), none, none, none, none)
