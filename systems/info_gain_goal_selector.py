@@ -35,7 +35,7 @@ class InfoGainGoalSelector(LeafSystem):
         - goal
     """
 
-    def __init__(self, robot: RobotConfig, sensor: TagSensorConfig, odometry: OdometryConfig, explorer: ExplorerConfig):
+    def __init__(self, robot: RobotConfig, odometry: OdometryConfig, sensor: TagSensorConfig, explorer: ExplorerConfig):
         super().__init__()
         self._robot, self._sensor, self._odometry, self._explorer = robot, sensor, odometry, explorer
         self._map = declare_message_input(self, "map").get_index()

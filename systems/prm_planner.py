@@ -44,8 +44,8 @@ class PrmPlanner(LeafSystem):
     def __init__(
         self,
         robot: RobotConfig,
-        sensor: TagSensorConfig,
         odometry: OdometryConfig,
+        sensor: TagSensorConfig,
         explorer: ExplorerConfig,
         seed: int,
     ):
