@@ -1,0 +1,90 @@
+"""The SLAM estimator as a Drake system: a shell round tfg_drake/slam/estimator.py."""
+
+from __future__ import annotations
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.messages import MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
+from tfg_drake.slam.estimator import (
+    EstimatorState,
+    begin_turn,
+    end_turn,
+    initial_state,
+    map_estimate,
+    pose_estimate,
+    process_detections,
+    process_odometry,
+)
+from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+# Period of the update, s: the odometry's.
+PERIOD = 1.0 / 32.0
+
+
+class SlamEstimator(LeafSystem):
+    """Estimates the robot's pose all the time and the map at every goal.
+
+    .. pydrake_system::
+
+        name: SlamEstimator
+        input_ports:
+        - odometry
+        - detections
+        - mission
+        output_ports:
+        - pose
+        - map
+
+    odometry: Odometry, detections: TagDetections, mission: MissionStatus. pose: PoseEstimate at the newest odometry.
+    map: MapEstimate after the newest goal, of stage 0 and empty before the first. A turn is open while the mission is
+    in phase "observe"; in phase "map" it is solved and the map's stage becomes the mission's stage plus one. Messages
+    are taken once each, by their stamps.
+    """
+
+    def __init__(self, odometry_config: OdometryConfig) -> None:
+        """odometry_config: what the estimator believes of the odometry."""
+        super().__init__()
+        self.set_name("slam_estimator")
+        self._odometry = declare_message_input(self, "odometry").get_index()
+        self._detections = declare_message_input(self, "detections").get_index()
+        self._mission = declare_message_input(self, "mission").get_index()
+        self._state = self.DeclareAbstractState(AbstractValue.Make(initial_state(odometry_config)))
+        self._detections_stamp = self.DeclareAbstractState(AbstractValue.Make(-float("inf")))
+        depends = {self.abstract_state_ticket(self._state)}
+        declare_message_output(self, "pose", self._CalcPose, depends)
+        declare_message_output(self, "map", self._CalcMap, depends)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
+
+    def _CalcPose(self, context: Context) -> PoseEstimate:
+        return pose_estimate(state_message(context, self._state, EstimatorState))
+
+    def _CalcMap(self, context: Context) -> MapEstimate:
+        return map_estimate(state_message(context, self._state, EstimatorState)) or empty_map()
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        estimator = state_message(context, self._state, EstimatorState)
+        detections_stamp = state_message(context, self._detections_stamp, float)
+        odometry = eval_message(self, context, self._odometry, Odometry)
+        detections = eval_message(self, context, self._detections, TagDetections)
+        mission = eval_message(self, context, self._mission, MissionStatus)
+
+        estimator = process_odometry(estimator, odometry)
+        if detections.stamp > detections_stamp:
+            estimator = process_detections(estimator, detections)
+            set_state_message(state, self._detections_stamp, detections.stamp)
+        stage = len(estimator.graph.observations)
+        if mission.phase == "observe" and estimator.turn is None and stage == mission.stage:
+            estimator = begin_turn(estimator, odometry.stamp)
+        elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:
+            estimator = end_turn(estimator, odometry.stamp)
+        set_state_message(state, self._state, estimator)
+        return EventStatus.Succeeded()

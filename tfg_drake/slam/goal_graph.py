@@ -1,0 +1,383 @@
+"""The map: a factor graph of goals and landmarks, one joint factor a goal, one between-factor a segment.
+
+Variables: arrival pose A_k and departure pose D_k of every goal, landmarks L_i; A_0 is the map's origin. The graph is
+kept as plain arrays and built in GTSAM for each solve. The map estimate is its MAP value and marginal covariance
+(the paper's sec. III).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+import scipy.linalg
+from gtsam.symbol_shorthand import A, D, L
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, message
+
+# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out.
+REJECTED = 49.0
+# Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
+MOST_STEPS = 20
+SMALL_STEP = 1e-3
+
+
+@message
+class GoalGraph:
+    """The factors and current values of k goals and n landmarks.
+
+    observations: k, without the turns' trajectories. X_DA: (k - 1, 3) and segment_covariance: (k - 1, 3, 3), the
+    segments from D_j to A_j+1, of (x, y) in D and theta. X_MA, X_MD: (k, 3). ids: (n,) ascending, p_ML: (n, 2).
+    """
+
+    observations: tuple[GoalObservation, ...]
+    X_DA: FloatArray
+    segment_covariance: FloatArray
+    X_MA: FloatArray
+    X_MD: FloatArray
+    ids: IntArray
+    p_ML: FloatArray
+
+
+def empty_graph() -> GoalGraph:
+    """The graph before the first goal."""
+    return GoalGraph(
+        observations=(),
+        X_DA=np.empty((0, 3)),
+        segment_covariance=np.empty((0, 3, 3)),
+        X_MA=np.empty((0, 3)),
+        X_MD=np.empty((0, 3)),
+        ids=np.empty(0, dtype=np.int64),
+        p_ML=np.empty((0, 2)),
+    )
+
+
+def add_goal(
+    graph: GoalGraph,
+    map_estimate: MapEstimate | None,
+    observation: GoalObservation,
+    X_DA: FloatArray,
+    segment_covariance: FloatArray,
+) -> tuple[GoalGraph, IntArray]:
+    """The graph with one goal more, not yet solved, and the ids of the known tags left out of it.
+
+    map_estimate: of the graph so far. X_DA (3,), segment_covariance (3, 3): the segment that led here, not used at
+    the first goal. A known tag that grossly contradicts the map, given the segment and all other tags, is left out of
+    the observation.
+    """
+    rejected = np.empty(0, dtype=np.int64)
+    if map_estimate is None:
+        X_MA = np.zeros(3)
+    else:
+        X_MA, rejected = _arrival(map_estimate, observation, X_DA, segment_covariance)
+        observation = _without(observation, rejected)
+        graph = GoalGraph(
+            observations=graph.observations,
+            X_DA=np.vstack([graph.X_DA, X_DA]),
+            segment_covariance=np.concatenate([graph.segment_covariance, segment_covariance[None]]),
+            X_MA=graph.X_MA,
+            X_MD=graph.X_MD,
+            ids=graph.ids,
+            p_ML=graph.p_ML,
+        )
+    new = ~np.isin(observation.ids, graph.ids)
+    ids = np.concatenate([graph.ids, observation.ids[new]])
+    p_ML = np.vstack([graph.p_ML, se2.transform(X_MA, observation.p_AL[new])])
+    order = np.argsort(ids)
+    kept = GoalObservation(
+        ids=observation.ids,
+        p_AL=observation.p_AL,
+        X_AD=observation.X_AD,
+        covariance=observation.covariance,
+        stamps=np.empty(0),
+        X_AB=np.empty((0, 3)),
+    )
+    return (
+        GoalGraph(
+            observations=(*graph.observations, kept),
+            X_DA=graph.X_DA,
+            segment_covariance=graph.segment_covariance,
+            X_MA=np.vstack([graph.X_MA, X_MA]),
+            X_MD=np.vstack([graph.X_MD, se2.compose(X_MA, observation.X_AD)]),
+            ids=ids[order],
+            p_ML=p_ML[order],
+        ),
+        rejected,
+    )
+
+
+def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple[GoalGraph, MapEstimate]:
+    """The graph at its maximum a posteriori values, and the map: their joint Gaussian.
+
+    stamp: s, observation: the newest goal's, with its trajectory; both go into the MapEstimate. Gauss-Newton steps by
+    GTSAM's multifrontal elimination; Levenberg-Marquardt where a step fails to lower the error.
+    """
+    factors, values = factor_graph(graph), _values(graph)
+    ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(factors)
+    error = factors.error(values)
+    for _ in range(MOST_STEPS):
+        linear = factors.linearize(values)
+        step = linear.optimize(ordering)
+        moved = values.retract(step)
+        moved_error = factors.error(moved)
+        if not moved_error <= error + 1e-6 * (1.0 + error):
+            moved = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+            moved_error = factors.error(moved)
+            if not moved_error <= error + 1e-6 * (1.0 + error):
+                break
+        values, error = moved, moved_error
+        if np.max(np.abs(step.vector())) < SMALL_STEP:
+            break
+    k = len(graph.observations)
+    X_MA = np.array([_pose(values, A(i)) for i in range(k)])
+    X_MA[0] = 0.0
+    graph = GoalGraph(
+        observations=graph.observations,
+        X_DA=graph.X_DA,
+        segment_covariance=graph.segment_covariance,
+        X_MA=X_MA,
+        X_MD=np.array([_pose(values, D(i)) for i in range(k)]),
+        ids=graph.ids,
+        p_ML=np.array([values.atPoint2(L(int(tag))) for tag in graph.ids]).reshape(-1, 2),
+    )
+    covariance = _covariance(graph, linear)
+    landmarks = 2 * len(graph.ids)
+    return graph, MapEstimate(
+        stage=k,
+        stamp=stamp,
+        ids=graph.ids,
+        p_ML=graph.p_ML,
+        X_MD=graph.X_MD[-1],
+        covariance=covariance,
+        X_MA=graph.X_MA,
+        observation=observation,
+        entropy=_entropy(covariance[:landmarks, :landmarks]),
+    )
+
+
+def _covariance(graph: GoalGraph, linear: gtsam.GaussianFactorGraph) -> FloatArray:
+    """(2n + 3, 2n + 3) covariance of all landmarks and the last departure pose.
+
+    The other poses are eliminated from GTSAM's linear system by a dense Schur complement and the rest is inverted: a
+    third of the time of gtsam.Marginals at n = 274. The origin's rows are left out: it is known.
+    """
+    k, n = len(graph.observations), len(graph.ids)
+    ordering = gtsam.Ordering()
+    for i in range(k):
+        ordering.push_back(A(i))
+        if i < k - 1:
+            ordering.push_back(D(i))
+    for tag in graph.ids:
+        ordering.push_back(L(int(tag)))
+    ordering.push_back(D(k - 1))
+    information = linear.hessian(ordering)[0][3:, 3:]
+    split = len(information) - 2 * n - 3
+    reduced = information[split:, split:]
+    if split > 0:
+        factor = scipy.linalg.cholesky(information[:split, :split], lower=True, check_finite=False)
+        half = scipy.linalg.solve_triangular(factor, information[:split, split:], lower=True, check_finite=False)
+        reduced = reduced - half.T @ half
+    upper, _ = scipy.linalg.lapack.dpotri(scipy.linalg.cholesky(reduced, check_finite=False))
+    covariance = np.triu(upper) + np.triu(upper, 1).T
+    # Pose2 increments are in the body's frame.
+    R_MD = se2.rotation(float(graph.X_MD[-1, 2]))
+    covariance[-3:-1] = R_MD @ covariance[-3:-1]
+    covariance[:, -3:-1] = covariance[:, -3:-1] @ R_MD.T
+    return np.asarray(covariance)
+
+
+def empty_map() -> MapEstimate:
+    """The map of stage 0: no landmark, the robot at the origin, known exactly."""
+    nothing = GoalObservation(
+        ids=np.empty(0, dtype=np.int64),
+        p_AL=np.empty((0, 2)),
+        X_AD=np.zeros(3),
+        covariance=np.zeros((3, 3)),
+        stamps=np.empty(0),
+        X_AB=np.empty((0, 3)),
+    )
+    return MapEstimate(
+        stage=0,
+        stamp=0.0,
+        ids=np.empty(0, dtype=np.int64),
+        p_ML=np.empty((0, 2)),
+        X_MD=np.zeros(3),
+        covariance=np.zeros((3, 3)),
+        X_MA=np.empty((0, 3)),
+        observation=nothing,
+        entropy=0.0,
+    )
+
+
+def factor_graph(graph: GoalGraph) -> gtsam.NonlinearFactorGraph:
+    """The graph in GTSAM: A(k), D(k) as Pose2, L(id) as Point2, the origin tied by a tight prior on A(0)."""
+    factors = gtsam.NonlinearFactorGraph()
+    factors.add(gtsam.PriorFactorPose2(A(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-7)))
+    for k, observation in enumerate(graph.observations):
+        keys = [A(k), D(k), *(L(int(tag)) for tag in observation.ids)]
+        unit = gtsam.noiseModel.Unit.Create(2 * len(observation.ids) + 3)
+        factors.add(gtsam.CustomFactor(unit, keys, _goal_error(keys, observation)))
+    for j, X_DA in enumerate(graph.X_DA):
+        R = se2.rotation(float(X_DA[2]))
+        covariance = graph.segment_covariance[j].copy()
+        covariance[:2] = R.T @ covariance[:2]
+        covariance[:, :2] = covariance[:, :2] @ R
+        noise = gtsam.noiseModel.Gaussian.Covariance(0.5 * (covariance + covariance.T))
+        factors.add(gtsam.BetweenFactorPose2(D(j), A(j + 1), gtsam.Pose2(*X_DA), noise))
+    return factors
+
+
+ErrorFunction = Callable[[gtsam.CustomFactor, gtsam.Values, "list[FloatArray] | None"], FloatArray]
+
+
+def _goal_error(keys: list[int], observation: GoalObservation) -> ErrorFunction:
+    """Whitened error of a goal's joint observation on (A, D, L_1 .. L_n), n may be 0:
+    [R_A^T (L_i - t_A) - p_AL_i; A^-1 D - X_AD]."""
+    n = len(observation.ids)
+    whitener = scipy.linalg.solve_triangular(
+        np.linalg.cholesky(observation.covariance), np.eye(2 * n + 3), lower=True, check_finite=False
+    )
+    p_AL, X_AD = observation.p_AL, observation.X_AD
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None) -> FloatArray:
+        X_MA, X_MD = values.atPose2(keys[0]), values.atPose2(keys[1])
+        points = np.empty((n + 1, 2))
+        for i in range(n):
+            points[i] = values.atPoint2(keys[2 + i])
+        points[n] = X_MD.x(), X_MD.y()
+        R_MA = se2.rotation(X_MA.theta())
+        in_A = (points - (X_MA.x(), X_MA.y())) @ R_MA
+        turn = X_MD.theta() - X_MA.theta()
+        residual = np.empty(2 * n + 3)
+        residual[: 2 * n] = (in_A[:n] - p_AL).ravel()
+        residual[2 * n : 2 * n + 2] = in_A[n] - X_AD[:2]
+        residual[2 * n + 2] = math.remainder(turn - X_AD[2], 2.0 * math.pi)
+        if jacobians is not None:
+            # Pose2 moves in its own frame: X (+) d = X Exp(d).
+            on_A = np.zeros((2 * n + 3, 3))
+            on_A[0:-1:2, 0] = on_A[1:-1:2, 1] = on_A[-1, 2] = -1.0
+            on_A[0:-1:2, 2], on_A[1:-1:2, 2] = in_A[:, 1], -in_A[:, 0]
+            jacobians[0] = whitener @ on_A
+            jacobians[1] = np.hstack([whitener[:, 2 * n : 2 * n + 2] @ se2.rotation(turn), whitener[:, -1:]])
+            on_points = whitener[:, : 2 * n].reshape(-1, 2) @ R_MA.T
+            on_points = on_points.reshape(-1, 2 * n)
+            for i in range(n):
+                jacobians[2 + i] = on_points[:, 2 * i : 2 * i + 2]
+        return np.asarray(whitener @ residual)
+
+    return error
+
+
+def _values(graph: GoalGraph) -> gtsam.Values:
+    values = gtsam.Values()
+    for k in range(len(graph.observations)):
+        values.insert(A(k), gtsam.Pose2(*graph.X_MA[k]))
+        values.insert(D(k), gtsam.Pose2(*graph.X_MD[k]))
+    for tag, point in zip(graph.ids, graph.p_ML, strict=True):
+        values.insert(L(int(tag)), point)
+    return values
+
+
+def _pose(values: gtsam.Values, key: int) -> tuple[float, float, float]:
+    pose = values.atPose2(key)
+    return pose.x(), pose.y(), pose.theta()
+
+
+def _entropy(covariance: FloatArray) -> float:
+    """1/2 log|2 pi e Sigma|, nats."""
+    if len(covariance) == 0:
+        return 0.0
+    diagonal = np.diag(scipy.linalg.cholesky(covariance, check_finite=False))
+    return float(np.sum(np.log(diagonal)) + 0.5 * len(covariance) * math.log(2.0 * math.pi * math.e))
+
+
+def _arrival(
+    map_estimate: MapEstimate, observation: GoalObservation, X_DA: FloatArray, segment_covariance: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """X_MA (3,) of a new goal as map, segment and its known tags have it, and the ids of tags that contradict them.
+
+    Iterated updates of (known tags, A) by the observation; each tag is then compared with what all others predict of
+    it, and the worst leaves until none is too far off. The pose serves as an initial value only.
+    """
+    X_MA = se2.compose(map_estimate.X_MD, X_DA)
+    common, in_map, in_goal = np.intersect1d(map_estimate.ids, observation.ids, return_indices=True)
+    kept = np.arange(len(common))
+    while len(kept) > 0:
+        pose, distance = _align(map_estimate, observation, X_DA, segment_covariance, in_map[kept], in_goal[kept])
+        if np.max(distance) <= REJECTED:
+            X_MA = pose
+            break
+        kept = np.delete(kept, np.argmax(distance))
+    return X_MA, np.setdiff1d(common, common[kept])
+
+
+def _align(
+    map_estimate: MapEstimate,
+    observation: GoalObservation,
+    X_DA: FloatArray,
+    segment_covariance: FloatArray,
+    in_map: IntArray,
+    in_goal: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """X_MA (3,) by an iterated Kalman update, and (m,) squared Mahalanobis distance of each tag from the others."""
+    m = len(in_map)
+    rows = np.repeat(2 * in_map, 2) + np.tile([0, 1], m)
+    rows = np.concatenate([rows, np.arange(3) + len(map_estimate.covariance) - 3])
+    prior = map_estimate.covariance[np.ix_(rows, rows)]
+    X_MD = map_estimate.X_MD
+    X_0 = se2.compose(X_MD, X_DA)
+    R_MD = se2.rotation(float(X_MD[2]))
+    # From (tags, D) to (tags, A).
+    T = np.eye(2 * m + 3)
+    T[-3, -1], T[-2, -1] = -(X_0[1] - X_MD[1]), X_0[0] - X_MD[0]
+    G = np.eye(3)
+    G[:2, :2] = R_MD
+    prior = T @ prior @ T.T
+    prior[-3:, -3:] += G @ segment_covariance @ G.T
+    rows = np.repeat(2 * in_goal, 2) + np.tile([0, 1], m)
+    noise = observation.covariance[np.ix_(rows, rows)]
+    x_0 = np.concatenate([map_estimate.p_ML[in_map].ravel(), X_0])
+    x = x_0
+    for _ in range(4):
+        R_MA = se2.rotation(float(x[-1]))
+        in_A = (x[:-3].reshape(-1, 2) - x[-3:-1]) @ R_MA
+        H = np.zeros((2 * m, 2 * m + 3))
+        for i in range(m):
+            H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = R_MA.T
+            H[2 * i : 2 * i + 2, -3:-1] = -R_MA.T
+        H[0::2, -1], H[1::2, -1] = in_A[:, 1], -in_A[:, 0]
+        step = x_0 - x
+        step[-1] = math.remainder(step[-1], 2.0 * math.pi)
+        innovation = (observation.p_AL[in_goal] - in_A).ravel() - H @ step
+        information = np.linalg.inv(H @ prior @ H.T + noise)
+        weighted = information @ innovation
+        x = x_0 + prior @ H.T @ weighted
+    distance = np.array(
+        [
+            weighted[2 * i : 2 * i + 2]
+            @ np.linalg.solve(information[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], weighted[2 * i : 2 * i + 2])
+            for i in range(m)
+        ]
+    )
+    X_MA = x[-3:].copy()
+    X_MA[2] = math.remainder(X_MA[2], 2.0 * math.pi)
+    return X_MA, distance
+
+
+def _without(observation: GoalObservation, ids: IntArray) -> GoalObservation:
+    """The observation with some tags marginalised out."""
+    if len(ids) == 0:
+        return observation
+    keep = ~np.isin(observation.ids, ids)
+    rows = np.concatenate([np.repeat(keep, 2), np.ones(3, dtype=bool)])
+    return GoalObservation(
+        ids=observation.ids[keep],
+        p_AL=observation.p_AL[keep],
+        X_AD=observation.X_AD,
+        covariance=observation.covariance[np.ix_(rows, rows)],
+        stamps=observation.stamps,
+        X_AB=observation.X_AB,
+    )

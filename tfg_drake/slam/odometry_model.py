@@ -1,0 +1,106 @@
+"""What an odometry increment says about the motion, and how far it can be wrong.
+
+The measured distance is (1 + s) times the true one plus a random walk, the measured turn (1 + g) times the true one
+plus a bias b times the time plus a random walk. The calibration c = (s, b, g) is constant during a run; its members
+are states of the filters and of a turn's graph, with the prior given here, drawn anew for every turn and segment.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, Odometry, message
+
+# Random walk of the position whatever the motion, m per root second: wheels slip a little when turning on the spot,
+# and no covariance becomes singular.
+POSITION_NOISE = 5e-4
+# Least standard deviation of a member of the calibration: a known constant is still a state.
+LEAST_CALIBRATION_SIGMA = 1e-6
+
+
+@message
+class OdometryModel:
+    """What the estimator believes of the odometry.
+
+    noise: (3,) random walks of distance (m per root m), heading (rad per root s) and position (m per root s).
+    calibration_sigma: (3,) prior standard deviations of the distance scale, the gyro bias (rad/s), the gyro scale.
+    """
+
+    noise: FloatArray
+    calibration_sigma: FloatArray
+
+
+def odometry_model(config: OdometryConfig) -> OdometryModel:
+    """The model that a configuration describes."""
+    sigma = np.array([config.distance_scale, config.gyro_bias, config.gyro_scale])
+    return OdometryModel(
+        noise=np.array([config.distance_noise, max(config.gyro_noise, 1e-6), POSITION_NOISE]),
+        calibration_sigma=np.maximum(sigma, LEAST_CALIBRATION_SIGMA),
+    )
+
+
+def arc(X_OB0: FloatArray, X_OB1: FloatArray) -> FloatArray:
+    """The increment (u, v, dtheta) between two poses: chord (m) seen from half the turn dtheta (rad).
+
+    On the arc of a differential drive v is zero.
+    """
+    dx, dy = float(X_OB1[0] - X_OB0[0]), float(X_OB1[1] - X_OB0[1])
+    dtheta = math.remainder(X_OB1[2] - X_OB0[2], 2.0 * math.pi)
+    middle = X_OB0[2] + 0.5 * dtheta
+    c, s = math.cos(middle), math.sin(middle)
+    return np.array([c * dx + s * dy, -s * dx + c * dy, dtheta])
+
+
+def interpolate(before: Odometry, after: Odometry, stamp: float) -> FloatArray:
+    """X_OB (3,) at a stamp between two messages, the twist constant in between."""
+    span = after.stamp - before.stamp
+    share = (stamp - before.stamp) / span if span > 0.0 else 1.0
+    u, v, dtheta = arc(before.X_OB, after.X_OB)
+    half = 0.5 * dtheta
+    scale = math.sin(share * half) / math.sin(half) if abs(half) > 1e-9 else share
+    c, s = math.cos(share * half) * scale, math.sin(share * half) * scale
+    return se2.compose(before.X_OB, np.array([c * u - s * v, s * u + c * v, share * dtheta]))
+
+
+@njit(cache=True)
+def predict_increment(
+    increment: FloatArray, dt: float, calibration: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The motion X_B0B1 (3,) that an arc stands for, its Jacobian on the calibration and its random covariance.
+
+    increment: (3,) of `arc`. dt: s. calibration: (3,) s, b, g. noise: (3,) of OdometryModel. Returns X_B0B1, (3, 3)
+    Jacobian on (s, b, g), and the (3, 3) covariance of (x, y) in B0 and theta. The heading wanders during the
+    increment, so its noise also moves the end sideways.
+    """
+    scale = 1.0 / (1.0 + calibration[0])
+    gyro = 1.0 / (1.0 + calibration[2])
+    turn = (increment[2] - calibration[1] * dt) * gyro
+    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    u, v = increment[0] * scale, increment[1] * scale
+    X = np.array([c * u - s * v, s * u + c * v, turn])
+    on_turn = np.array([-0.5 * X[1], 0.5 * X[0], 1.0])
+    jacobian = np.empty((3, 3))
+    jacobian[0, 0], jacobian[1, 0], jacobian[2, 0] = -X[0] * scale, -X[1] * scale, 0.0
+    for i in range(3):
+        jacobian[i, 1] = -on_turn[i] * dt * gyro
+        jacobian[i, 2] = -on_turn[i] * turn * gyro
+    length = math.sqrt(u * u + v * v)
+    heading = noise[1] * noise[1] * dt
+    floor = noise[2] * noise[2] * dt
+    along = noise[0] * noise[0] * length + floor
+    across = heading * length * length / 3.0 + floor
+    coupling = 0.5 * heading * length
+    direction_x, direction_y = (X[0] / length, X[1] / length) if length > 0.0 else (1.0, 0.0)
+    covariance = np.empty((3, 3))
+    covariance[0, 0] = along * direction_x * direction_x + across * direction_y * direction_y
+    covariance[1, 1] = along * direction_y * direction_y + across * direction_x * direction_x
+    covariance[0, 1] = covariance[1, 0] = (along - across) * direction_x * direction_y
+    covariance[0, 2] = covariance[2, 0] = -coupling * direction_y
+    covariance[1, 2] = covariance[2, 1] = coupling * direction_x
+    covariance[2, 2] = heading
+    return X, jacobian, covariance

@@ -1,0 +1,398 @@
+"""The filter between goals: pose, odometry calibration and tags met on the way, beside landmarks it only considers.
+
+State x: pose (3) in the frame the filter started in, calibration (3) of the odometry model, local tags (2 each) that
+enter under flat priors at their first sighting. Considered: landmarks y of the map with their joint covariance P_yy
+and the cross covariance P_xy (Schmidt's consider filter): they inform the pose, with their uncertainty, and are never
+updated themselves. Without considered landmarks it is plain EKF SLAM.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message
+from tfg_drake.slam.odometry_model import OdometryModel, predict_increment
+
+POSE = 3
+CORE = 6
+# Mahalanobis gate of one sighting (2 degrees of freedom): 1 in 270 000 good ones fails it.
+GATE = 25.0
+
+
+@message
+class PoseFilter:
+    """The filter's Gaussian, in the frame M it started in.
+
+    mean: (6 + 2k,) x, y, theta, distance scale, gyro bias, gyro scale, then the local tags' positions. covariance:
+    (6 + 2k, 6 + 2k). cross: (6 + 2k, 2n) covariance with the considered landmarks. local_ids, last_seen: (k,) ids and
+    stamps (s). map_ids: (n,) ascending, p_ML: (n, 2), map_covariance: (2n, 2n) of the considered landmarks.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    cross: FloatArray
+    local_ids: IntArray
+    last_seen: FloatArray
+    map_ids: IntArray
+    p_ML: FloatArray
+    map_covariance: FloatArray
+
+
+def start(
+    model: OdometryModel,
+    X_MB: FloatArray,
+    pose_covariance: FloatArray,
+    map_ids: IntArray,
+    p_ML: FloatArray,
+    map_covariance: FloatArray,
+    pose_cross: FloatArray,
+) -> PoseFilter:
+    """A filter at pose X_MB (3,) with covariance (3, 3), considering n landmarks (pose_cross: (3, 2n))."""
+    covariance = np.zeros((CORE, CORE))
+    covariance[:POSE, :POSE] = pose_covariance
+    covariance[POSE:, POSE:] = np.diag(model.calibration_sigma**2)
+    return PoseFilter(
+        mean=np.concatenate([X_MB, np.zeros(POSE)]),
+        covariance=covariance,
+        cross=np.vstack([pose_cross, np.zeros((POSE, 2 * len(map_ids)))]),
+        local_ids=np.empty(0, dtype=np.int64),
+        last_seen=np.empty(0),
+        map_ids=map_ids,
+        p_ML=p_ML,
+        map_covariance=map_covariance,
+    )
+
+
+def start_at_origin(model: OdometryModel) -> PoseFilter:
+    """A filter that starts at its own origin, known exactly, and considers nothing."""
+    none = np.empty(0, dtype=np.int64)
+    return start(model, np.zeros(3), np.zeros((3, 3)), none, np.empty((0, 2)), np.empty((0, 0)), np.empty((3, 0)))
+
+
+def predict(filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float) -> PoseFilter:
+    """The filter after an odometry increment (3,) of `odometry_model.arc` over dt seconds."""
+    mean, covariance, cross = _predict(filter_.mean, filter_.covariance, filter_.cross, increment, dt, model.noise)
+    return _replace(filter_, mean, covariance, cross)
+
+
+def predict_pose(
+    filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float
+) -> tuple[FloatArray, FloatArray]:
+    """The pose (3,) and its covariance (3, 3) alone after an odometry increment."""
+    core = _replace(filter_, filter_.mean[:CORE], filter_.covariance[:CORE, :CORE].copy(), np.empty((CORE, 0)))
+    core = predict(core, model, increment, dt)
+    return core.mean[:POSE], core.covariance[:POSE, :POSE]
+
+
+def update(filter_: PoseFilter, detections: TagDetections) -> PoseFilter:
+    """The filter after one frame: known tags correct it, all at once, unknown ones join it.
+
+    A tag is looked up among the considered landmarks, then among the local tags. A sighting outside its gate is
+    ignored.
+    """
+    if len(detections.ids) == 0:
+        return filter_
+    index = _index(detections.ids, filter_.map_ids, filter_.local_ids)
+    z = np.column_stack([detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing])
+    mean, covariance, cross, accepted = _update(
+        filter_.mean,
+        filter_.covariance,
+        filter_.cross,
+        filter_.p_ML,
+        filter_.map_covariance,
+        index,
+        z,
+        GATE,
+    )
+    new = index == NEW
+    last_seen = filter_.last_seen.copy()
+    local = accepted & (index >= 0)
+    last_seen[index[local]] = detections.stamp
+    if np.any(new):
+        mean, covariance, cross = _initialise(mean, covariance, cross, z[new])
+    count = int(np.sum(new))
+    return PoseFilter(
+        mean=mean,
+        covariance=covariance,
+        cross=cross,
+        local_ids=np.concatenate([filter_.local_ids, detections.ids[new]]),
+        last_seen=np.concatenate([last_seen, np.full(count, detections.stamp)]),
+        map_ids=filter_.map_ids,
+        p_ML=filter_.p_ML,
+        map_covariance=filter_.map_covariance,
+    )
+
+
+def keep_local(filter_: PoseFilter, keep: BoolArray) -> PoseFilter:
+    """The filter with only some (k,) of its local tags: the others are marginalised out."""
+    if np.all(keep):
+        return filter_
+    rows = np.concatenate([np.ones(CORE, dtype=bool), np.repeat(keep, 2)])
+    return PoseFilter(
+        mean=filter_.mean[rows],
+        covariance=filter_.covariance[np.ix_(rows, rows)],
+        cross=filter_.cross[rows],
+        local_ids=filter_.local_ids[keep],
+        last_seen=filter_.last_seen[keep],
+        map_ids=filter_.map_ids,
+        p_ML=filter_.p_ML,
+        map_covariance=filter_.map_covariance,
+    )
+
+
+def _replace(filter_: PoseFilter, mean: FloatArray, covariance: FloatArray, cross: FloatArray) -> PoseFilter:
+    return PoseFilter(
+        mean=mean,
+        covariance=covariance,
+        cross=cross,
+        local_ids=filter_.local_ids,
+        last_seen=filter_.last_seen,
+        map_ids=filter_.map_ids,
+        p_ML=filter_.p_ML,
+        map_covariance=filter_.map_covariance,
+    )
+
+
+# What `_index` says of a tag that is neither local (row, >= 0) nor considered (-1 - row).
+NEW = np.iinfo(np.int64).max
+
+
+@njit(cache=True)
+def _index(ids: IntArray, map_ids: IntArray, local_ids: IntArray) -> IntArray:
+    index = np.full(len(ids), np.iinfo(np.int64).max)
+    row = np.searchsorted(map_ids, ids)
+    for i in range(len(ids)):
+        if row[i] < len(map_ids) and map_ids[row[i]] == ids[i]:
+            index[i] = -1 - row[i]
+        else:
+            for k in range(len(local_ids)):
+                if local_ids[k] == ids[i]:
+                    index[i] = k
+    return index
+
+
+@njit(cache=True)
+def _predict(
+    mean: FloatArray,
+    covariance: FloatArray,
+    cross: FloatArray,
+    increment: FloatArray,
+    dt: float,
+    noise: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    mean, P, cross = mean.copy(), covariance.copy(), cross.copy()
+    X, on_calibration, Q = predict_increment(increment, dt, mean[3:6].copy(), noise)
+    c, s = math.cos(mean[2]), math.sin(mean[2])
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    motion = R @ X
+    # x' = F x on the pose's rows: identity, the lever of the heading, and the calibration.
+    F = np.zeros((3, 6))
+    F[0, 0] = F[1, 1] = F[2, 2] = 1.0
+    F[0, 2], F[1, 2] = -motion[1], motion[0]
+    F[:, 3:] = R @ on_calibration
+    P[:3, :] = _apply(F, P)
+    P[:, :3] = _apply(F, np.ascontiguousarray(P.T)).T
+    P[:3, :3] += R @ Q @ R.T
+    cross[:3, :] = _apply(F, cross)
+    mean[0] += motion[0]
+    mean[1] += motion[1]
+    mean[2] = _wrap(mean[2] + X[2])
+    return mean, P, cross
+
+
+@njit(cache=True)
+def _apply(F: FloatArray, rows: FloatArray) -> FloatArray:
+    """F (3, 6) times the first six rows."""
+    result = np.zeros((3, rows.shape[1]))
+    for i in range(3):
+        for j in range(6):
+            if F[i, j] != 0.0:
+                for k in range(rows.shape[1]):
+                    result[i, k] += F[i, j] * rows[j, k]
+    return result
+
+
+@njit(cache=True)
+def _update(
+    mean: FloatArray,
+    covariance: FloatArray,
+    cross: FloatArray,
+    p_ML: FloatArray,
+    map_covariance: FloatArray,
+    index: IntArray,
+    z: FloatArray,
+    gate: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """One frame, all its tags linearised at the same state: gain S^-1 H (P, P_xy), landmarks left as they are."""
+    accepted = np.zeros(len(index), dtype=np.bool_)
+    H_x = np.zeros((len(index), 2, 3))
+    H_p = np.zeros((len(index), 2, 2))
+    residual = np.zeros((len(index), 2))
+    for i in range(len(index)):
+        if index[i] == np.iinfo(np.int64).max:
+            continue
+        if index[i] >= 0:
+            k = 6 + 2 * index[i]
+            dx, dy = mean[k] - mean[0], mean[k + 1] - mean[1]
+        else:
+            dx, dy = p_ML[-1 - index[i], 0] - mean[0], p_ML[-1 - index[i], 1] - mean[1]
+        r2 = max(dx * dx + dy * dy, 1e-6)
+        r = math.sqrt(r2)
+        residual[i, 0] = z[i, 0] - r
+        residual[i, 1] = _wrap(z[i, 1] - (math.atan2(dy, dx) - mean[2]))
+        H_p[i, 0, 0], H_p[i, 0, 1] = dx / r, dy / r
+        H_p[i, 1, 0], H_p[i, 1, 1] = -dy / r2, dx / r2
+        H_x[i, :, :2] = -H_p[i]
+        H_x[i, 1, 2] = -1.0
+        accepted[i] = _inside_gate(covariance, cross, map_covariance, index[i], H_x[i], H_p[i], residual[i], z[i], gate)
+    used = np.flatnonzero(accepted)
+    m = len(used)
+    size = len(mean)
+    # Rows of H (P, P_xy): covariance of the predicted sightings with the state and with the landmarks.
+    HP = np.zeros((2 * m, size))
+    HC = np.zeros((2 * m, cross.shape[1]))
+    for a in range(m):
+        i = used[a]
+        for e in range(2):
+            row, row_c = HP[2 * a + e], HC[2 * a + e]
+            for j in range(3):
+                _add(row, H_x[i, e, j], covariance[j])
+                _add(row_c, H_x[i, e, j], cross[j])
+            for j in range(2):
+                if index[i] >= 0:
+                    k = 6 + 2 * index[i] + j
+                    _add(row, H_p[i, e, j], covariance[k])
+                    _add(row_c, H_p[i, e, j], cross[k])
+                else:
+                    k = 2 * (-1 - index[i]) + j
+                    for q in range(size):
+                        row[q] += H_p[i, e, j] * cross[q, k]
+                    _add(row_c, H_p[i, e, j], map_covariance[k])
+    S = np.zeros((2 * m, 2 * m))
+    nu = np.zeros(2 * m)
+    for a in range(m):
+        i = used[a]
+        for e in range(2):
+            nu[2 * a + e] = residual[i, e]
+            for b in range(2 * m):
+                value = 0.0
+                for j in range(3):
+                    value += H_x[i, e, j] * HP[b, j]
+                for j in range(2):
+                    if index[i] >= 0:
+                        value += H_p[i, e, j] * HP[b, 6 + 2 * index[i] + j]
+                    else:
+                        value += H_p[i, e, j] * HC[b, 2 * (-1 - index[i]) + j]
+                S[2 * a + e, b] = value
+            S[2 * a + e, 2 * a + e] += z[i, 2 + e] * z[i, 2 + e]
+    # S = G G^T, Y = G^-1 H P, so that P - Y^T Y is symmetric; K^T = G^-T Y.
+    for a in range(2 * m):
+        for b in range(a + 1):
+            value = S[a, b]
+            for j in range(b):
+                value -= S[a, j] * S[b, j]
+            S[a, b] = math.sqrt(max(value, 1e-18)) if a == b else value / S[b, b]
+    for a in range(2 * m):
+        for b in range(a):
+            _add(HP[a], -S[a, b], HP[b])
+            nu[a] -= S[a, b] * nu[b]
+        HP[a] /= S[a, a]
+        nu[a] /= S[a, a]
+    mean, P, cross = mean.copy(), covariance.copy(), cross.copy()
+    for a in range(2 * m):
+        _add(mean, nu[a], HP[a])
+        for q in range(size):
+            _add(P[q], -HP[a, q], HP[a])
+    mean[2] = _wrap(mean[2])
+    if cross.shape[1] > 0:
+        gain = HP.copy()
+        for a in range(2 * m - 1, -1, -1):
+            for b in range(a + 1, 2 * m):
+                _add(gain[a], -S[b, a], gain[b])
+            gain[a] /= S[a, a]
+        for q in range(size):
+            for a in range(2 * m):
+                _add(cross[q], -gain[a, q], HC[a])
+    return mean, P, cross, accepted
+
+
+@njit(cache=True)
+def _wrap(angle: float) -> float:
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True)
+def _add(target: FloatArray, factor: float, source: FloatArray) -> None:
+    for q in range(len(target)):
+        target[q] += factor * source[q]
+
+
+@njit(cache=True)
+def _inside_gate(
+    covariance: FloatArray,
+    cross: FloatArray,
+    map_covariance: FloatArray,
+    index: int,
+    H_x: FloatArray,
+    H_p: FloatArray,
+    residual: FloatArray,
+    z: FloatArray,
+    gate: float,
+) -> bool:
+    """Whether one sighting is within its Mahalanobis gate."""
+    joint = np.empty((5, 5))
+    joint[:3, :3] = covariance[:3, :3]
+    if index >= 0:
+        k = 6 + 2 * index
+        joint[:3, 3:] = covariance[:3, k : k + 2]
+        joint[3:, 3:] = covariance[k : k + 2, k : k + 2]
+    else:
+        k = 2 * (-1 - index)
+        joint[:3, 3:] = cross[:3, k : k + 2]
+        joint[3:, 3:] = map_covariance[k : k + 2, k : k + 2]
+    joint[3:, :3] = joint[:3, 3:].T
+    H = np.empty((2, 5))
+    H[:, :3] = H_x
+    H[:, 3:] = H_p
+    S = H @ joint @ H.T
+    a, b, d = S[0, 0] + z[2] * z[2], S[0, 1], S[1, 1] + z[3] * z[3]
+    u, v = residual[0], residual[1]
+    return bool(d * u * u - 2.0 * b * u * v + a * v * v <= gate * (a * d - b * b))
+
+
+@njit(cache=True)
+def _initialise(
+    mean: FloatArray, covariance: FloatArray, cross: FloatArray, z: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The filter with a local tag more for each sighting (range, bearing and their sigmas)."""
+    old, new = len(mean), 2 * len(z)
+    joined = np.empty(old + new)
+    P = np.zeros((old + new, old + new))
+    C = np.empty((old + new, cross.shape[1]))
+    joined[:old] = mean
+    P[:old, :old] = covariance
+    C[:old] = cross
+    J = np.zeros((new, 3))
+    for i in range(len(z)):
+        r, angle = z[i, 0], mean[2] + z[i, 1]
+        c, s = math.cos(angle), math.sin(angle)
+        joined[old + 2 * i], joined[old + 2 * i + 1] = mean[0] + r * c, mean[1] + r * s
+        J[2 * i, 0] = J[2 * i + 1, 1] = 1.0
+        J[2 * i, 2], J[2 * i + 1, 2] = -r * s, r * c
+    P[old:, :old] = J @ np.ascontiguousarray(covariance[:3])
+    P[:old, old:] = P[old:, :old].T
+    P[old:, old:] = J @ np.ascontiguousarray(covariance[:3, :3]) @ J.T
+    C[old:] = J @ np.ascontiguousarray(cross[:3])
+    for i in range(len(z)):
+        angle = mean[2] + z[i, 1]
+        c, s = math.cos(angle), math.sin(angle)
+        along, across = z[i, 2] ** 2, (z[i, 0] * z[i, 3]) ** 2
+        k = old + 2 * i
+        P[k, k] += along * c * c + across * s * s
+        P[k + 1, k + 1] += along * s * s + across * c * c
+        P[k, k + 1] += (along - across) * c * s
+        P[k + 1, k] += (along - across) * c * s
+    return joined, P, C
