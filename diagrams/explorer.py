@@ -31,7 +31,7 @@ def MakeTfgExplorer(scenario: Scenario) -> Diagram:
     estimator = builder.AddNamedSystem("slam_estimator", SlamEstimator(scenario.odometry))
     tfg_builder = builder.AddNamedSystem("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
     selector = builder.AddNamedSystem(
-        "goal_selector", InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer, seed=scenario.seed)
+        "goal_selector", InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer)
     )
     planner = builder.AddNamedSystem(
         "prm_planner", PrmPlanner(robot, scenario.odometry, scenario.tags, explorer, seed=scenario.seed)
