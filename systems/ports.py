@@ -39,9 +39,14 @@ def eval_message(system: LeafSystem, context: Context, port_index: int, kind: ty
     Raises TypeError where the port is not connected or holds anything else than a kind.
     """
     port = system.get_input_port(port_index)
-    if not port.HasValue(context):
-        raise TypeError(f"{system.get_name()}.{port.get_name()} must be connected to an output of {kind.__name__}.")
-    return _checked(port.Eval(context), kind, f"{system.get_name()}.{port.get_name()}")
+    where = f"{system.get_name()}.{port.get_name()}"
+    try:
+        value = port.Eval(context)
+    except RuntimeError:
+        if port.HasValue(context):
+            raise
+        raise TypeError(f"{where} must be connected to an output of {kind.__name__}.") from None
+    return _checked(value, kind, where)
 
 
 def state_message(context: Context | State, index: int, kind: type[T]) -> T:

@@ -13,7 +13,7 @@ from numba import njit
 from tfg_drake.config import OdometryConfig
 from tfg_drake.messages import FloatArray, Odometry
 
-# Entries of the state: the time (s) it holds at; the true pose X_WB (x, y, theta); the integrated pose X_OB (x, y, theta);
+# Where the entries of the state begin: the time (s) it holds at, the true pose X_WB (3), the integrated pose X_OB (3),
 # the measured forward speed and turn rate.
 TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE = 0, 1, 4, 7, 8
 STATE_SIZE = 9
@@ -78,10 +78,10 @@ def integrate(
 ) -> FloatArray:
     """The state (STATE_SIZE,) at stamp (s), some time after the one given.
 
-    pose: (5,) true x, y, theta of X_WB, forward speed and turn rate. errors: (3,) from run_errors. standard_normal: (2,)
-    numbers, fresh every time. The distance takes the scale error and a random walk that grows with distance; the heading
-    takes the gyro's scale error, its bias and a random walk that grows with time. The random walk of distance is slip,
-    which the wheels' speed does not show. Before any time has passed the state stays as it is.
+    pose: (5,) true x, y, theta of X_WB, forward speed and turn rate. errors: (3,) from run_errors. standard_normal:
+    (2,) numbers, fresh every time. The distance takes the scale error and a random walk that grows with distance; the
+    heading takes the gyro's scale error, its bias and a random walk that grows with time. The random walk of distance
+    is slip, which the wheels' speed does not show. Before any time has passed the state stays as it is.
     """
     after: FloatArray = _integrate(
         state, stamp, pose, errors, standard_normal, config.distance_noise, config.gyro_noise
