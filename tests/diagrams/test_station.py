@@ -1,0 +1,182 @@
+"""The simulated station: its ports, its noise, its reproducibility, and that it keeps off walls."""
+
+import numpy as np
+import pytest
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import InitializeParams, Simulator
+
+from tfg_drake.diagrams.scenario import Scenario, TagConfig, WorldConfig
+from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.geometry.se2 import between, compose
+
+OUTPUTS = [
+    "base.odometry",
+    "base.hazards",
+    "tags.detections",
+    "scan.ranges",
+    "truth.pose",
+    "truth.contacts",
+    "truth.clearance",
+]
+WORLD = WorldConfig(
+    walls=[[-3, -3, 3, -3], [3, -3, 3, 3], [3, 3, -3, 3], [-3, 3, -3, -3]],
+    tags=[TagConfig(id=5, position=[3.0, 0.5], facing=np.pi), TagConfig(id=3, position=[0.0, 3.0], facing=-np.pi / 2)],
+    start=[0.5, -0.5, 0.3],
+)
+
+
+def make_scenario(noise=True):
+    scenario = Scenario(world=WORLD)
+    if not noise:
+        for name in ("distance_noise", "distance_scale", "gyro_noise", "gyro_bias", "gyro_scale"):
+            setattr(scenario.odometry, name, 0.0)
+        scenario.tags.range_noise = scenario.tags.range_noise_per_metre = scenario.tags.bearing_noise = 0.0
+        scenario.scan.noise = 0.0
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def station():
+    return MakeTurtlebotStation(make_scenario())
+
+
+@pytest.fixture(scope="module")
+def noiseless_station():
+    return MakeTurtlebotStation(make_scenario(noise=False))
+
+
+def start(station, seed=0, command=(0.2, 0.5)):
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    station.SetRandomContext(context, RandomGenerator(seed))
+    station.GetInputPort("base.velocity_commanded").FixValue(context, list(command))
+    simulator.Initialize()
+    return simulator
+
+
+def read(station, context, name):
+    return station.GetOutputPort(name).Eval(context)
+
+
+def everything(station, context):
+    """All that the station says, as one list of numbers."""
+    numbers = []
+    for name in OUTPUTS:
+        value = read(station, context, name)
+        for part in vars(value).values() if hasattr(value, "__dict__") else [value]:
+            numbers += np.ravel(part).tolist()
+    return numbers
+
+
+def test_ports_and_names(station):
+    inputs = [station.get_input_port(i).get_name() for i in range(station.num_input_ports())]
+    outputs = [station.get_output_port(i).get_name() for i in range(station.num_output_ports())]
+    assert station.get_name() == "station"
+    assert inputs == ["base.velocity_commanded"]
+    assert outputs == OUTPUTS
+    assert [system.get_name() for system in station.GetSystems()] == [
+        "safety_filter",
+        "differential_drive_plant",
+        "odometry",
+        "tag_sensor",
+        "laser_scanner",
+        "odometry_noise",
+        "odometry_run_errors",
+        "tag_noise",
+        "scan_noise",
+    ]
+    assert not station.HasAnyDirectFeedthrough()
+
+
+def test_without_noise_the_sensors_agree_with_the_truth_at_their_stamps(noiseless_station):
+    simulator = start(noiseless_station)
+    X_WS = np.array(WORLD.start)
+    positions = {tag.id: np.array(tag.position) for tag in WORLD.tags}
+    truth = {}
+    seen = set()
+    for k in range(1, 321):
+        # Scans and tags come at multiples of 0.1 s, between the plant's steps.
+        simulator.AdvanceTo(k / 80)
+        context = simulator.get_context()
+        truth[k / 80] = read(noiseless_station, context, "truth.pose")[:3]
+        odometry = read(noiseless_station, context, "base.odometry")
+        if odometry.stamp in truth:
+            assert pytest.approx(between(X_WS, truth[odometry.stamp]), abs=1e-9) == odometry.X_OB
+        frame = read(noiseless_station, context, "tags.detections")
+        at = [t for t in truth if abs(t - frame.stamp) < 1e-9]
+        for X_WB in (truth[t] for t in at):
+            for tag, r, b in zip(frame.ids.tolist(), frame.range, frame.bearing, strict=True):
+                point = compose(X_WB, np.array([r * np.cos(b), r * np.sin(b), 0.0]))[:2]
+                assert point == pytest.approx(positions[tag], abs=1e-9)
+                seen.add(tag)
+            message = read(noiseless_station, context, "scan.ranges")
+            hits = compose(
+                X_WB,
+                np.stack([message.ranges * np.cos(message.angles), message.ranges * np.sin(message.angles)], -1)[
+                    :, [0, 1, 1]
+                ],
+            )[:, :2]
+            assert np.abs(hits).max(axis=1) == pytest.approx(np.full(len(hits), 3.0), abs=1e-9)
+    assert seen == {3, 5}
+
+
+def test_the_seed_decides_the_run(station):
+    runs = {}
+    for key, seed in (("first", 1), ("again", 1), ("other", 2)):
+        simulator = start(station, seed)
+        simulator.AdvanceTo(1.0)
+        runs[key] = everything(station, simulator.get_context())
+    assert runs["first"] == runs["again"]
+    assert runs["first"] != runs["other"]
+
+
+@pytest.mark.parametrize("t", [0.5, 0.7003])
+def test_a_cloned_context_continues_bit_for_bit(station, t):
+    simulator = start(station, 3)
+    simulator.AdvanceTo(t)
+    clone = simulator.get_context().Clone()
+    simulator.AdvanceTo(2.0)
+    resumed = Simulator(station, clone)
+    resumed.Initialize(InitializeParams(suppress_initialization_events=True))
+    resumed.AdvanceTo(2.0)
+    assert everything(station, clone) == everything(station, simulator.get_context())
+
+
+def test_run_errors_stay_constant(station):
+    simulator = start(station, 4)
+    port = station.GetSubsystemByName("odometry_run_errors").get_output_port()
+    values = set()
+    for t in (0.03125, 1.0, 3.0):
+        simulator.AdvanceTo(t)
+        context = station.GetSubsystemByName("odometry_run_errors").GetMyContextFromRoot(simulator.get_context())
+        values.add(tuple(port.Eval(context)))
+    assert len(values) == 1
+
+
+def test_full_speed_ahead_ends_before_the_wall(station):
+    simulator = start(station, 5, (0.5, 0.0))
+    simulator.AdvanceTo(15.0)
+    context = simulator.get_context()
+    assert read(station, context, "truth.contacts").tolist() == [0.0]
+    assert read(station, context, "truth.pose")[3] == pytest.approx(0.0, abs=0.02)
+    assert 0.0 < read(station, context, "truth.clearance")[0] < 0.15
+
+
+def test_backing_into_a_wall_counts_one_contact(station):
+    # No sensor looks back; the bumper does not either.
+    simulator = start(station, 6, (-0.5, 0.0))
+    simulator.AdvanceTo(12.0)
+    context = simulator.get_context()
+    assert read(station, context, "truth.contacts").tolist() == [1.0]
+    assert read(station, context, "base.hazards").bumper == 0
+
+
+def test_an_unconnected_command_and_an_empty_world():
+    empty = MakeTurtlebotStation(Scenario())
+    simulator = Simulator(empty)
+    simulator.AdvanceTo(0.5)
+    context = simulator.get_context()
+    assert read(empty, context, "truth.pose").tolist() == [0.0] * 5
+    assert read(empty, context, "truth.clearance").tolist() == [np.inf]
+    assert read(empty, context, "tags.detections").ids.size == 0
+    assert np.isinf(read(empty, context, "scan.ranges").ranges).all()

@@ -1,0 +1,97 @@
+"""The base's motion and its contacts with walls."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.simulation import differential_drive as drive
+
+ROBOT = RobotConfig()
+PERIOD = 1.0 / 64.0
+NO_WALLS = np.zeros((0, 4))
+ROOM = np.array([[-2.0, -2, 2, -2], [2, -2, 2, 2], [2, 2, -2, 2], [-2, 2, -2, -2], [0.5, 0.5, 1.5, 0.6]])
+
+
+def drive_for(state, command, walls, duration, robot=ROBOT):
+    states = [state]
+    for _ in range(round(duration / PERIOD)):
+        states.append(drive.step(states[-1], np.array(command), walls, robot, PERIOD))
+    return np.array(states)
+
+
+def test_advance_is_the_exact_arc():
+    # A quarter of a circle of radius 1, to the left.
+    assert drive.advance(np.zeros(3), 1.0, 1.0, np.pi / 2) == pytest.approx([1, 1, np.pi / 2], abs=1e-14)
+    assert drive.advance(np.array([1.0, 2.0, np.pi / 2]), 0.5, 0.0, 2.0) == pytest.approx([1, 3, np.pi / 2])
+    there = drive.advance(np.array([1.0, 2.0, 3.0]), 0.5, -0.7, 2.0)
+    assert drive.advance(there, 0.5, -0.7, -2.0) == pytest.approx([1, 2, 3], abs=1e-14)
+
+
+def test_velocity_follows_within_limits():
+    states = drive_for(drive.initial_state(np.zeros(3), NO_WALLS, ROBOT), [9.0, -9.0], NO_WALLS, 3.0)
+    speeds, turn_rates = states[:, drive.SPEED], states[:, drive.TURN_RATE]
+    assert speeds[-1] == ROBOT.max_speed
+    assert turn_rates[-1] == -ROBOT.max_turn_rate
+    assert np.abs(np.diff(speeds)).max() <= ROBOT.max_acceleration * PERIOD + 1e-12
+    assert np.abs(np.diff(turn_rates)).max() <= ROBOT.max_turn_acceleration * PERIOD + 1e-12
+    assert states[-1, drive.TIME] == 3.0
+    assert states[-1, drive.CLEARANCE] == np.inf
+
+
+def test_a_head_on_contact_stops_the_base_and_presses_the_centre_bumper():
+    states = drive_for(drive.initial_state(np.zeros(3), ROOM, ROBOT), [0.5, 0.0], ROOM, 6.0)
+    last = states[-1]
+    assert last[drive.X] == pytest.approx(2.0 - ROBOT.radius, abs=1e-9)
+    assert last[drive.SPEED] == pytest.approx(0.0, abs=1e-9)
+    assert (last[drive.CONTACTS], last[drive.BUMPER], last[drive.CLEARANCE]) == (1, 2, pytest.approx(0.0, abs=1e-9))
+
+
+@pytest.mark.parametrize(("heading", "bit"), [(0.9, 1), (-0.9, 4)])
+def test_a_glancing_contact_slides_and_presses_that_side(heading, bit):
+    state = drive.initial_state(np.array([1.7, 0.0, heading]), ROOM[:4], ROBOT)
+    states = drive_for(state, [0.3, 0.0], ROOM[:4], 2.0)
+    assert states[-1, drive.BUMPER] == bit
+    assert abs(states[-1, drive.Y]) > 0.1
+    assert states[-1, drive.X] == pytest.approx(2.0 - ROBOT.radius, abs=1e-9)
+    assert states[-1, drive.CONTACTS] == 1
+
+
+def test_a_contact_counts_again_only_after_release():
+    state = drive.initial_state(np.array([1.7, 0.0, 0.0]), ROOM[:4], ROBOT)
+    pressed = drive_for(state, [0.1, 0.0], ROOM[:4], 3.0)[-1]
+    # Back 5 mm: still pressed. Back 20 mm: released. Forward: a second contact.
+    near = drive_for(pressed, [-0.01, 0.0], ROOM[:4], 0.5)[-1]
+    assert near[drive.BUMPER] == 2
+    free = drive_for(near, [-0.05, 0.0], ROOM[:4], 1.0)[-1]
+    assert (free[drive.BUMPER], free[drive.IN_CONTACT]) == (0, 0)
+    again = drive_for(free, [0.1, 0.0], ROOM[:4], 2.0)[-1]
+    assert again[drive.CONTACTS] == 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.floats(-np.pi, np.pi),
+    st.floats(-0.5, 0.5),
+    st.floats(-1.5, 1.5),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_outline_never_enters_a_wall(heading, speed, turn_rate, seed):
+    # The room, and clutter with sharp corners that does not reach the start.
+    rng = np.random.default_rng(seed)
+    clutter = rng.uniform(-2, 2, (12, 4))
+    distance = np.array([shapely.LineString(w.reshape(2, 2)).distance(shapely.Point(0, 0)) for w in clutter])
+    walls = np.vstack([ROOM[:4], clutter[distance > ROBOT.radius + 0.01]])
+    lines = shapely.MultiLineString(walls.reshape(-1, 2, 2).tolist())
+    states = drive_for(drive.initial_state(np.array([0, 0, heading]), walls, ROBOT), [speed, turn_rate], walls, 8.0)
+    gaps = shapely.distance(shapely.points(states[:, drive.X : drive.Y + 1]), lines) - ROBOT.radius
+    assert gaps.min() >= -1e-6
+    assert states[-1, drive.CLEARANCE] == pytest.approx(max(0.0, gaps.min()), abs=1e-6)
+    # No tunnelling either: the centre's track crosses no wall.
+    assert not shapely.LineString(states[:, drive.X : drive.Y + 1]).intersects(lines)
+
+
+def test_initial_clearance():
+    assert drive.initial_state(np.zeros(3), ROOM[:4], ROBOT)[drive.CLEARANCE] == pytest.approx(2.0 - ROBOT.radius)

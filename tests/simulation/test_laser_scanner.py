@@ -1,0 +1,49 @@
+"""The laser scanner against geometry, and its noise."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.config import ScanConfig
+from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan
+
+CONFIG = ScanConfig()
+WALL = np.array([[4.0, -100.0, 4.0, 100.0]])
+
+
+def test_rays_cover_the_field_of_view():
+    angles = ray_angles(CONFIG)
+    assert len(angles) == 249
+    assert angles[[0, -1]] == pytest.approx([-0.5 * CONFIG.field_of_view, 0.5 * CONFIG.field_of_view])
+    assert angles[124] == 0.0
+    assert np.diff(angles) == pytest.approx(np.full(248, CONFIG.resolution))
+
+
+def test_exact_without_noise():
+    angles = ray_angles(CONFIG)
+    message = scan(WALL, np.array([1.0, 0.5, 0.2]), 2.5, angles, np.zeros(249), CONFIG)
+    expected = 3.0 / np.cos(angles + 0.2)
+    hit = (expected > 0) & (expected <= 10.0)
+    assert message.ranges[hit] == pytest.approx(expected[hit], abs=1e-12)
+    assert np.isinf(message.ranges[~hit]).all()
+    assert (message.stamp, message.range_max, message.sigma) == (2.5, 10.0, 0.015)
+    assert np.isinf(scan(np.zeros((0, 4)), np.zeros(3), 0.0, angles, np.ones(249), CONFIG).ranges).all()
+
+
+def test_noise_has_the_configured_spread():
+    rng = np.random.default_rng(0)
+    angles = np.zeros(4000)
+    ranges = scan(WALL, np.zeros(3), 0.0, angles, rng.normal(size=4000), CONFIG).ranges
+    assert ranges.mean() == pytest.approx(4.0, abs=0.001)
+    assert ranges.std() == pytest.approx(0.015, rel=0.05)
+
+
+def test_returns_stay_within_range():
+    far = np.array([[9.999, -1.0, 9.999, 1.0]])
+    near = np.array([[0.001, -1.0, 0.001, 1.0]])
+    assert np.isinf(scan(far, np.zeros(3), 0.0, np.zeros(1), np.ones(1), CONFIG).ranges).all()
+    assert scan(near, np.zeros(3), 0.0, np.zeros(1), -np.ones(1), CONFIG).ranges.tolist() == [0.0]
+
+
+def test_before_the_first_scan():
+    assert no_scan(CONFIG).stamp == -np.inf
+    assert no_scan(CONFIG).ranges.shape == (0,)

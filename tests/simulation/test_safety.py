@@ -1,0 +1,117 @@
+"""The safety filter: what it lets through and what it does not."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
+from tfg_drake.messages import Hazards, LaserScan
+from tfg_drake.simulation import differential_drive as drive
+from tfg_drake.simulation.laser_scanner import ray_angles, scan
+from tfg_drake.simulation.safety import SPEED, STATE_SIZE, TURN_RATE, filter_command, free_distance
+
+ROBOT, SAFETY, SCAN = RobotConfig(), SafetyConfig(), ScanConfig()
+PERIOD = 1.0 / 32.0
+NONE = Hazards(0.0, 0, 0, 0)
+CLEAR = LaserScan(0.0, np.zeros(1), np.full(1, np.inf), 10.0, 0.015)
+
+
+def run(command, duration=2.0, hazards=NONE, scan=CLEAR, state=None):
+    """The filter's state after the same input for some time; time stands still."""
+    state = np.zeros(STATE_SIZE) if state is None else state
+    for _ in range(round(duration / PERIOD)):
+        state = filter_command(state, 0.0, np.array(command), hazards, scan, ROBOT, SAFETY, PERIOD)
+    return state
+
+
+def scan_of(walls, X_WB=(0.0, 0.0, 0.0), stamp=0.0):
+    angles = ray_angles(SCAN)
+    return scan(np.array(walls, dtype=float).reshape(-1, 4), np.array(X_WB), stamp, angles, np.zeros(249), SCAN)
+
+
+def test_limits():
+    assert run([9.0, -9.0])[:2].tolist() == [ROBOT.max_speed, -ROBOT.max_turn_rate]
+    first = run([9.0, -9.0], PERIOD)
+    assert first[:2] == pytest.approx([ROBOT.max_acceleration * PERIOD, -ROBOT.max_turn_acceleration * PERIOD])
+    assert run([-0.2, 0.0])[SPEED] == pytest.approx(-0.2)
+
+
+@pytest.mark.parametrize("command", [[np.nan, 0.0], [0.1, np.inf]])
+def test_a_command_that_is_not_finite_is_zero(command):
+    assert run(command, state=run([0.5, 0.5]))[:2].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("hazards", [Hazards(0.0, 0, 1, 0), Hazards(0.0, 0, 0, 4)])
+def test_cliff_and_wheel_drop_stop_at_once(hazards):
+    assert run([0.5, 0.5], PERIOD, hazards, state=run([0.5, 0.5]))[:2].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(("bits", "turn_rate"), [(2, 0.0), (4, -0.4), (1, 0.4), (5, 0.0), (6, 0.0)])
+def test_the_bumper_reflex_lasts_its_time(bits, turn_rate):
+    state = filter_command(
+        run([0.5, 0.0]), 0.0, np.array([0.5, 0.0]), Hazards(0.0, bits, 0, 0), CLEAR, ROBOT, SAFETY, PERIOD
+    )
+    steps = 0
+    while state[SPEED] == -SAFETY.reflex_speed and state[TURN_RATE] == turn_rate and steps < 100:
+        state = run([0.5, 0.0], PERIOD, state=state)
+        steps += 1
+    assert steps == round(SAFETY.reflex_time / PERIOD)
+    # Then the command again, from where the reflex left the base.
+    assert state[SPEED] == pytest.approx(-SAFETY.reflex_speed + ROBOT.max_acceleration * PERIOD)
+
+
+def test_a_bumper_that_stays_pressed_keeps_the_base_backing():
+    assert run([0.5, 0.0], 5.0, Hazards(0.0, 2, 0, 0))[:2].tolist() == [-0.1, 0.0]
+
+
+def test_free_distance_ahead_and_on_an_arc():
+    wall = scan_of([[2.0, -5, 2, 5]])
+    assert free_distance(wall, np.zeros(3), 0.5, 0.0, 0.18, 0.03) == pytest.approx(2.0 - 0.18, abs=1e-3)
+    # From 0.3 m further on, the same wall.
+    assert free_distance(wall, np.array([0.3, 0, 0]), 0.5, 0.0, 0.18, 0.03) == pytest.approx(1.7 - 0.18, abs=1e-3)
+    # A left turn of radius 1 meets a single return when the disc round the arc's end touches it.
+    post = LaserScan(0.0, np.array([np.arctan2(0.5, 1.0)]), np.array([np.hypot(0.5, 1.0)]), 10.0, 0.0)
+    distance = free_distance(post, np.zeros(3), 0.4, 0.4, 0.18, 0.03)
+    end = drive.advance(np.zeros(3), 1.0, 1.0, distance)
+    assert np.hypot(1.0 - end[0], 0.5 - end[1]) == pytest.approx(0.18, abs=1e-9)
+    assert free_distance(post, np.zeros(3), 0.4, -0.4, 0.18, 0.03) == np.inf
+    assert free_distance(post, np.zeros(3), 0.4, 0.0, 0.18, 0.03) == np.inf
+
+
+def test_an_obstacle_ahead_stops_forward_motion_only():
+    close = scan_of([[0.2, -5, 0.2, 5]])
+    assert run([0.5, 0.0], scan=close)[SPEED] == 0.0
+    assert run([0.5, 1.0], scan=close)[:2].tolist() == [0.0, 1.0]
+    assert run([-0.3, 0.0], scan=close)[SPEED] == pytest.approx(-0.3)
+
+
+def test_a_wall_alongside_and_a_door_do_not_slow_the_base():
+    # The outline 0.1 m from a wall on the left, and in the middle of a 0.8 m door.
+    assert run([0.5, 0.0], scan=scan_of([[-5, 0.28, 20, 0.28]]))[SPEED] == 0.5
+    for x in (-1.0, -0.5, -0.1, 0.0, 0.1):
+        door = scan_of([[0, 0.4, 0, 5], [0, -5, 0, -0.4]], (x, 0.0, 0.0))
+        assert run([0.5, 0.0], scan=door)[SPEED] == 0.5
+
+
+@pytest.mark.parametrize("stamp", [-np.inf, -1.0])
+def test_without_a_fresh_scan_there_is_no_forward_motion(stamp):
+    stale = LaserScan(stamp, np.zeros(0), np.zeros(0), 10.0, 0.015)
+    assert run([0.5, 0.7], scan=stale)[:2].tolist() == [0.0, 0.7]
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.4, 0.8])
+def test_full_speed_at_a_wall_ends_before_it(heading):
+    walls = np.array([[3.0, -20, 3, 20]])
+    state, filtered = drive.initial_state(np.array([0, 0, heading]), walls, ROBOT), np.zeros(STATE_SIZE)
+    latest = scan_of(walls, (0, 0, heading))
+    for k in range(64 * 20):
+        t = k / 64
+        if k % 6 == 0:
+            latest = scan_of(walls, state[drive.X : drive.THETA + 1], t)
+        velocity = filtered[:2]
+        if k % 2 == 0:
+            filtered = filter_command(filtered, t, np.array([0.5, 0.0]), NONE, latest, ROBOT, SAFETY, PERIOD)
+        state = drive.step(state, velocity, walls, ROBOT, 1 / 64)
+    assert state[drive.CONTACTS] == 0
+    assert state[drive.SPEED] == pytest.approx(0.0, abs=0.01)
+    # It stops near the wall, not far from it.
+    assert 0.0 < state[drive.CLEARANCE] < 0.2
