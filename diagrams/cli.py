@@ -1,0 +1,285 @@
+"""The commands: `tfg-drake explore` and, in time, its companions. Everything heavy is imported when it is needed."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+if TYPE_CHECKING:
+    from tfg_drake.diagrams.run import Progress
+    from tfg_drake.diagrams.scenario import Scenario
+
+EXIT_CODES = {"complete": 0, "budget": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
+# Wall time between two lines of progress where there is no terminal, s.
+LINE_INTERVAL = 10.0
+
+# What the parser raises for a command line it cannot read; typer has no name of its own for it.
+_UsageError: Any = typer.BadParameter.__base__
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+class BadInput(Exception):
+    """What the user gave cannot be used; the message is one line that names the culprit and the mend."""
+
+
+@app.callback()
+def _commands() -> None:
+    """Active SLAM on topological feature graphs: a robot explores and maps an unknown building on its own."""
+
+
+@app.command()
+def explore(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "paper",
+    world: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt."),
+    ] = None,
+    tag_spacing: Annotated[
+        float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
+    ] = None,
+    start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
+    headless: Annotated[bool, typer.Option("--headless", help="No picture in Meshcat.")] = False,
+    realtime_rate: Annotated[
+        float, typer.Option(metavar="R", help="At most R simulated seconds a second; 0 for no limit.")
+    ] = 0.0,
+    max_time: Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")] = 3600.0,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<scenario>-<seed>].")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")] = False,
+) -> None:
+    """Explore a building and map it, until nothing is left to gain."""
+    if not (math.isfinite(max_time) and max_time > 0.0):
+        _bad_input(f"--max-time {max_time:g}: must be greater than 0 s")
+    if not (math.isfinite(realtime_rate) and realtime_rate >= 0.0):
+        _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
+    if tag_spacing is not None and not (math.isfinite(tag_spacing) and tag_spacing > 0.0):
+        _bad_input(f"--tag-spacing {tag_spacing:g}: must be greater than 0 m")
+    if seed is not None and not 0 <= seed < 2**31:
+        _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
+    loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
+    if out is not None:
+        _make_writable(out)
+    name = Path(scenario).stem
+    meshcat = None if headless else _start_meshcat()
+    _announce_compilation()
+
+    from tfg_drake.diagrams import run
+
+    with _progress_display() as show:
+        try:
+            result = run.explore(
+                loaded,
+                name=name if world is None else world.name.split(".")[0],
+                world_name=scenario if world is None else str(world),
+                meshcat=meshcat,
+                realtime_rate=realtime_rate,
+                max_time=max_time,
+                out_dir=out,
+                on_progress=show,
+            )
+        except OSError as error:
+            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
+    _print_table(result.summary, result.folder)
+    if meshcat is not None and sys.stdin.isatty() and sys.stdout.isatty():
+        _wait_for_enter()
+    if as_json:
+        print(json.dumps(result.summary), flush=True)
+    raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
+    try:
+        code = app(arguments, prog_name="tfg-drake", standalone_mode=False)
+    except BadInput as error:
+        print(f"tfg-drake: {_one_line(str(error))}", file=sys.stderr)
+        code = 2
+    except _UsageError as error:
+        complaint = _one_line(error.format_message()).rstrip(".")
+        command = error.ctx.command_path if error.ctx is not None else "tfg-drake"
+        print(f"tfg-drake: {complaint[:1].lower()}{complaint[1:]}; see {command} --help", file=sys.stderr)
+        code = 2
+    except (typer.Abort, KeyboardInterrupt):
+        print("tfg-drake: interrupted", file=sys.stderr)
+        code = 130
+    except BrokenPipeError:
+        # Whoever read our output has gone; nothing is left to say, at exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 141
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _bad_input(message: str) -> NoReturn:
+    raise BadInput(message)
+
+
+def _one_line(message: str) -> str:
+    return " ".join(message.split())
+
+
+def _make_writable(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        _bad_input(f"--out {folder}: is a file; name a folder")
+    except OSError as error:
+        _bad_input(f"--out {folder}: {(error.strerror or str(error)).lower()}; name a folder that can be written")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        _bad_input(f"--out {folder}: permission denied; name a folder that can be written")
+
+
+def _parse_start(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        x, y, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        _bad_input(f"--start {text}: must be X,Y,YAW in metres and radians, such as 1.5,2,0")
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(yaw)):
+        _bad_input(f"--start {text}: must be finite")
+    return x, y, yaw
+
+
+def _load(
+    name: str,
+    world: Path | None,
+    tag_spacing: float | None,
+    start: tuple[float, float, float] | None,
+    seed: int | None,
+    settings: list[str],
+) -> Scenario:
+    from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario, ScenarioError
+
+    try:
+        scenario = ApplySettings(LoadScenario(name), settings)
+        if seed is not None:
+            scenario.seed = seed
+        if world is not None or tag_spacing is not None or start is not None:
+            scenario = ApplyWorldFile(scenario, world, tag_spacing, start)
+    except ScenarioError as error:
+        _bad_input(str(error))
+    return scenario
+
+
+def _start_meshcat() -> Any:
+    import logging
+
+    from pydrake.geometry import Meshcat, MeshcatParams
+
+    logging.getLogger("drake").setLevel(logging.WARNING)  # its own line with the address
+    # Only this machine may look; the default would listen on every interface.
+    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    print(f"Meshcat: {meshcat.web_url()}", flush=True)
+    return meshcat
+
+
+def _announce_compilation() -> None:
+    import tfg_drake
+
+    cache = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(tfg_drake.__file__).parent)
+    if next(cache.rglob("*.nbi"), None) is None:
+        print("compiling kernels (first run only)", flush=True)
+
+
+class _ProgressDisplay:
+    """A live line on a terminal, otherwise a plain one every LINE_INTERVAL."""
+
+    def __init__(self) -> None:
+        self._live: Any = None
+        self._next_line = 0.0
+
+    def __enter__(self) -> _ProgressDisplay:
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self._live = Live(refresh_per_second=5, transient=True)
+            self._live.start()
+        else:
+            self._next_line = time.monotonic() + LINE_INTERVAL
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, progress: Progress) -> None:
+        if self._live is not None:
+            from rich.text import Text
+
+            self._live.update(Text(progress_line(progress)))
+        elif time.monotonic() >= self._next_line:
+            self._next_line += LINE_INTERVAL
+            print(progress_line(progress), flush=True)
+
+
+def _progress_display() -> _ProgressDisplay:
+    return _ProgressDisplay()
+
+
+def progress_line(progress: Progress) -> str:
+    """How far the mission has come, on one line."""
+    speed = progress.time / max(progress.wall_time, 1e-9)
+    return (
+        f"{progress.time:6.0f} s  stage {progress.stage:3d} {progress.phase:8s} {progress.landmarks:4d} tags"
+        f" {progress.area:6.0f} m2  error {100.0 * progress.position_error:5.1f} cm  {speed:5.1f} x real time"
+    )
+
+
+def _print_table(summary: dict[str, Any], folder: Path) -> None:
+    for name, value in [*table_rows(summary), ("files", str(folder))]:
+        print(f"{name:<12}{value}")
+
+
+def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """The closing table: name and value, "-" where there is none."""
+
+    def number(value: float | None, form: str, factor: float = 1.0) -> str:
+        return "-" if value is None else form.format(factor * value)
+
+    position, heading = summary["position_error_m"] or {}, summary["heading_error_rad"] or {}
+    return [
+        ("outcome", f"{summary['outcome']}: {summary['reason']}"),
+        ("simulated", f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time"),
+        ("driven", f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages"),
+        (
+            "landmarks",
+            f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} reachable,"
+            f" RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)",
+        ),
+        (
+            "pose error",
+            f"{number(position.get('mean'), '{:.3f}')} m mean, {number(position.get('max'), '{:.3f}')} m max;"
+            f" {number(heading.get('mean'), '{:.4f}')} rad mean",
+        ),
+        (
+            "coverage",
+            f"{number(summary['area_coverage'], '{:.1f}', 100.0)} % of the area,"
+            f" {number(summary['surface_coverage'], '{:.1f}', 100.0)} % of the surface",
+        ),
+        ("safety", f"{summary['contacts']} contacts, least clearance {number(summary['min_clearance_m'], '{:.2f}')} m"),
+    ]
+
+
+def _wait_for_enter() -> None:
+    try:
+        input("The scene stays open; press Enter to close it. ")
+    except (EOFError, KeyboardInterrupt):
+        print()
+
+
+if __name__ == "__main__":
+    main()

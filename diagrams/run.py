@@ -1,0 +1,458 @@
+"""A whole mission: station, explorer and picture in one diagram, simulated to its end, and what is kept of it.
+
+A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz, trajectory.tum and truth.tum (in W),
+figure.png, scenario.yaml (resolved) and log.txt.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import logging
+import math
+import resource
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.common.yaml import yaml_dump_typed
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
+from threadpoolctl import threadpool_limits
+
+from tfg_drake import __version__
+from tfg_drake.cpu_meter import cpu_totals
+from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.figure import draw_run
+from tfg_drake.files import write_atomic
+from tfg_drake.geometry.se2 import compose
+from tfg_drake.geometry.star import inside_any
+from tfg_drake.map_file import save_map, saved_map
+from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
+from tfg_drake.systems.pose_vector import PoseVector
+from tfg_drake.systems.visualizer import TfgVisualizer
+from tfg_drake.trajectory import write_tum
+from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_tags
+from tfg_drake.world.world import World
+
+SCHEMA = 1
+# Simulated time between two looks at the mission, s; a stage takes several times as long.
+STEP = 1.0
+
+_log = logging.getLogger("tfg_drake.run")
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """How far a mission has come: simulated and wall time (s), phase, goals visited, landmarks in the map, area seen
+    (m^2), error of the estimated position (m)."""
+
+    time: float
+    wall_time: float
+    phase: str
+    stage: int
+    landmarks: int
+    area: float
+    position_error: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RunResult:
+    """A finished mission: the contents of summary.json and stages.jsonl, and the folder they are in."""
+
+    summary: dict[str, Any]
+    stages: list[dict[str, Any]]
+    folder: Path
+
+
+def explore(
+    scenario: Scenario,
+    *,
+    name: str = "scenario",
+    world_name: str | None = None,
+    meshcat: Meshcat | None = None,
+    realtime_rate: float = 0.0,
+    max_time: float = 3600.0,
+    out_dir: Path | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> RunResult:
+    """Run one mission to its end and write its folder.
+
+    Args:
+        scenario: everything that defines the run, the seed included.
+        name: what the run is called in titles and the folder's name; world_name the world's, the same by default.
+        meshcat: where to show it; None for no picture.
+        realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
+        max_time: simulated s after which the outcome is time_limit.
+        out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
+        on_progress: called about once a simulated second.
+
+    The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
+    the diagram ends it with outcome "fault"; its traceback goes to log.txt. Either way what there is gets written.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    folder = _make_folder(out_dir, name, scenario.seed)
+    # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
+    with threadpool_limits(limits=1), _logging_to(folder / "log.txt"):
+        write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
+        _log.info("tfg_drake %s: %s, seed %d", __version__, name, scenario.seed)
+        mission = Mission(scenario, meshcat, f"{name}, seed {scenario.seed}")
+        with _interrupts() as interrupted, (folder / "stages.jsonl").open("w") as stages_file:
+            mission.run(realtime_rate, max_time, interrupted, stages_file.write, on_progress)
+        summary = _write_results(mission, scenario, folder, name, world_name or name)
+        _log.info("%s: %s", summary["outcome"], summary["reason"])
+    return RunResult(summary, mission.stages, folder)
+
+
+class Mission:
+    """One simulated mission and what is observed of it from outside."""
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None, title: str) -> None:
+        self._cpu_start, self._meters_start = time.process_time(), cpu_totals()
+        self.world: World = MakeWorld(scenario.world)
+        self._prior_sigma = scenario.explorer.prior_sigma
+        self._diagram, self._truth_log, self._pose_log = MakeMissionDiagram(scenario, self.world, meshcat, title)
+        self._simulator = Simulator(self._diagram)
+        self._context: Context = self._simulator.get_mutable_context()
+        self._diagram.SetRandomContext(self._context, RandomGenerator(scenario.seed))
+        self._station = self._diagram.GetSubsystemByName("station")
+        self._explorer = self._diagram.GetSubsystemByName("explorer")
+
+        self.status = MissionStatus(phase="observe", stage=0, since=0.0)
+        self.pose: PoseEstimate | None = None
+        self.tfg: TfgMap | None = None
+        self.maps: list[MapEstimate] = []  # one a stage
+        self.stages: list[dict[str, Any]] = []
+        self.outcome, self.reason = "", ""
+        self.stage_cpu: dict[int, float] = {}
+        self.wall_time = self.cpu_time = self.estimator_cpu = self.planner_cpu = 0.0
+        self.contacts, self.clearance = 0, math.inf
+        self._choice: GoalChoice | None = None
+        self._area = 0.0
+
+    def run(
+        self,
+        realtime_rate: float,
+        max_time: float,
+        interrupted: threading.Event,
+        write: Callable[[str], object],
+        on_progress: Callable[[Progress], None] | None,
+    ) -> None:
+        """Simulate until the mission ends, for a reason."""
+        wall_start = time.monotonic()
+        try:
+            self._simulator.set_target_realtime_rate(realtime_rate)
+            self._simulator.Initialize()
+            self._observe(write, on_progress is not None)
+            while not self._ended(interrupted, max_time):
+                boundary = STEP * (math.floor(self.time / STEP) + 1.0)
+                self._simulator.AdvanceTo(min(boundary, max_time))
+                self._observe(write, on_progress is not None)
+                if on_progress is not None:
+                    on_progress(self._progress(time.monotonic() - wall_start))
+        except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
+            self.outcome = "fault"
+            first_line = next(iter(str(error).splitlines()), "")
+            self.reason = f"{type(error).__name__} at {self.time:.2f} s: {first_line}"
+            _log.exception("the mission failed at %.3f s", self.time)
+        self.wall_time = time.monotonic() - wall_start
+        self.cpu_time = time.process_time() - self._cpu_start
+        totals = {name: s - self._meters_start.get(name, 0.0) for name, s in cpu_totals().items()}
+        self.estimator_cpu, self.planner_cpu = totals.get("estimator", 0.0), totals.get("planner", 0.0)
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return float(self._context.get_time())
+
+    def true_poses(self) -> tuple[FloatArray, FloatArray]:
+        """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period."""
+        log = self._truth_log.FindLog(self._context)
+        return log.sample_times(), log.data()[:3].T
+
+    def estimated_poses(self) -> tuple[FloatArray, FloatArray]:
+        """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period."""
+        data = self._pose_log.FindLog(self._context).data()
+        stamps, first = np.unique(data[0], return_index=True)
+        X_MB = data[1:, first].T
+        return stamps, compose(self.world.start, X_MB) if len(X_MB) else X_MB
+
+    def _ended(self, interrupted: threading.Event, max_time: float) -> bool:
+        if self.status.phase == "done":
+            self.outcome, self.reason = self.status.outcome, self.status.reason
+        elif interrupted.is_set():
+            self.outcome, self.reason = "interrupted", f"interrupted at {self.time:.0f} s"
+        elif self.time >= max_time:
+            self.outcome, self.reason = "time_limit", f"the time limit of {max_time:g} s was reached"
+        return bool(self.outcome)
+
+    def _observe(self, write: Callable[[str], object], measure_area: bool) -> None:
+        """Take note of where the mission stands."""
+        self.status = self._eval(self._explorer, "mission", MissionStatus)
+        self.pose = self._eval(self._explorer, "pose", PoseEstimate)
+        tfg = self._eval(self._explorer, "tfg", TfgMap)
+        if measure_area and tfg is not self.tfg:
+            self._area = _area_of_stars(tfg)
+        self.tfg = tfg
+        estimate = self._eval(self._explorer, "map", MapEstimate)
+        if estimate.stage > len(self.maps):
+            record = self._stage_record(estimate)
+            self.maps.append(estimate)
+            self.stages.append(record)
+            write(json.dumps(record) + "\n")
+            _log.info("stage %d: %d landmarks at %.1f s", estimate.stage, len(estimate.ids), estimate.stamp)
+        self._choice = self._eval(self._explorer, "goal", GoalChoice)
+        self.contacts = int(self._station_output("truth.contacts")[0])
+        self.clearance = float(self._station_output("truth.clearance")[0])
+        # A stage is planned within a moment of its map, long before the next: what was charged since the last look
+        # belongs to the stage that the mission is in now.
+        spent = cpu_totals().get("planner", 0.0) - self._meters_start.get("planner", 0.0)
+        new = spent - sum(self.stage_cpu.values())
+        self.stage_cpu[self.status.stage] = self.stage_cpu.get(self.status.stage, 0.0) + new
+
+    def _stage_record(self, estimate: MapEstimate) -> dict[str, Any]:
+        """A line of stages.jsonl; gains and entropies in nats, the goal (where the turn began) in W.
+
+        The realised gain compares the landmarks' entropy with what it was at the stage before, when those that are new
+        had only the explorer's prior.
+        """
+        choice = self._choice
+        # No prediction for the start, nor for a place where the robot looks round because it could not reach its goal.
+        if choice is not None and (choice.node < 0 or self.status.failures > 0):
+            choice = None
+        row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
+        before = self.maps[-1] if self.maps else None
+        known = len(before.ids) if before is not None else 0
+        prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self._prior_sigma**2)
+        X_WA = compose(self.world.start, estimate.X_MA[-1])
+        return {
+            "stage": estimate.stage,
+            "goal": [float(value) for value in X_WA],
+            "exploitation": float(choice.exploitation[row]) if choice is not None else None,
+            "exploration": float(choice.exploration[row]) if choice is not None else None,
+            "pose_price": float(choice.pose_price[row]) if choice is not None else None,
+            "predicted_gain": float(choice.gain[row]) if choice is not None else None,
+            "realised_gain": prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
+            "time_s": estimate.stamp,
+            "entropy_nats": estimate.entropy,
+            "landmarks": len(estimate.ids),
+        }
+
+    def _progress(self, wall_time: float) -> Progress:
+        error = math.nan
+        if self.pose is not None:
+            X_WB = compose(self.world.start, self.pose.X_MB)
+            error = float(np.linalg.norm(X_WB[:2] - self._station_output("truth.pose")[:2]))
+        landmarks = len(self.maps[-1].ids) if self.maps else 0
+        return Progress(self.time, wall_time, self.status.phase, self.status.stage, landmarks, self._area, error)
+
+    def _eval(self, system: System, port: str, kind: type) -> Any:
+        value = system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self._context))
+        if not isinstance(value, kind):
+            raise TypeError(f"{system.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
+        return value
+
+    def _station_output(self, port: str) -> FloatArray:
+        return np.asarray(self._station.GetOutputPort(port).Eval(self._station.GetMyContextFromRoot(self._context)))
+
+
+def MakeMissionDiagram(
+    scenario: Scenario, world: World, meshcat: Meshcat | None, title: str
+) -> tuple[Diagram, VectorLogSink, VectorLogSink]:
+    """Station and explorer connected by port name, with the picture if there is a meshcat.
+
+    Returns the diagram and its logs of the true pose (x, y, theta, v, w in W) and of the estimated one (PoseVector).
+    """
+    builder = DiagramBuilder()
+    station = builder.AddNamedSystem("station", MakeTurtlebotStation(scenario))
+    explorer = builder.AddNamedSystem("explorer", MakeTfgExplorer(scenario))
+
+    builder.Connect(station.GetOutputPort("base.odometry"), explorer.GetInputPort("odometry"))
+    builder.Connect(station.GetOutputPort("base.hazards"), explorer.GetInputPort("hazards"))
+    builder.Connect(station.GetOutputPort("tags.detections"), explorer.GetInputPort("detections"))
+    builder.Connect(station.GetOutputPort("scan.ranges"), explorer.GetInputPort("scan"))
+    builder.Connect(explorer.GetOutputPort("velocity_commanded"), station.GetInputPort("base.velocity_commanded"))
+
+    pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
+    builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
+    pose_log = LogVectorOutput(pose_vector.get_output_port(), builder, ODOMETRY_PERIOD)
+    truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
+
+    if meshcat is not None:
+        visualizer = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, title)
+        builder.AddNamedSystem("visualizer", visualizer)
+        for name in ("pose", "map", "tfg", "roadmap", "goal", "path", "mission"):
+            builder.Connect(explorer.GetOutputPort(name), visualizer.GetInputPort(name))
+        builder.Connect(station.GetOutputPort("scan.ranges"), visualizer.GetInputPort("scan"))
+        builder.Connect(station.GetOutputPort("truth.pose"), visualizer.GetInputPort("truth"))
+
+    diagram = builder.Build()
+    diagram.set_name("mission")
+    return diagram, truth_log, pose_log
+
+
+def _write_results(mission: Mission, scenario: Scenario, folder: Path, name: str, world_name: str) -> dict[str, Any]:
+    """Write everything but the log and the stages, and return the summary."""
+    estimate = mission.maps[-1] if mission.maps else None
+    map_bytes = 0
+    if estimate is not None and mission.tfg is not None:
+        save_map(folder / "map.npz", saved_map(mission.world.start, estimate, mission.tfg))
+        map_bytes = (folder / "map.npz").stat().st_size
+    true_stamps, X_WB_true = mission.true_poses()
+    stamps, X_WB = mission.estimated_poses()
+    write_tum(folder / "truth.tum", true_stamps, X_WB_true)
+    write_tum(folder / "trajectory.tum", stamps, X_WB)
+
+    grid = make_grid(mission.world)
+    cells = reachable_cells(grid, mission.world, scenario.robot.radius)
+    reachable = reachable_tags(mission.world, grid, cells, scenario.tags.range, scenario.tags.max_incidence)
+    present = mission.world.tag_ids
+    mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
+    counted = np.isin(mapped, present[reachable])
+    planning = 1e3 * np.array([seconds for stage, seconds in mission.stage_cpu.items() if stage > 0])
+    steps = np.linalg.norm(np.diff(X_WB_true[:, :2], axis=0), axis=1)
+    summary = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "scenario": name,
+        "world": world_name,
+        "seed": scenario.seed,
+        "method": "tfg",
+        "outcome": mission.outcome,
+        "reason": mission.reason,
+        "sim_time_s": mission.time,
+        "wall_time_s": mission.wall_time,
+        "cpu_time_s": mission.cpu_time,
+        "real_time_factor": mission.time / mission.wall_time,
+        "distance_m": float(steps.sum()),
+        "stages": len(mission.maps),
+        "landmarks_present": len(present),
+        "landmarks_reachable": int(np.count_nonzero(reachable)),
+        "landmarks_mapped": int(np.count_nonzero(counted)),
+        "landmarks_extra": int(np.count_nonzero(~counted)),
+        **_accuracy(mission, estimate, stamps, X_WB, true_stamps, X_WB_true),
+        **_coverage(mission, scenario, estimate, grid, cells, true_stamps, X_WB_true),
+        "contacts": mission.contacts,
+        "min_clearance_m": mission.clearance if math.isfinite(mission.clearance) else None,
+        "map_variables": {"landmarks": len(mapped), "poses": 2 * len(mission.maps), "calibration": 0},
+        "map_bytes": map_bytes,
+        "estimator_cpu_s": mission.estimator_cpu,
+        "planner_cpu_s": mission.planner_cpu,
+        "simulator_cpu_s": mission.cpu_time - mission.estimator_cpu - mission.planner_cpu,
+        "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+        "stage_ms": _spread(planning),
+    }
+    write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    draw_run(folder / "figure.png", _title(summary), mission.world, estimate, mission.tfg, X_WB, X_WB_true, reachable)
+    return summary
+
+
+def _accuracy(mission, estimate, stamps, X_WB, true_stamps, X_WB_true):
+    keys = (
+        ["landmark_rmse_m", "landmark_rmse_aligned_m", "landmark_entropy_nats", "landmark_anees", "landmark_nees", "pose_anees"]
+    )
+    none = {"mean": None, "std": None, "max": None, "final": None}
+    return {**dict.fromkeys(keys), "position_error_m": none, "heading_error_rad": none}
+
+
+def _coverage(mission, scenario, estimate, grid, cells, true_stamps, X_WB_true):
+    return dict.fromkeys(("surface_coverage", "surface_phantom_m", "area_coverage"))
+
+
+def _spread(milliseconds: FloatArray) -> dict[str, float | None]:
+    if not len(milliseconds):
+        return {"median": None, "p99": None, "max": None}
+    return {
+        "median": float(np.median(milliseconds)),
+        "p99": float(np.percentile(milliseconds, 99.0)),
+        "max": float(milliseconds.max()),
+    }
+
+
+def _title(summary: dict[str, Any]) -> str:
+    def value(number: float | None, form: str) -> str:
+        return "-" if number is None else form.format(number)
+
+    return (
+        f"{summary['scenario']}, seed {summary['seed']}: {summary['outcome']} after {summary['sim_time_s']:.0f} s,"
+        f" {summary['distance_m']:.0f} m, {summary['stages']} stages\n"
+        f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} landmarks,"
+        f" RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
+        f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned);"
+        f" pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
+        f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
+    )
+
+
+def _area_of_stars(tfg: TfgMap, cell: float = 0.25) -> float:
+    """Area of the union of the free polygons, m^2, by counting cells."""
+    if not len(tfg.star_vertices):
+        return 0.0
+    low, high = tfg.star_vertices.min(axis=0), tfg.star_vertices.max(axis=0)
+    x, y = (np.arange(low[i] + 0.5 * cell, high[i], cell) for i in range(2))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = inside_any(points, tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    return float(cell**2 * np.count_nonzero(inside))
+
+
+def _make_folder(out_dir: Path | None, name: str, seed: int) -> Path:
+    """The run's folder; a default name that is taken gets a number."""
+    if out_dir is not None:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        return out_dir
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{name}-{seed}"
+    for suffix in ("", *(f"-{i}" for i in range(2, 1000))):
+        folder = Path("runs") / (stem + suffix)
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(parents=True)
+            return folder
+    raise FileExistsError(f"runs/{stem}: name another folder")
+
+
+@contextlib.contextmanager
+def _logging_to(path: Path) -> Iterator[None]:
+    handler = logging.FileHandler(path, mode="w", encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logger = logging.getLogger("tfg_drake")
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+        logger.removeHandler(handler)
+        handler.close()
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C sets; the second one is a KeyboardInterrupt as usual."""
+    event = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield event
+        return
+    previous = signal.getsignal(signal.SIGINT)
+
+    def first(_signal: int, _frame: object) -> None:
+        event.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    signal.signal(signal.SIGINT, first)
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, previous)

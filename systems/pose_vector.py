@@ -1,0 +1,30 @@
+"""The pose estimate as a plain vector, for Drake's own loggers."""
+
+from __future__ import annotations
+
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from tfg_drake.messages import PoseEstimate
+from tfg_drake.systems.ports import declare_message_input, eval_message
+
+
+class PoseVector(LeafSystem):
+    """The estimate's stamp (s) and X_MB (x, y in m, theta in rad) as a vector of 4.
+
+    .. pydrake_system::
+
+        name: PoseVector
+        input_ports:
+        - pose
+        output_ports:
+        - vector
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pose = declare_message_input(self, "pose").get_index()
+        self.DeclareVectorOutputPort("vector", 4, self._CalcVector, {self.input_port_ticket(self._pose)})
+
+    def _CalcVector(self, context: Context, output: BasicVector) -> None:
+        pose = eval_message(self, context, self._pose, PoseEstimate)
+        output.SetFromVector([pose.stamp, *pose.X_MB])

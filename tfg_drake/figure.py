@@ -1,0 +1,128 @@
+"""One figure that shows a whole run: the building, the map made of it, and the way the robot went."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+
+from tfg_drake.drawing import ellipses
+from tfg_drake.files import write_atomic
+from tfg_drake.geometry.se2 import compose, rotation, transform
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
+from tfg_drake.world.world import World
+
+_WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
+_MAPPED, _MISSED = "#12876f", "#d62728"
+_ESTIMATE, _TRUTH = "#1f4e9c", "#7fb2e5"
+_POINTS_PER_INCH = 72.0
+
+
+def draw_run(
+    path: Path,
+    title: str,
+    world: World,
+    estimate: MapEstimate | None,
+    tfg: TfgMap | None,
+    X_WB_estimated: FloatArray,
+    X_WB_true: FloatArray,
+    reachable: BoolArray,
+) -> None:
+    """Write the figure as a PNG, atomically.
+
+    Args:
+        path: the file.
+        title: stands above the figure; one or two lines.
+        world: walls, tags and start, in W.
+        estimate, tfg: the map in M, whose pose X_WM is the start; None where there is none yet.
+        X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
+        reachable: (t,) of the world's tags: only these count as missed when they are not in the map.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    points = np.vstack([world.walls.reshape(-1, 2), X_WB_true[:, :2], world.start[None, :2]])
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    width = 11.0
+    height = float(np.clip(width * (y_max - y_min) / (x_max - x_min), 3.5, 12.0))
+    figure = Figure(figsize=(width, height + 1.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.tick_params(labelsize=8, colors="0.35")
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_title(title, loc="left", fontsize=10)
+    # A symbol's size in points, from the scale of the drawing.
+    symbol = float(np.clip(0.2 * width * _POINTS_PER_INCH / (x_max - x_min), 1.2, 6.0))
+
+    lines = LineCollection(list(world.walls.reshape(-1, 2, 2)), colors=_WALL, linewidths=3.0, label="true wall")
+    axes.add_collection(lines)
+    mapped = np.zeros(0, dtype=np.int64)
+    if tfg is not None:
+        _draw_surfaces(axes, world.start, tfg)
+    if len(X_WB_true):
+        axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.8, label="true path")
+    if len(X_WB_estimated):
+        axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
+    if estimate is not None:
+        mapped = estimate.ids
+        _draw_landmarks(axes, world.start, estimate, symbol)
+        _draw_goals(axes, world.start, estimate)
+    missed = reachable & ~np.isin(world.tag_ids, mapped)
+    if missed.any():
+        label = "landmark missed"
+        axes.plot(*world.p_WT[missed].T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
+    axes.plot(*world.start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
+    if len(X_WB_true):
+        axes.plot(*X_WB_true[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
+    figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
+
+    buffer = io.BytesIO()
+    # Without the metadata that would differ from version to version.
+    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
+    write_atomic(path, buffer.getvalue())
+
+
+def _draw_surfaces(axes, X_WM: FloatArray, tfg: TfgMap) -> None:  # type: ignore[no-untyped-def]
+    pieces = np.stack([transform(X_WM, tfg.segments[:, :2]), transform(X_WM, tfg.segments[:, 2:])], axis=1)
+    tagged = tfg.segment_kind < 2
+    for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without tag")):
+        if mask.any():
+            axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
+
+
+def _draw_landmarks(axes, X_WM: FloatArray, estimate: MapEstimate, symbol: float) -> None:  # type: ignore[no-untyped-def]
+    n = len(estimate.ids)
+    if not n:
+        return
+    R_WM = rotation(float(X_WM[2]))
+    blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    p_WL = transform(X_WM, estimate.p_ML)
+    outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T)
+    label = "landmark mapped, 3\u03c3"
+    axes.plot(*p_WL.T, "o", color=_MAPPED, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
+    rings = PolyCollection(list(outlines), facecolors="none", edgecolors=_MAPPED, linewidths=0.5, zorder=4)
+    axes.add_collection(rings)
+
+
+def _draw_goals(axes, X_WM: FloatArray, estimate: MapEstimate) -> None:  # type: ignore[no-untyped-def]
+    goals = compose(X_WM, estimate.X_MA)
+    if not len(goals):
+        return
+    axes.plot(
+        *goals[:, :2].T,
+        "o",
+        markersize=10,
+        color="white",
+        markeredgecolor=_ESTIMATE,
+        linewidth=0,
+        label="goal",
+        zorder=5,
+    )
+    for number, X_WA in enumerate(goals, start=1):
+        axes.text(X_WA[0], X_WA[1], str(number), fontsize=6, color=_ESTIMATE, ha="center", va="center", zorder=5.1)
