@@ -11,7 +11,6 @@ import dataclasses
 import json
 import logging
 import math
-import resource
 import signal
 import threading
 import time
@@ -31,22 +30,18 @@ from threadpoolctl import threadpool_limits
 from tfg_drake import __version__
 from tfg_drake.cpu_meter import cpu_totals
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.report import write_report
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
-from tfg_drake.figure import draw_run
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.map_file import save_map, saved_map
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
-from tfg_drake.trajectory import write_tum
-from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_tags
 from tfg_drake.world.world import World
 
-SCHEMA = 1
 # Simulated time between two looks at the mission, s; a stage takes several times as long.
 STEP = 1.0
 
@@ -112,7 +107,7 @@ def explore(
         mission = Mission(scenario, meshcat, f"{name}, seed {scenario.seed}")
         with _interrupts() as interrupted, (folder / "stages.jsonl").open("w") as stages_file:
             mission.run(realtime_rate, max_time, interrupted, stages_file.write, on_progress)
-        summary = _write_results(mission, scenario, folder, name, world_name or name)
+        summary = write_report(mission, scenario, folder, name, world_name or name)
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder)
 
@@ -178,16 +173,24 @@ class Mission:
         """Simulated time, s."""
         return float(self._context.get_time())
 
+    @property
+    def end_time(self) -> float:
+        """When the mission ended or, if it has not, the simulated time, s."""
+        return self.status.since if self.status.phase == "done" else self.time
+
     def true_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period."""
+        """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, up to the end."""
         log = self._truth_log.FindLog(self._context)
-        return log.sample_times(), log.data()[:3].T
+        stamps, data = log.sample_times(), log.data()
+        lived = stamps <= self.end_time
+        return stamps[lived], data[:3, lived].T
 
     def estimated_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period."""
+        """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period, to the end."""
         data = self._pose_log.FindLog(self._context).data()
         stamps, first = np.unique(data[0], return_index=True)
-        X_MB = data[1:, first].T
+        lived = stamps <= self.end_time
+        stamps, X_MB = stamps[lived], data[1:, first[lived]].T
         return stamps, compose(self.world.start, X_MB) if len(X_MB) else X_MB
 
     def _ended(self, interrupted: threading.Event, max_time: float) -> bool:
@@ -302,99 +305,6 @@ def MakeMissionDiagram(
     diagram = builder.Build()
     diagram.set_name("mission")
     return diagram, truth_log, pose_log
-
-
-def _write_results(mission: Mission, scenario: Scenario, folder: Path, name: str, world_name: str) -> dict[str, Any]:
-    """Write everything but the log and the stages, and return the summary."""
-    estimate = mission.maps[-1] if mission.maps else None
-    map_bytes = 0
-    if estimate is not None and mission.tfg is not None:
-        save_map(folder / "map.npz", saved_map(mission.world.start, estimate, mission.tfg))
-        map_bytes = (folder / "map.npz").stat().st_size
-    true_stamps, X_WB_true = mission.true_poses()
-    stamps, X_WB = mission.estimated_poses()
-    write_tum(folder / "truth.tum", true_stamps, X_WB_true)
-    write_tum(folder / "trajectory.tum", stamps, X_WB)
-
-    grid = make_grid(mission.world)
-    cells = reachable_cells(grid, mission.world, scenario.robot.radius)
-    reachable = reachable_tags(mission.world, grid, cells, scenario.tags.range, scenario.tags.max_incidence)
-    present = mission.world.tag_ids
-    mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
-    counted = np.isin(mapped, present[reachable])
-    planning = 1e3 * np.array([seconds for stage, seconds in mission.stage_cpu.items() if stage > 0])
-    steps = np.linalg.norm(np.diff(X_WB_true[:, :2], axis=0), axis=1)
-    summary = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "scenario": name,
-        "world": world_name,
-        "seed": scenario.seed,
-        "method": "tfg",
-        "outcome": mission.outcome,
-        "reason": mission.reason,
-        "sim_time_s": mission.time,
-        "wall_time_s": mission.wall_time,
-        "cpu_time_s": mission.cpu_time,
-        "real_time_factor": mission.time / mission.wall_time,
-        "distance_m": float(steps.sum()),
-        "stages": len(mission.maps),
-        "landmarks_present": len(present),
-        "landmarks_reachable": int(np.count_nonzero(reachable)),
-        "landmarks_mapped": int(np.count_nonzero(counted)),
-        "landmarks_extra": int(np.count_nonzero(~counted)),
-        **_accuracy(mission, estimate, stamps, X_WB, true_stamps, X_WB_true),
-        **_coverage(mission, scenario, estimate, grid, cells, true_stamps, X_WB_true),
-        "contacts": mission.contacts,
-        "min_clearance_m": mission.clearance if math.isfinite(mission.clearance) else None,
-        "map_variables": {"landmarks": len(mapped), "poses": 2 * len(mission.maps), "calibration": 0},
-        "map_bytes": map_bytes,
-        "estimator_cpu_s": mission.estimator_cpu,
-        "planner_cpu_s": mission.planner_cpu,
-        "simulator_cpu_s": mission.cpu_time - mission.estimator_cpu - mission.planner_cpu,
-        "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
-        "stage_ms": _spread(planning),
-    }
-    write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    draw_run(folder / "figure.png", _title(summary), mission.world, estimate, mission.tfg, X_WB, X_WB_true, reachable)
-    return summary
-
-
-def _accuracy(mission, estimate, stamps, X_WB, true_stamps, X_WB_true):
-    keys = (
-        ["landmark_rmse_m", "landmark_rmse_aligned_m", "landmark_entropy_nats", "landmark_anees", "landmark_nees", "pose_anees"]
-    )
-    none = {"mean": None, "std": None, "max": None, "final": None}
-    return {**dict.fromkeys(keys), "position_error_m": none, "heading_error_rad": none}
-
-
-def _coverage(mission, scenario, estimate, grid, cells, true_stamps, X_WB_true):
-    return dict.fromkeys(("surface_coverage", "surface_phantom_m", "area_coverage"))
-
-
-def _spread(milliseconds: FloatArray) -> dict[str, float | None]:
-    if not len(milliseconds):
-        return {"median": None, "p99": None, "max": None}
-    return {
-        "median": float(np.median(milliseconds)),
-        "p99": float(np.percentile(milliseconds, 99.0)),
-        "max": float(milliseconds.max()),
-    }
-
-
-def _title(summary: dict[str, Any]) -> str:
-    def value(number: float | None, form: str) -> str:
-        return "-" if number is None else form.format(number)
-
-    return (
-        f"{summary['scenario']}, seed {summary['seed']}: {summary['outcome']} after {summary['sim_time_s']:.0f} s,"
-        f" {summary['distance_m']:.0f} m, {summary['stages']} stages\n"
-        f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} landmarks,"
-        f" RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
-        f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned);"
-        f" pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
-        f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
-    )
 
 
 def _area_of_stars(tfg: TfgMap, cell: float = 0.25) -> float:

@@ -1,0 +1,179 @@
+"""What is kept of a run: its folder's map, trajectories and figure, and the summary of them."""
+
+from __future__ import annotations
+
+import json
+import math
+import resource
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tfg_drake import __version__, metrics
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.figure import draw_run
+from tfg_drake.files import write_atomic
+from tfg_drake.geometry.se2 import compose, inverse, transform
+from tfg_drake.map_file import save_map, saved_map
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
+from tfg_drake.trajectory import write_tum
+from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
+from tfg_drake.world.world import World
+
+if TYPE_CHECKING:
+    from tfg_drake.diagrams.run import Mission
+
+SCHEMA = 1
+
+
+def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, world_name: str) -> dict[str, Any]:
+    """Write map.npz, trajectory.tum, truth.tum, summary.json and figure.png, and return the summary.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    world, tfg = mission.world, mission.tfg
+    estimate = mission.maps[-1] if mission.maps else None
+    map_bytes = 0
+    if estimate is not None and tfg is not None:
+        save_map(folder / "map.npz", saved_map(world.start, estimate, tfg))
+        map_bytes = (folder / "map.npz").stat().st_size
+    true_stamps, X_WB_true = mission.true_poses()
+    stamps, X_WB = mission.estimated_poses()
+    write_tum(folder / "truth.tum", true_stamps, X_WB_true)
+    write_tum(folder / "trajectory.tum", stamps, X_WB)
+
+    grid = make_grid(world)
+    cells = reachable_cells(grid, world, scenario.robot.radius)
+    reachable = reachable_tags(world, grid, cells, scenario.tags.range, scenario.tags.max_incidence)
+    X_WD_true = _at(np.array([one.stamp for one in mission.maps]), true_stamps, X_WB_true)
+    summary: dict[str, Any] = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "scenario": name,
+        "world": world_name,
+        "seed": scenario.seed,
+        "method": "tfg",
+        "outcome": mission.outcome,
+        "reason": mission.reason,
+        "sim_time_s": mission.end_time,
+        "wall_time_s": mission.wall_time,
+        "cpu_time_s": mission.cpu_time,
+        "real_time_factor": mission.end_time / mission.wall_time,
+        "distance_m": float(np.linalg.norm(np.diff(X_WB_true[:, :2], axis=0), axis=1).sum()),
+        "stages": len(mission.maps),
+        **_landmarks(world, reachable, estimate),
+        **_consistency(mission.maps, compose(inverse(world.start), X_WD_true)),
+        **_pose_errors(X_WB, _at(stamps, true_stamps, X_WB_true)),
+        **_coverage(scenario, world, grid, cells, tfg, X_WD_true[:, :2]),
+        "contacts": mission.contacts,
+        "min_clearance_m": mission.clearance,
+        "map_variables": {
+            "landmarks": len(estimate.ids) if estimate is not None else 0,
+            "poses": 2 * len(mission.maps),  # arrival and departure
+            "calibration": 0,
+        },
+        "map_bytes": map_bytes,
+        "estimator_cpu_s": mission.estimator_cpu,
+        "planner_cpu_s": mission.planner_cpu,
+        "simulator_cpu_s": mission.cpu_time - mission.estimator_cpu - mission.planner_cpu,  # all the rest
+        "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+        "stage_ms": _spread([1e3 * seconds for stage, seconds in mission.stage_cpu.items() if stage > 0]),
+    }
+    summary = _null_where_not_finite(summary)
+    write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    draw_run(folder / "figure.png", _title(summary), world, estimate, tfg, X_WB, X_WB_true, reachable)
+    return summary
+
+
+def _at(stamps: FloatArray, log_stamps: FloatArray, poses: FloatArray) -> FloatArray:
+    """The logged poses (m, 3) at other stamps (n,), interpolated: (n, 3)."""
+    if not len(log_stamps):
+        return np.full((len(stamps), 3), np.nan)
+    heading = np.unwrap(poses[:, 2])
+    columns = [np.interp(stamps, log_stamps, column) for column in (poses[:, 0], poses[:, 1], heading)]
+    return np.stack(columns, axis=1)
+
+
+def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None) -> dict[str, Any]:
+    mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
+    counted = np.isin(mapped, world.tag_ids[reachable])
+    figures = {
+        "landmarks_present": len(world.tag_ids),
+        "landmarks_reachable": int(np.count_nonzero(reachable)),
+        "landmarks_mapped": int(np.count_nonzero(counted)),
+        "landmarks_extra": int(np.count_nonzero(~counted)),
+        "landmark_rmse_m": math.nan,
+        "landmark_rmse_aligned_m": math.nan,
+        "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
+        "landmark_anees": math.nan,
+        "landmark_nees": math.nan,
+    }
+    if estimate is None:
+        return figures
+    row_of_tag = {tag: row for row, tag in enumerate(world.tag_ids.tolist())}
+    known = np.array([i for i, tag in enumerate(mapped.tolist()) if tag in row_of_tag], dtype=np.int64)
+    rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
+    p_ML_true = transform(inverse(world.start), world.p_WT[rows])
+    p_ML = estimate.p_ML[known]
+    entries = np.stack([2 * known, 2 * known + 1], axis=1).ravel()
+    covariance = estimate.covariance[np.ix_(entries, entries)]
+    return figures | {
+        "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
+        "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),
+        "landmark_anees": metrics.landmark_anees(p_ML, p_ML_true, covariance),
+        "landmark_nees": metrics.landmark_nees(p_ML, p_ML_true, covariance),
+    }
+
+
+def _consistency(maps: list[MapEstimate], X_MD_true: FloatArray) -> dict[str, Any]:
+    X_MD = np.array([one.X_MD for one in maps]).reshape(-1, 3)
+    covariance = np.array([one.covariance[-3:, -3:] for one in maps]).reshape(-1, 3, 3)
+    return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
+
+
+def _pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
+    position, heading = metrics.pose_errors(X_WB, X_WB_true)
+    return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
+
+
+def _coverage(
+    scenario: Scenario, world: World, grid: Grid, cells: BoolArray, tfg: TfgMap | None, p_WG: FloatArray
+) -> dict[str, Any]:
+    p_MS = tfg.segments.reshape(-1, 2) if tfg is not None else np.zeros((0, 2))
+    segments = transform(world.start, p_MS).reshape(-1, 4)
+    surface = reachable_surface(world, grid, cells, scenario.scan.range)
+    return {
+        "surface_coverage": metrics.surface_coverage(surface, segments),
+        "surface_phantom_m": metrics.surface_phantom(segments, world.walls),
+        "area_coverage": metrics.area_coverage(grid.centers(cells), world.walls, p_WG, scenario.scan.range),
+    }
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    if not values:
+        return dict.fromkeys(("median", "p99", "max"), math.nan)
+    median, p99 = np.percentile(values, [50.0, 99.0])
+    return {"median": float(median), "p99": float(p99), "max": max(values)}
+
+
+def _null_where_not_finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _null_where_not_finite(item) for key, item in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _title(summary: dict[str, Any]) -> str:
+    def value(number: float | None, form: str) -> str:
+        return "-" if number is None else form.format(number)
+
+    return (
+        f"{summary['scenario']}, seed {summary['seed']}: {summary['outcome']} after {summary['sim_time_s']:.0f} s,"
+        f" {summary['distance_m']:.0f} m, {summary['stages']} stages\n"
+        f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} landmarks,"
+        f" RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
+        f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned);"
+        f" pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
+        f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
+    )
