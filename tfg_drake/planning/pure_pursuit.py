@@ -133,10 +133,9 @@ def follow(
     ahead = min(max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN), LOOK_AHEAD_MAX)
     px, py, _ = _at(points, progress + ahead)
     error = _wrap(math.atan2(py - y, px - x) - heading)
-    # Off the path by no more than the rest of it, the robot must not turn round for a point beside it.
-    if remaining < 0.5 * LOOK_AHEAD_MIN:
-        turning = False
-    elif abs(error) > (TURN_BELOW if turning else TURN_ABOVE):
+    # So near the end a robot that drives must not turn round for a point beside it.
+    near_end = remaining < 0.5 * LOOK_AHEAD_MIN
+    if abs(error) > TURN_BELOW if turning else abs(error) > TURN_ABOVE and not near_end:
         return PathCommand(0.0, _turn_towards(error, robot), progress, True, False)
     curvature = 2.0 * math.sin(error) / max(math.hypot(px - x, py - y), 1e-3)
     limit = _speed_limit(

@@ -162,18 +162,20 @@ def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
 
 
 def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int, count: int) -> FloatArray:
-    """Points spread evenly over the discs round stars first:stop, those outside the stars still among them."""
-    if count == 0 or stop <= first:
+    """Points (count, 2), m in M, spread evenly over the areas of stars first:stop; where two overlap, twice as many."""
+    start, end = tfg.star_offsets[first], tfg.star_offsets[stop]
+    if start == end:
         return np.zeros((0, 2))
-    star = rng.integers(first, stop, count)
-    radius = np.array(
-        [
-            np.hypot(*(tfg.star_vertices[a:b] - center).T).max(initial=0.0)
-            for a, b, center in zip(tfg.star_offsets[:-1], tfg.star_offsets[1:], tfg.star_centers, strict=True)
-        ]
-    )
-    r, angle = radius[star] * np.sqrt(rng.random(count)), rng.uniform(-math.pi, math.pi, count)
-    return np.asarray(tfg.star_centers[star] + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
+    # A star is a fan of triangles round its centre.
+    vertex = np.arange(start, end)
+    star = np.searchsorted(tfg.star_offsets, vertex, side="right") - 1
+    following = np.where(vertex + 1 == tfg.star_offsets[star + 1], tfg.star_offsets[star], vertex + 1)
+    a = tfg.star_vertices[vertex] - tfg.star_centers[star]
+    b = tfg.star_vertices[following] - tfg.star_centers[star]
+    area = np.cumsum(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    which = np.searchsorted(area, rng.random(count) * area[-1], side="right").clip(max=len(area) - 1)
+    r, t = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    return np.asarray(tfg.star_centers[star[which]] + r * ((1 - t) * a[which] + t * b[which]))
 
 
 def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, effort: int) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,49 @@
+import numpy as np
+import shapely
+
+from tfg_drake.planning.expected_view import visible_targets
+
+
+def view(points, targets, normals, segments, range_max=10.0, incidence=np.radians(75), tolerance=0.1):
+    arguments = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (points, targets, normals))
+    offsets, index = visible_targets(*arguments, np.asarray(segments, dtype=float).reshape(-1, 4), range_max, incidence,
+                                     tolerance)  # fmt: skip
+    return [index[a:b].tolist() for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+
+
+def test_agrees_with_shapely():
+    rng = np.random.default_rng(1)
+    points, targets = rng.uniform(-6, 6, (30, 2)), rng.uniform(-6, 6, (60, 2))
+    angle = rng.uniform(-np.pi, np.pi, 60)
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    start = rng.uniform(-6, 6, (25, 2))
+    segments = np.hstack([start, start + rng.normal(0, 1.0, (25, 2))])
+    walls = shapely.multilinestrings(shapely.linestrings(segments.reshape(-1, 2, 2)))
+    expected = []
+    for p in points:
+        d = p - targets
+        r = np.hypot(*d.T)
+        end = targets + 0.1 * d / r[:, None]
+        rays = shapely.linestrings(np.stack([np.broadcast_to(p, end.shape), end], axis=1))
+        seen = (r < 5) & ((d * normals).sum(1) >= np.cos(np.radians(75)) * r) & ~shapely.intersects(rays, walls)
+        expected.append(np.flatnonzero(seen).tolist())
+    assert sum(map(len, expected)) > 50
+    assert view(points, targets, normals, segments, range_max=5.0) == expected
+
+
+def test_the_far_face_of_a_thin_wall_is_not_seen():
+    wall = [[-3, 0, 3, 0], [-3, -0.02, 3, -0.02]]
+    both = [[0, 0], [0, -0.02]], [[0, 1], [0, -1]]
+    assert view([[0.5, 2], [0.5, -2]], *both, wall) == [[0], [1]]
+
+
+def test_incidence_and_range_bound_the_view():
+    tag = [[0, 0]], [[0, 1]]
+    angles = np.radians([0, 74, 76, 120])
+    assert view(3 * np.stack([np.sin(angles), np.cos(angles)], axis=1), *tag, []) == [[0], [0], [], []]
+    assert view([[0, 9.9], [0, 10.1]], *tag, []) == [[0], []]
+
+
+def test_nothing_to_see_and_nowhere_to_see_it_from():
+    assert view([[0, 0]], np.zeros((0, 2)), np.zeros((0, 2)), []) == [[]]
+    assert view(np.zeros((0, 2)), [[1, 0]], [[-1, 0]], []) == []

@@ -1,0 +1,58 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tfg_drake.planning.goal_choice import decide, thin_candidates
+from tfg_drake.planning.information_gain import Gains
+
+
+def verdict(gain, value, sees, frontier=0.0, stop_gain=20.0):
+    gain = np.asarray(gain, dtype=float)
+    n = len(gain)
+    gains = Gains(exploitation=gain, exploration=np.zeros(n), pose_price=np.zeros(n))
+    points = np.stack([np.arange(n), np.zeros(n)], axis=1).astype(float)
+    candidates = 10 + np.arange(n)
+    return decide(
+        5, candidates, points, gains, np.asarray(value, dtype=float), np.asarray(sees, dtype=bool), frontier, stop_gain
+    )
+
+
+def test_the_best_gain_per_time_wins_and_the_first_of_equals():
+    goal = verdict([30, 50, 40, 40], [3, 2, 4, 4], [1, 0, 0, 0], frontier=2.0)
+    assert (goal.verdict, goal.node, goal.p_MG.tolist(), goal.stage) == ("goal", 12, [2.0, 0.0], 5)
+
+
+def test_a_visible_frontier_keeps_the_mission_going_whatever_the_gain():
+    assert verdict([5, 6], [1, 2], [1, 0], frontier=1.0).verdict == "goal"
+
+
+def test_without_a_frontier_a_goal_must_promise_more_than_the_stop_gain():
+    goal = verdict([15, 25], [9, 1], [0, 0])
+    assert (goal.verdict, goal.node) == ("goal", 11)
+    done = verdict([15, 20], [9, 1], [0, 0])
+    assert (done.verdict, done.node) == ("complete", -1)
+    assert done.reason == "No frontier is left and no place promises more than 20 nats."
+
+
+def test_a_frontier_nobody_can_see_is_stuck_once_nothing_else_is_worth_while():
+    assert verdict([25], [1], [0], frontier=3.25).verdict == "goal"
+    stuck = verdict([5], [1], [0], frontier=3.25)
+    assert stuck.verdict == "stuck"
+    assert stuck.reason == "3.2 m of frontier cannot be seen from anywhere the robot can reach."
+
+
+def test_nowhere_to_go_is_stuck():
+    stuck = verdict([], [], [])
+    assert (stuck.verdict, stuck.reason) == ("stuck", "The robot cannot reach any other place.")
+
+
+@given(st.lists(st.booleans(), max_size=60), st.integers(1, 40))
+def test_candidates_are_thinned_evenly_and_frontiers_come_first(sees, count):
+    nodes = 3 * np.arange(len(sees))
+    flags = np.array(sees, dtype=np.int64)
+    kept = thin_candidates(nodes, flags, count)
+    assert len(kept) == len(np.unique(kept)) == min(count, len(nodes))
+    assert (np.diff(kept) > 0).all()
+    assert set(kept) <= set(nodes)
+    seeing = set(nodes[flags > 0])
+    assert len(seeing & set(kept)) == min(len(seeing), count)

@@ -1,0 +1,96 @@
+import math
+
+import numpy as np
+import pytest
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place
+
+ROBOT = RobotConfig()
+DT = 1 / 32
+
+
+def drive(points, X_MB, seconds=120.0):
+    """The poses of a unicycle with the base's limits that follows a path, and the time it took."""
+    X, v, w, progress, turning, poses, speeds = np.array(X_MB, float), 0.0, 0.0, 0.0, True, [], []
+    for step in range(round(seconds / DT)):
+        command = follow(points, X, v, progress, turning, ROBOT)
+        progress, turning = command.progress, command.turning
+        assert abs(command.speed) <= ROBOT.max_speed
+        assert abs(command.turn_rate) <= ROBOT.max_turn_rate
+        v += np.clip(command.speed - v, -ROBOT.max_acceleration * DT, ROBOT.max_acceleration * DT)
+        w += np.clip(command.turn_rate - w, -ROBOT.max_turn_acceleration * DT, ROBOT.max_turn_acceleration * DT)
+        X = X + DT * np.array([v * math.cos(X[2] + w * DT / 2), v * math.sin(X[2] + w * DT / 2), w])
+        poses.append(X)
+        speeds.append(v)
+        if command.finished and at_rest(v, w):
+            return np.array(poses), np.array(speeds), step * DT
+    raise AssertionError(f"not at the end after {seconds} s, but at {X}, progress {progress}")
+
+
+def deviation(poses, points):
+    a, d = points[:-1], np.diff(points, axis=0)
+    relative = poses[:, None, :2] - a
+    t = np.clip((relative * d).sum(-1) / (d * d).sum(-1), 0, 1)
+    return np.linalg.norm(relative - t[..., None] * d, axis=-1).min(axis=1)
+
+
+def wave(amplitude, length=12.0):
+    x = np.arange(0, length, 0.1)
+    return np.stack([x, amplitude * np.sin(x)], axis=1)
+
+
+def rounded_corner():
+    t = np.linspace(0, 1, 8)[:, None]
+    arc = (1 - t) ** 2 * [3.4, 0] + 2 * t * (1 - t) * [4.0, 0] + t**2 * [4.0, 0.6]
+    corner = np.vstack([[0, 0], arc, [4, 4]])
+    along = np.append(0, np.cumsum(np.hypot(*np.diff(corner, axis=0).T)))
+    s = np.linspace(0, along[-1], round(along[-1] / 0.1))
+    return np.stack([np.interp(s, along, corner[:, k]) for k in range(2)], axis=1)
+
+
+@pytest.mark.parametrize(
+    "points", [wave(0.0), wave(0.4), wave(1.0), rounded_corner()], ids=["straight", "wave", "steep", "corner"]
+)
+@pytest.mark.parametrize("heading", [0.0, 0.7, math.pi])
+def test_stays_on_the_path_and_stops_at_its_end(points, heading):
+    poses, speeds, _ = drive(points, [*points[0], heading])
+    assert deviation(poses, points).max() < 0.06
+    assert np.linalg.norm(poses[-1, :2] - points[-1]) < 0.05
+    assert speeds.max() <= ROBOT.max_speed + 1e-9
+
+
+def test_straight_path_is_driven_at_full_speed():
+    points = wave(0.0)
+    _, speeds, seconds = drive(points, [0.0, 0.0, 0.0])
+    assert speeds.max() > 0.99 * ROBOT.max_speed
+    assert seconds < points[-1, 0] / ROBOT.max_speed + 3.0
+
+
+def test_returns_to_a_path_beside_it():
+    points = wave(0.0)
+    poses, _, _ = drive(points, [0.0, 0.15, 0.0])
+    assert deviation(poses[poses[:, 0] > 2.0], points).max() < 0.03
+
+
+def test_short_paths_end():
+    for length in (0.02, 0.1, 0.3):
+        points = np.array([[0.0, 0.0], [length, 0.0]])
+        poses, _, _ = drive(points, [0.0, 0.0, 2.0])
+        assert np.linalg.norm(poses[-1, :2] - points[-1]) < 0.05
+
+
+def test_a_path_of_nothing_is_finished():
+    for points in (np.zeros((0, 2)), np.zeros((1, 2))):
+        assert follow(points, np.zeros(3), 0.0, 0.0, False, ROBOT).finished
+
+
+def test_turn_in_place_is_complete_and_not_much_more():
+    turned, w = 0.0, 0.0
+    for _ in range(round(20 / DT)):
+        command = turn_in_place(turned, 2 * math.pi, 1.0, ROBOT)
+        assert 0.0 <= command <= 1.0
+        w += np.clip(command - w, -ROBOT.max_turn_acceleration * DT, ROBOT.max_turn_acceleration * DT)
+        turned += w * DT
+    assert w == 0.0
+    assert 2 * math.pi <= turned < 2 * math.pi + 0.05

@@ -1,0 +1,258 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import shapely
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.se2 import compose, transform
+from tfg_drake.geometry.visibility import cast_rays
+from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap
+from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
+from tfg_drake.planning.roadmap import (
+    RoadmapParameters,
+    empty_roadmap,
+    extend,
+    in_free_space,
+    passages,
+    roadmap_message,
+    routes,
+)
+
+ROBOT = RobotConfig()
+PARAMETERS = RoadmapParameters(ROBOT, TagSensorConfig(), OdometryConfig(), ExplorerConfig(), seed=3)
+
+
+def two_rooms(door=0.8):
+    """Walls of two rooms of 6 x 4 m with a door of this width in the wall x = 0 between them, in 0.5 m pieces."""
+    half = door / 2
+    walls = [(-6, -2, 6, -2), (6, -2, 6, 2), (6, 2, -6, 2), (-6, 2, -6, -2), (0, -2, 0, -half), (0, half, 0, 2)]
+    pieces = []
+    for x0, y0, x1, y1 in walls:
+        t = np.linspace(0, 1, int(np.hypot(x1 - x0, y1 - y0) / 0.5) + 2)[:, None]
+        p = (1 - t) * [x0, y0] + t * [x1, y1]
+        pieces.append(np.hstack([p[:-1], p[1:]]))
+    return np.vstack(pieces)
+
+
+def observation():
+    none = np.zeros((0, 2))
+    return GoalObservation(none[:, 0].astype(int), none, np.zeros(3), np.eye(3), none[:, 0], np.zeros((0, 3)))
+
+
+def known(segments, goals, X_shift=(0.0, 0.0, 0.0)):
+    """A map of everything that goals at (x, y, heading) saw of these walls, with a tag on each piece; all shifted."""
+    goals = np.asarray(goals, dtype=float)
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    stars = []
+    for goal in goals:
+        r = np.minimum(cast_rays(segments, goal[:2], angles, 10.0), 10.0)[:, None]
+        stars.append(goal[:2] + r * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    middle = 0.5 * (segments[:, :2] + segments[:, 2:])
+    nearest = goals[np.argmin(np.linalg.norm(middle[:, None] - goals[None, :, :2], axis=2), axis=1), :2]
+    along = segments[:, 2:] - segments[:, :2]
+    facing = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    facing *= np.sign(((nearest - middle) * facing).sum(1))[:, None]
+    n, k = len(segments), len(goals)
+    shift = np.asarray(X_shift)
+    turn = np.array([0.0, 0.0, shift[2]])
+    X_MA = compose(shift, goals)
+    estimate = MapEstimate(
+        k, 0.0, np.arange(n), transform(shift, middle), X_MA[-1], 1e-4 * np.eye(2 * n + 3), X_MA, observation(), 0.0
+    )
+    ends = np.hstack([transform(shift, segments[:, :2]), transform(shift, segments[:, 2:])])
+    none = np.zeros((0, 2))
+    tfg = TfgMap(
+        k, ends, np.zeros(n, dtype=int), np.zeros((n, 2), dtype=int), transform(turn, facing), none, none[:, 0], none,
+        np.arange(k + 1) * len(angles), transform(shift, np.vstack(stars)), X_MA[:, :2],
+    )  # fmt: skip
+    return estimate, tfg
+
+
+def build(segments, goals, driven=None):
+    """The roadmap of a robot that visited these goals, stage by stage."""
+    state = empty_roadmap()
+    for k in range(1, len(goals) + 1):
+        estimate, tfg = known(segments, goals[:k])
+        state = extend(state, tfg, estimate, PARAMETERS, driven=driven if k == len(goals) else None)
+    return state, estimate, tfg
+
+
+def nearest(state, place):
+    return int(np.argmin(np.hypot(*(state.points - place).T)))
+
+
+def test_finds_a_door_of_80_cm():
+    segments = two_rooms(0.8)
+    state, estimate, tfg = build(segments, [(-4, 1, 0)])
+    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost)
+    assert reachable[state.points[:, 0] > 1].sum() > 3
+
+
+def test_does_not_find_a_door_too_narrow():
+    state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
+    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost)
+    assert not reachable[state.points[:, 0] > 0.5].any()
+
+
+def test_edges_keep_their_clearance_and_stay_in_the_free_space():
+    state, _, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    lines = shapely.linestrings(state.points[state.edges[state.usable]])
+    walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
+    distance = shapely.distance(lines, walls)
+    untravelled = ~state.travelled[state.usable]
+    np.testing.assert_array_less(ROBOT.radius + 0.02, distance[untravelled])
+    np.testing.assert_array_less(ROBOT.radius, distance)
+    free = shapely.union_all([shapely.Polygon(v) for v in np.split(tfg.star_vertices, tfg.star_offsets[1:-1])])
+    assert shapely.covers(free.buffer(0.3), lines).all()
+
+
+def test_nodes_are_spread_evenly():
+    state, _, _ = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    left = state.points[state.points[:, 0] < -1]
+    gap = np.linalg.norm(left[:, None] - left[None], axis=2) + 9 * np.eye(len(left))
+    assert gap.min() > 0.29
+    assert np.median(gap.min(axis=1)) > 0.7
+    cells = np.stack(np.meshgrid(np.arange(-5.5, -1, 0.5), np.arange(-1.5, 1.6, 0.5)), axis=-1).reshape(-1, 2)
+    assert np.linalg.norm(cells[:, None] - left[None], axis=2).min(axis=1).max() < 1.0
+
+
+def test_is_the_same_every_time():
+    first, second = (build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])[0] for _ in range(2))
+    for name, value in vars(first).items():
+        np.testing.assert_array_equal(value, getattr(second, name))
+
+
+def test_moves_with_the_map():
+    goals = [(-4, 1, 0), (3, 0.5, 1)]
+    state, estimate, _ = build(two_rooms(), goals)
+    shift = np.array([0.4, -0.3, 0.2])
+    moved_estimate, moved_tfg = known(two_rooms(), goals, shift)
+    moved = extend(state, moved_tfg, moved_estimate, PARAMETERS)
+    n = len(state.points)
+    np.testing.assert_allclose(moved.points[:n], transform(shift, state.points), atol=1e-9)
+    assert moved.stage == estimate.stage
+
+
+def test_more_effort_gives_more_nodes():
+    state, estimate, tfg = build(two_rooms(), [(-4, 1, 0)])
+    more = extend(state, tfg, estimate, PARAMETERS, effort=2)
+    assert len(more.points) > 1.5 * len(state.points)
+
+
+def test_what_was_travelled_stays_open_at_the_radius():
+    segments = two_rooms(0.42)
+    driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
+    state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)
+    ways = routes(state, tfg, estimate.X_MD, ROBOT)
+    assert np.isfinite(ways.cost[nearest(state, (-4, 0.1))])
+
+
+def test_routes_agree_with_their_own_path_and_prefer_room():
+    state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    ways = routes(state, tfg, estimate.X_MD, ROBOT)
+    message = roadmap_message(state, ways)
+    assert message.stage == 2
+    reachable = message.reachable
+    straight = np.hypot(*(state.points - estimate.X_MD[:2]).T)
+    assert (ways.length[reachable] >= straight[reachable] - 1e-9).all()
+    assert (ways.cost[reachable] >= ways.length[reachable] - 1e-9).all()
+    assert (ways.time[reachable] >= ways.length[reachable] / ROBOT.max_speed).all()
+    assert np.isinf(message.travel_time[~reachable]).all()
+
+
+def test_a_robot_too_near_a_wall_is_not_trapped():
+    state, _, tfg = build(two_rooms(), [(-4, 1, 0)])
+    for place in ([-4, -1.9, 0.0], [-5.95, 1.95, 0.0], [-4, -2.0, 0.0]):
+        assert np.isfinite(routes(state, tfg, np.array(place), ROBOT).cost).mean() > 0.5
+
+
+def test_path_goes_through_the_door_with_room_to_spare():
+    state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    node = nearest(state, (-5, -1))
+    path = plan_path(state, tfg, estimate.X_MD, node, ROBOT)
+    np.testing.assert_allclose(path[[0, -1]], [estimate.X_MD[:2], state.points[node]], atol=1e-9)
+    step = np.hypot(*np.diff(path, axis=0).T)
+    assert 0.05 < step.min() <= step.max() < 0.11
+    walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
+    line = shapely.LineString(path)
+    assert line.distance(walls) > 0.25
+    assert line.length < 1.15 * (np.hypot(3, 0.5) + np.hypot(5, 1))
+    heading = np.unwrap(np.arctan2(*np.diff(path, axis=0).T[::-1]))
+    assert np.abs(np.diff(heading)).max() < np.radians(40)
+
+
+def test_no_path_to_where_no_edge_leads():
+    state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
+    cut_off = dataclasses.replace(state, usable=np.zeros_like(state.usable))
+    assert len(plan_path(cut_off, tfg, estimate.X_MD, nearest(state, (-0.6, -1)), ROBOT)) == 0
+    assert len(plan_path(empty_roadmap(), tfg, estimate.X_MD, 0, ROBOT)) == 0
+
+
+def test_shortcuts_and_rounding_lose_no_clearance():
+    _, tfg = known(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    detour = np.array([[-5.0, 1.5], [-4, -1.2], [-3, 1.2], [-0.6, 0], [0.6, 0], [2, -1.4], [5, 0]])
+    short = shortcut(detour, tfg, tfg.segments, 0.35)
+    smooth = round_corners(short, tfg.segments, 0.35)
+    walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
+    assert shapely.LineString(short).length < 0.8 * shapely.LineString(detour).length
+    assert shapely.LineString(short).distance(walls) >= 0.35 - 1e-9
+    assert shapely.LineString(smooth).distance(walls) >= 0.35 - 1e-9
+    assert in_free_space(np.hstack([short[:-1], short[1:]]), tfg).all()
+
+
+def scan_of(segments, X_MB):
+    angles = np.linspace(-1.08, 1.08, 249)
+    return LaserScan(0.0, angles, cast_rays(segments, X_MB[:2], angles + X_MB[2], 10.0), 10.0, 0.015)
+
+
+@pytest.mark.parametrize(("offset", "free"), [(0.0, False), (0.15, False), (0.45, True)])
+def test_an_unmapped_box_on_the_path_blocks_it_and_is_planned_round(offset, free):
+    state, estimate, tfg = build(two_rooms(), [(-5, 0, 0)])
+    node = nearest(state, (-1.2, 0))
+    X_MB = np.array([-5.0, 0.0, 0.0])
+    path = plan_path(state, tfg, X_MB, node, ROBOT)
+    y = np.interp(-3.6, path[:, 0], path[:, 1]) + offset
+    box = np.array([[-3.6, y - 0.15, -3.6, y + 0.15], [-3.6, y + 0.15, -3.3, y + 0.15]])
+    X_MB = np.array([*path[0], np.arctan2(*(path[5] - path[0])[::-1])])
+    assert path_is_free(path, scan_of(tfg.segments, X_MB), X_MB, ROBOT.radius, tfg.segments)
+    scan = scan_of(np.vstack([tfg.segments, box]), X_MB)
+    assert path_is_free(path, scan, X_MB, ROBOT.radius, tfg.segments) == free
+    if free:
+        return
+    obstacles = unmapped_obstacles(path, scan, X_MB, ROBOT.radius, tfg.segments)
+    around = plan_path(state, tfg, X_MB, node, ROBOT, obstacles)
+    assert shapely.LineString(around).distance(shapely.LineString(box[0].reshape(2, 2))) > ROBOT.radius + 0.02
+    assert path_is_free(around, scan, X_MB, ROBOT.radius, tfg.segments)
+
+
+def test_returns_of_a_mapped_wall_do_not_block_a_door():
+    _, _, tfg = build(two_rooms(0.5), [(-4, 0, 0)])
+    path = resample(np.array([[-1.0, 0], [1, 0]]), 0.1)
+    X_MB = np.array([-1.0, 0.0, 0.0])
+    assert path_is_free(path, scan_of(two_rooms(0.46), X_MB), X_MB, ROBOT.radius, tfg.segments)
+    assert not path_is_free(path, scan_of(two_rooms(0.26), X_MB), X_MB, ROBOT.radius, tfg.segments)
+
+
+def test_passages_are_the_middle_of_narrow_gaps():
+    segments = two_rooms(0.8)
+    ends = np.unique(segments.reshape(-1, 2), axis=0)
+    found = passages(ends, segments, 0.5, 1.5)
+    assert np.hypot(*found.T).min() < 1e-9
+    assert np.hypot(*(found - [0.5, 0.0]).T).min() < 1e-9
+    assert len(passages(ends, segments, 0.9, 0.95)) == 0
+    assert len(passages(np.zeros((0, 2)), np.zeros((0, 4)), 0.5, 1.5)) == 0
+
+
+def test_an_empty_map_has_a_roadmap_of_open_space():
+    none = np.zeros((0, 2))
+    estimate = MapEstimate(
+        1, 0.0, np.zeros(0, dtype=int), none, np.zeros(3), np.eye(3), np.zeros((1, 3)), observation(), 0.0
+    )
+    square = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])
+    tfg = TfgMap(
+        1, np.zeros((0, 4)), np.zeros(0, dtype=int), np.zeros((0, 2), dtype=int), none, none, none[:, 0], none,
+        np.array([0, 4]), square, np.zeros((1, 2)),
+    )  # fmt: skip
+    state = extend(empty_roadmap(), tfg, estimate, PARAMETERS)
+    assert np.isfinite(routes(state, tfg, np.zeros(3), ROBOT).cost).mean() > 0.9

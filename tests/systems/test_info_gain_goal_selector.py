@@ -1,0 +1,115 @@
+import dataclasses
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.analysis import Simulator
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import GoalObservation, MapEstimate, MissionStatus, PoseEstimate, Roadmap, TfgMap
+from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
+
+NONE = np.zeros((0, 2))
+IDS = np.zeros(0, dtype=np.int64)
+
+
+def empty_map():
+    observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
+    return MapEstimate(0, 0.0, IDS, NONE, np.zeros(3), np.zeros((3, 3)), np.zeros((0, 3)), observation, 0.0)
+
+
+def empty_tfg():
+    return TfgMap(0, np.zeros((0, 4)), IDS, IDS.reshape(0, 2), NONE, NONE, NONE[:, 0], NONE, np.zeros(1, dtype=int),
+                  NONE, NONE)  # fmt: skip
+
+
+def half_known_room():
+    """Three tagged walls round the origin; the west is unknown."""
+    estimate = dataclasses.replace(
+        empty_map(), stage=1, ids=np.arange(3), p_ML=np.array([[0.0, -4], [4, 0], [0, 4]]),
+        covariance=1e-2 * np.eye(9), X_MA=np.zeros((1, 3)),
+    )  # fmt: skip
+    tfg = dataclasses.replace(
+        empty_tfg(),
+        stage=1,
+        segments=np.array([[-4.0, -4, 4, -4], [4, -4, 4, 4], [4, 4, -4, 4]]),
+        facing=np.array([[0.0, 1], [-1, 0], [0, -1]]),
+        frontiers=np.stack([np.full(15, -4.35), np.linspace(-3.5, 3.5, 15)], axis=1),
+        frontier_length=np.full(15, 0.5),
+        frontier_normal=np.tile([1.0, 0.0], (15, 1)),
+    )
+    return estimate, tfg
+
+
+def roadmap(stage=1):
+    points = np.stack(np.meshgrid(np.arange(-3.0, 4), np.arange(-3.0, 4)), axis=-1).reshape(-1, 2)
+    if stage == 0:
+        points = NONE
+    reachable = points[:, 1] <= 1.0
+    time = np.where(reachable, np.hypot(*points.T) / 0.5, np.inf)
+    return Roadmap(stage, points, IDS.reshape(0, 2), reachable, time)
+
+
+class Selector:
+    def __init__(self):
+        self.system = InfoGainGoalSelector(RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig())
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        pose = PoseEstimate(0.0, np.zeros(3), np.eye(3), np.zeros(2), 0, IDS, NONE)
+        self.set(map=empty_map(), tfg=empty_tfg(), roadmap=roadmap(0), pose=pose,
+                 mission=MissionStatus("observe", 0, 0.0))  # fmt: skip
+
+    def set(self, **messages):
+        for name, value in messages.items():
+            self.system.GetInputPort(name).FixValue(self.context, AbstractValue.Make(value))
+
+    def goal(self):
+        self.simulator.AdvanceTo(self.context.get_time() + 0.25)
+        return self.system.GetOutputPort("goal").Eval(self.context)
+
+    def ready(self, **changes):
+        estimate, tfg = half_known_room()
+        self.set(map=estimate, tfg=tfg, roadmap=roadmap(), mission=MissionStatus("choose", 1, 0.0))
+        self.set(**changes)
+
+
+def test_chooses_nothing_before_everything_is_ready():
+    selector = Selector()
+    assert selector.goal().stage == 0
+    selector.ready(roadmap=roadmap(0))
+    assert selector.goal().stage == 0
+    selector.ready(mission=MissionStatus("map", 0, 0.0))
+    assert selector.goal().stage == 0
+
+
+def test_chooses_the_best_reachable_node_once():
+    selector = Selector()
+    selector.ready()
+    goal = selector.goal()
+    assert (goal.stage, goal.verdict) == (1, "goal")
+    points = roadmap().points
+    np.testing.assert_array_equal(goal.p_MG, points[goal.node])
+    np.testing.assert_array_equal(goal.gain, goal.exploitation + goal.exploration)
+    best = int(np.argmax(goal.value))
+    assert goal.candidates[best] == goal.node
+    assert goal.exploration[best] > 50
+    assert goal.pose_price[best] > 0
+    assert roadmap().reachable[goal.candidates].all()
+    assert np.hypot(*points[goal.candidates].T).min() >= 0.3
+    assert selector.goal() is goal
+
+
+def test_a_closed_and_certain_map_is_complete():
+    estimate, tfg = half_known_room()
+    selector = Selector()
+    closed = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    selector.ready(map=dataclasses.replace(estimate, covariance=1e-6 * np.eye(9)), tfg=closed)
+    goal = selector.goal()
+    assert (goal.verdict, goal.node) == ("complete", -1)
+
+
+def test_an_empty_world_has_no_goal_but_a_verdict():
+    estimate, tfg = (dataclasses.replace(message, stage=1) for message in (empty_map(), empty_tfg()))
+    selector = Selector()
+    selector.ready(map=dataclasses.replace(estimate, covariance=np.eye(3) * 1e-4, X_MA=np.zeros((1, 3))), tfg=tfg)
+    goal = selector.goal()
+    assert (goal.verdict, goal.gain.max()) == ("complete", 0.0)

@@ -1,0 +1,144 @@
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.analysis import Simulator
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import GoalChoice, GoalObservation, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.systems.prm_planner import PrmPlanner
+
+CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig()
+NONE = np.zeros((0, 2))
+IDS = np.zeros(0, dtype=np.int64)
+SQUARE = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])
+
+
+def maps(stage):
+    """A room of 8 x 8 m with a tag in the middle of three walls, the fourth unknown."""
+    observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
+    if stage == 0:
+        estimate = MapEstimate(0, 0.0, IDS, NONE, np.zeros(3), np.zeros((3, 3)), np.zeros((0, 3)), observation, 0.0)
+        tfg = TfgMap(0, np.zeros((0, 4)), IDS, IDS.reshape(0, 2), NONE, NONE, NONE[:, 0], NONE, np.zeros(1, dtype=int),
+                     NONE, NONE)  # fmt: skip
+        return estimate, tfg
+    walls = np.array([[-4.0, -4, 4, -4], [4, -4, 4, 4], [4, 4, -4, 4]])
+    tags, facing = np.array([[0.0, -4], [4, 0], [0, 4]]), np.array([[0.0, 1], [-1, 0], [0, -1]])
+    estimate = MapEstimate(stage, 1.0, np.arange(3), tags, np.zeros(3), 1e-2 * np.eye(9), np.zeros((stage, 3)),
+                           observation, 0.0)  # fmt: skip
+    frontiers = np.stack([np.full(15, -4.35), np.linspace(-3.5, 3.5, 15)], axis=1)
+    normals = np.tile([1.0, 0.0], (15, 1))
+    tfg = TfgMap(stage, walls, np.zeros(3, dtype=int), np.zeros((3, 2), dtype=int), facing, frontiers,
+                 np.full(15, 0.5), normals, np.arange(stage + 1) * 4, np.tile(SQUARE, (stage, 1)),
+                 np.zeros((stage, 2)))  # fmt: skip
+    return estimate, tfg
+
+
+def pose(stage):
+    return PoseEstimate(1.0, np.zeros(3), 1e-4 * np.eye(3), np.zeros(2), stage, IDS, NONE)
+
+
+def scan(stamp=0.0, ranges=None):
+    angles = np.linspace(-1, 1, 200)
+    return LaserScan(stamp, angles, np.full(200, np.inf) if ranges is None else ranges, 10.0, 0.015)
+
+
+def fix(system, context, **messages):
+    for name, value in messages.items():
+        system.GetInputPort(name).FixValue(context, AbstractValue.Make(value))
+
+
+def output(system, context, name):
+    return system.GetOutputPort(name).Eval(context)
+
+
+class Planner:
+    def __init__(self):
+        self.system = PrmPlanner(*CONFIGS, seed=1)
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        estimate, tfg = maps(0)
+        self.set(map=estimate, tfg=tfg, pose=pose(0), goal=empty_choice(), scan=scan(),
+                 mission=MissionStatus("observe", 0, 0.0))  # fmt: skip
+        self.simulator.Initialize()
+
+    def set(self, **messages):
+        fix(self.system, self.context, **messages)
+
+    def run(self, seconds=0.125):
+        self.simulator.AdvanceTo(self.context.get_time() + seconds)
+
+    def output(self, name):
+        return output(self.system, self.context, name)
+
+    def observed(self):
+        estimate, tfg = maps(1)
+        self.set(map=estimate, tfg=tfg, pose=pose(1), mission=MissionStatus("choose", 1, 0.0))
+        self.run()
+        return estimate, tfg
+
+
+def choice(roadmap, place, stage=1):
+    node = int(np.argmin(np.hypot(*(roadmap.points - place).T))) if place is not None else 10**6
+    base = vars(empty_choice()) | {"stage": stage, "node": node}
+    return GoalChoice(**base)
+
+
+def test_waits_for_the_first_map():
+    planner = Planner()
+    planner.run(1.0)
+    assert planner.output("roadmap").stage == 0
+    assert planner.output("path").id == 0
+    assert planner.output("status").free
+
+
+def test_roadmap_then_path_then_a_watch_on_it():
+    planner = Planner()
+    planner.observed()
+    roadmap = planner.output("roadmap")
+    assert roadmap.stage == 1
+    assert roadmap.reachable.mean() > 0.9
+    assert planner.output("path").id == 0
+
+    planner.set(goal=choice(roadmap, (3, 0)), mission=MissionStatus("plan", 1, 0.0))
+    planner.run()
+    path = planner.output("path")
+    assert (path.id, path.stage) == (1, 1)
+    np.testing.assert_allclose(path.points[0], [0, 0], atol=1e-9)
+    planner.run(0.5)
+    assert planner.output("path") is path
+
+    planner.set(mission=MissionStatus("follow", 1, 0.0, path_id=1), scan=scan(1.0))
+    planner.run()
+    assert planner.output("status").free
+    bearing = np.arctan2(*path.points[15][::-1])
+    blocked = np.where(np.abs(scan().angles - bearing) < 0.1, 1.2, np.inf)
+    planner.set(scan=scan(1.1, blocked))
+    planner.run()
+    assert (planner.output("status").path_id, planner.output("status").free) == (1, False)
+
+    planner.set(mission=MissionStatus("plan", 1, 0.0, replans=1, path_id=1))
+    planner.run()
+    around = planner.output("path")
+    assert around.id == 2
+    assert planner.output("status").free
+    place = 1.2 * np.array([np.cos(bearing), np.sin(bearing)])
+    assert np.hypot(*(around.points - place).T).min() > 0.18
+
+
+def test_an_unreachable_goal_gives_an_empty_path_with_a_new_id():
+    planner = Planner()
+    planner.observed()
+    planner.set(goal=choice(planner.output("roadmap"), None), mission=MissionStatus("plan", 1, 0.0))
+    planner.run()
+    assert planner.output("path").id == 1
+    assert len(planner.output("path").points) == 0
+
+
+def test_two_runs_are_equal_to_the_bit():
+    roadmaps = []
+    for _ in range(2):
+        planner = Planner()
+        planner.observed()
+        roadmaps.append(planner.output("roadmap"))
+    for name, value in vars(roadmaps[0]).items():
+        np.testing.assert_array_equal(value, getattr(roadmaps[1], name))

@@ -1,0 +1,112 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.systems.analysis import Simulator
+
+from tfg_drake.config import ExplorerConfig, RobotConfig
+from tfg_drake.messages import MissionStatus, Path, PoseEstimate
+from tfg_drake.systems.pure_pursuit_follower import PERIOD, PurePursuitFollower
+
+ROBOT = RobotConfig()
+
+
+class Rig:
+    """A follower and a unicycle with the base's limits, stepped by hand."""
+
+    def __init__(self, path=np.zeros((0, 2))):
+        self.follower = PurePursuitFollower(ROBOT, ExplorerConfig())
+        self.simulator = Simulator(self.follower)
+        self.context = self.simulator.get_mutable_context()
+        self.X, self.V = np.zeros(3), np.zeros(2)
+        self.mission = MissionStatus(phase="observe", stage=0, since=0.0)
+        self.path = Path(id=1, stage=1, points=path)
+        self._fix()
+        self.simulator.Initialize()
+
+    def _fix(self):
+        none = np.zeros(0)
+        pose = PoseEstimate(self.context.get_time(), self.X, np.eye(3), self.V, 0, none.astype(int), np.zeros((0, 2)))
+        for name, value in (("pose", pose), ("path", self.path), ("mission", self.mission)):
+            self.follower.GetInputPort(name).FixValue(self.context, AbstractValue.Make(value))
+
+    def command(self):
+        return self.follower.GetOutputPort("velocity_commanded").Eval(self.context)
+
+    def status(self):
+        return self.follower.GetOutputPort("status").Eval(self.context)
+
+    def run(self, seconds, until=lambda status: False):
+        for _ in range(round(seconds / PERIOD)):
+            limit = PERIOD * np.array([ROBOT.max_acceleration, ROBOT.max_turn_acceleration])
+            self.V = self.V + np.clip(self.command() - self.V, -limit, limit)
+            heading = self.X[2] + 0.5 * PERIOD * self.V[1]
+            self.X = self.X + PERIOD * np.array(
+                [*self.V[0] * np.array([math.cos(heading), math.sin(heading)]), self.V[1]]
+            )
+            self._fix()
+            self.simulator.AdvanceTo(self.context.get_time() + PERIOD)
+            if until(self.status()):
+                return True
+        return False
+
+    def phase(self, phase):
+        self.mission = MissionStatus(phase=phase, stage=1, since=self.context.get_time())
+
+
+def test_turns_once_and_stops():
+    rig = Rig()
+    assert rig.run(12, lambda status: status.turn_done)
+    assert 2 * math.pi <= rig.X[2] < 2 * math.pi + 0.05
+    assert rig.status().turned == pytest.approx(rig.X[2], abs=1e-9)
+    assert abs(rig.V[1]) < 0.02
+    assert rig.context.get_time() < 2 * math.pi + 2.0
+
+
+def test_every_observation_turns_anew():
+    rig = Rig()
+    rig.run(12, lambda status: status.turn_done)
+    rig.phase("map")
+    rig.run(0.5)
+    assert rig.status().turn_done
+    rig.phase("observe")
+    rig.run(0.1)
+    assert not rig.status().turn_done
+    assert rig.run(12, lambda status: status.turn_done)
+    assert rig.X[2] >= 4 * math.pi
+
+
+def test_follows_the_path_and_says_so():
+    points = np.stack([np.arange(0, 3.05, 0.1), np.zeros(31)], axis=1)
+    rig = Rig(points)
+    rig.phase("follow")
+    assert rig.run(15, lambda status: status.arrived)
+    assert rig.status().path_id == 1
+    np.testing.assert_allclose(rig.X[:2], points[-1], atol=0.05)
+    rig.path = Path(id=2, stage=1, points=points[::-1].copy())
+    rig.run(0.1)
+    assert (rig.status().path_id, rig.status().arrived) == (2, False)
+    assert rig.run(20, lambda status: status.arrived)
+    np.testing.assert_allclose(rig.X[:2], [0, 0], atol=0.06)
+
+
+@pytest.mark.parametrize("phase", ["map", "choose", "plan", "done", "paused"])
+def test_stands_still_in_other_phases(phase):
+    rig = Rig(np.array([[0.0, 0.0], [1.0, 0.0]]))
+    rig.run(1)
+    rig.phase(phase)
+    rig.run(1)
+    assert rig.command().tolist() == [0.0, 0.0]
+    assert not rig.V.any()
+    assert not rig.status().turn_done
+
+
+def test_a_cloned_context_goes_on_alike():
+    rig = Rig(np.array([[0.0, 0.0], [2.0, 0.5]]))
+    rig.phase("follow")
+    rig.run(2)
+    clone = rig.context.Clone()
+    port = rig.follower.GetOutputPort("velocity_commanded")
+    assert (port.Eval(clone) == rig.command()).all()
+    assert (clone.get_discrete_state_vector().value() == rig.context.get_discrete_state_vector().value()).all()
