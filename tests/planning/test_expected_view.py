@@ -1,14 +1,19 @@
+import itertools
+
 import numpy as np
 import shapely
 
 from tfg_drake.planning.expected_view import visible_targets
 
 
-def view(points, targets, normals, segments, range_max=10.0, incidence=np.radians(75), tolerance=0.1):
+STEEPEST = np.radians(75)
+
+
+def view(points, targets, normals, segments, range_max=10.0, incidence=STEEPEST, tolerance=0.1):
     arguments = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (points, targets, normals))
     offsets, index = visible_targets(*arguments, np.asarray(segments, dtype=float).reshape(-1, 4), range_max, incidence,
                                      tolerance)  # fmt: skip
-    return [index[a:b].tolist() for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+    return [index[a:b].tolist() for a, b in itertools.pairwise(offsets)]
 
 
 def test_agrees_with_shapely():

@@ -208,7 +208,7 @@ def scan_of(segments, X_MB):
 
 @pytest.mark.parametrize(("offset", "free"), [(0.0, False), (0.15, False), (0.45, True)])
 def test_an_unmapped_box_on_the_path_blocks_it_and_is_planned_round(offset, free):
-    state, estimate, tfg = build(two_rooms(), [(-5, 0, 0)])
+    state, _, tfg = build(two_rooms(), [(-5, 0, 0)])
     node = nearest(state, (-1.2, 0))
     X_MB = np.array([-5.0, 0.0, 0.0])
     path = plan_path(state, tfg, X_MB, node, ROBOT)
