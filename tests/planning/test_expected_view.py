@@ -5,7 +5,6 @@ import shapely
 
 from tfg_drake.planning.expected_view import visible_targets
 
-
 STEEPEST = np.radians(75)
 
 

@@ -15,13 +15,13 @@ ROBOT = RobotConfig()
 class Rig:
     """A follower and a unicycle with the base's limits, stepped by hand."""
 
-    def __init__(self, path=np.zeros((0, 2))):
+    def __init__(self, path=()):
         self.follower = PurePursuitFollower(ROBOT, ExplorerConfig())
         self.simulator = Simulator(self.follower)
         self.context = self.simulator.get_mutable_context()
         self.X, self.V = np.zeros(3), np.zeros(2)
         self.mission = MissionStatus(phase="observe", stage=0, since=0.0)
-        self.path = Path(id=1, stage=1, points=path)
+        self.path = Path(id=1, stage=1, points=np.reshape(path, (-1, 2)).astype(float))
         self._fix()
         self.simulator.Initialize()
 

@@ -61,9 +61,8 @@ def choose(
     """The choice at one stage: estimate, tfg and roadmap are of the same stage.
 
     Candidates are the roadmap's reachable nodes, but for those next to where the robot stands, here (2,) m in M: it has
-    just turned there. While a live frontier is in
-    view of one of them, the best candidate wins whatever its gain; after that it has to promise more than
-    explorer.stop_gain.
+    just turned there. Worth going to is what sees a live
+    frontier, whatever its gain, and what promises more than explorer.stop_gain.
     """
     nodes = np.flatnonzero(roadmap.reachable & (np.hypot(*(roadmap.points - here).T) >= APART))
     sees = expected_frontiers(roadmap.points[nodes], tfg, sensor).count
@@ -105,7 +104,7 @@ def decide(
     frontier_length: m of live frontier, seen or not.
     """
     gain = gains.gain
-    worth = np.ones(len(candidates), dtype=np.bool_) if np.any(sees_frontier) else gain > stop_gain
+    worth = sees_frontier | (gain > stop_gain)
     pick, verdict = -1, "goal"
     if worth.any():
         pick = int(np.argmax(np.where(worth, value, -np.inf)))

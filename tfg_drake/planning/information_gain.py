@@ -26,6 +26,8 @@ from tfg_drake.planning.expected_view import View
 # and tie all tags of a goal together.
 RANGE_FLOOR = 0.01
 BEARING_FLOOR = 0.002
+# A frontier yields its full number of new landmarks to a view that reaches this share of the sensor's range beyond it.
+FRONTIER_DEPTH = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +63,12 @@ def _whitened(dx: float, dy: float, noise: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
+def _share_seen(dx: float, dy: float, reach: FloatArray) -> float:
+    """How much of what a frontier point stands for is seen from (dx, dy) away: the depth of view left behind it."""
+    return min(1.0, max(0.0, (reach[0] - math.sqrt(dx * dx + dy * dy)) / reach[1]))
+
+
+@njit(cache=True)
 def exact_gain(
     points: FloatArray,
     odometry: FloatArray,
@@ -76,6 +84,7 @@ def exact_gain(
     new_count: FloatArray,
     prior_sigma: float,
     noise: FloatArray,
+    reach: FloatArray,
 ) -> FloatArray:
     """Exploitation, exploration and price of the pose, (c, 3), nats, of a turn at each point (c, 2), m in M.
 
@@ -83,7 +92,8 @@ def exact_gain(
     covariance: (2n + 3, 2n + 3) of landmarks p_ML (n, 2) and X_MD. departure_given_map: (3, 3), that of X_MD given
     all landmarks. Point i sees the rows known[known_offsets[i]:known_offsets[i + 1]] of p_ML and as many new landmarks
     as new_count (u,) says, a fraction allowed, at each of the rows new[new_offsets[i]:...] of p_MU (u, 2), whose
-    priors are independent, of deviation prior_sigma (m). noise: as in _whitened.
+    priors are independent, of deviation prior_sigma (m). noise: as in _whitened. reach: (sensor range, depth), m: a
+    new landmark counts in proportion to how far the view goes on behind its frontier point, in full from depth on.
     """
     out = np.zeros((len(points), 3))
     pose = 2 * len(p_ML)
@@ -161,9 +171,10 @@ def exact_gain(
             K[:, :2] = -G_u
             K[1, 2] = -1.0 / noise[3]
             D = np.eye(2) + prior_sigma * prior_sigma * (G_u @ G_u.T)
-            log_new += new_count[u] * math.log(D[0, 0] * D[1, 1] - D[0, 1] * D[1, 0])
-            B_new += new_count[u] * (K.T @ K)
-            B_new_given_prior += new_count[u] * (K.T @ np.linalg.solve(D, K))
+            count = new_count[u] * _share_seen(p_MU[u, 0] - x, p_MU[u, 1] - y, reach)
+            log_new += count * math.log(D[0, 0] * D[1, 1] - D[0, 1] * D[1, 0])
+            B_new += count * (K.T @ K)
+            B_new_given_prior += count * (K.T @ np.linalg.solve(D, K))
 
         price_known = math.log(np.linalg.det(eye3 + S_x_given_L @ B_known))
         price_all = math.log(np.linalg.det(eye3 + S_x_given_L @ (B_known + B_new)))
@@ -240,7 +251,7 @@ def information_gain(
     """Expected gains of a full turn at each point (c, 2), m in M, reached after distance (c,) m and time (c,) s.
 
     tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new landmarks,
-    seen where the frontier point is. The arrival pose is known through odometry since the last departure alone, as in
+    seen where the frontier point is, less where the view ends soon behind it. The arrival pose is known through odometry since the last departure alone, as in
     the factor that will join the two goals.
     """
     out = exact_gain(
@@ -258,5 +269,6 @@ def information_gain(
         explorer.density * tfg.frontier_length,
         explorer.prior_sigma,
         turn_noise(sensor, explorer.turn_rate),
+        np.array([sensor.range, FRONTIER_DEPTH * sensor.range]),
     )
     return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])
