@@ -1,1 +1,1 @@
-"""Worlds: walls, tags and a start, made from scenarios, occupancy grids and vector maps; and what of them can be reached."""
+"""Worlds: walls, tags and a start, from scenarios, occupancy grids or vector maps; and what of them can be reached."""

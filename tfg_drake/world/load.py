@@ -28,20 +28,27 @@ def load_map(
     """
     if not path.is_file():
         raise WorldError(f"{path}: no such file")
+    is_free = None
     if path.name.endswith(".vectormap.txt"):
         walls, dropped = load_vectormap(path)
         if dropped:
             _log.warning("%s: dropped %d walls of zero length", path, dropped)
     elif path.suffix in (".yaml", ".yml"):
-        walls = load_map_server(path)
+        occupancy = load_map_server(path)
+        walls, is_free = occupancy.walls, occupancy.is_free
     else:
         raise WorldError(f"{path}: unknown kind of map; give a scenario or map_server .yaml or a *.vectormap.txt")
     try:
-        X_WS = draw_start(walls, robot_radius, seed) if start is None else np.array(start, dtype=float)
+        X_WS = draw_start(walls, robot_radius, seed, is_free) if start is None else np.array(start, dtype=float)
         world = World(
             walls=walls, tag_ids=np.zeros(0, dtype=np.int64), p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=X_WS
         )
-        return furnish(world, robot_radius, tag_spacing, None)
+        furnished = furnish(world, robot_radius, tag_spacing, None)
+        if is_free is not None and not is_free(X_WS[None, :2])[0]:
+            raise WorldError(
+                f"world.start: ({X_WS[0]:g}, {X_WS[1]:g}) is not in a free cell of the map; start elsewhere"
+            )
+        return furnished
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
 

@@ -1,7 +1,8 @@
-"""ROS map_server maps: an occupancy image and a .yaml that says how to read it; the walls are its free cells' borders."""
+"""ROS map_server maps: an occupancy image and a .yaml that says how to read it; walls are the free cells' borders."""
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 import io
 import math
@@ -11,18 +12,34 @@ import numpy as np
 import yaml
 from PIL import Image
 
+from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.world.world import WorldError
 
-# Walls may leave the cells' borders by this many cells: half a cell straightens the staircases of slanted walls.
+# Walls may leave the cells' borders by this many cells: the staircases of slanted walls stay within one.
 _TOLERANCE = 1.0
 
 
-def load_map_server(path: Path) -> FloatArray:
-    """Walls (m, 4) in W, m, between the free cells of the map and all others (occupied, unknown, beyond the image).
+@dataclasses.dataclass(frozen=True)
+class OccupancyMap:
+    """walls: (m, 4) in W, m, between the free cells and all others (occupied, unknown, beyond the image), free cells on
+    the left. free: (rows, columns), row 0 lowest. resolution: m per cell. X_WI: (3,) the image's lower left corner."""
 
-    path: the map's .yaml, whose `image` (.pgm, .pgm.gz, .png) is relative to it. Raises WorldError.
-    """
+    walls: FloatArray
+    free: BoolArray
+    resolution: float
+    X_WI: FloatArray
+
+    def is_free(self, p_WP: FloatArray) -> BoolArray:
+        """Which points (n, 2) in W lie in free cells (n,)."""
+        index = np.floor(transform(inverse(self.X_WI), p_WP) / self.resolution).astype(np.int64)
+        inside = ((index >= 0) & (index < self.free.shape[::-1])).all(axis=1)
+        index = np.where(inside[:, None], index, 0)
+        return np.asarray(inside & self.free[index[:, 1], index[:, 0]])
+
+
+def load_map_server(path: Path) -> OccupancyMap:
+    """Reads the map's .yaml, whose `image` (.pgm, .pgm.gz, .png) is relative to it; raises WorldError."""
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -39,13 +56,20 @@ def load_map_server(path: Path) -> FloatArray:
     if not free.any():
         raise WorldError(f"{path}: no free space in the image; check negate and free_thresh")
     polylines = [_simplify(line, _TOLERANCE) for line in _borders(free)]
-    corners = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in polylines]) * resolution
-    x, y, yaw = (float(value) for value in origin)
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.column_stack(
-        [x + c * corners[:, 0] - s * corners[:, 1], y + s * corners[:, 0] + c * corners[:, 1]]
-        + [x + c * corners[:, 2] - s * corners[:, 3], y + s * corners[:, 2] + c * corners[:, 3]]
+    corners = _distinct(np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in polylines])) * resolution
+    X_WI = np.array(origin, dtype=float)
+    walls = np.column_stack([transform(X_WI, corners[:, :2]), transform(X_WI, corners[:, 2:])])
+    return OccupancyMap(walls=walls, free=free, resolution=resolution, X_WI=X_WI)
+
+
+def _distinct(segments: FloatArray) -> FloatArray:
+    """Each segment (m, 4) once: a wall one cell thick may collapse into a line there and back."""
+    backwards = segments[:, [2, 3, 0, 1]]
+    swap = (backwards[:, 0] < segments[:, 0]) | (
+        (backwards[:, 0] == segments[:, 0]) & (backwards[:, 1] < segments[:, 1])
     )
+    _, first = np.unique(np.where(swap[:, None], backwards, segments), axis=0, return_index=True)
+    return segments[np.sort(first)]
 
 
 def _is_number(value: object) -> bool:

@@ -97,17 +97,13 @@ def reachable_cells(grid: Grid, world: World, robot_radius: float) -> BoolArray:
     without one no cell is reachable.
     """
     free = free_cells(grid, world.walls, robot_radius + MARGIN)
-    row, column = grid.cell(world.start[None, :2])
-    reach = int(np.ceil(robot_radius / CELL))
-    rows, columns = np.nonzero(
-        free[max(0, row[0] - reach) : row[0] + reach + 1, max(0, column[0] - reach) :][:, : 2 * reach + 1]
-    )
-    if not len(rows):
+    row, column = np.nonzero(free)
+    distance = np.hypot(*(grid.p_WG + CELL * np.column_stack([column, row]) - world.start[:2]).T)
+    if not len(row) or distance.min() > robot_radius:
         return np.zeros(grid.shape, dtype=np.bool_)
-    rows, columns = rows + max(0, row[0] - reach), columns + max(0, column[0] - reach)
-    nearest = int(np.argmin((rows - row[0]) ** 2 + (columns - column[0]) ** 2))
+    nearest = int(np.argmin(distance))
     labels, _ = ndimage.label(free)
-    return np.asarray(labels == labels[rows[nearest], columns[nearest]])
+    return np.asarray(labels == labels[row[nearest], column[nearest]])
 
 
 def _seen(
@@ -118,7 +114,7 @@ def _seen(
     range_max: float,
     max_incidence: float,
 ) -> BoolArray:
-    """Which points (n, 2) on faces with normals (n, 2) are seen from some cell centre (c, 2): nearest cells first."""
+    """Which points (n, 2) on faces with normals (n, 2) some cell centre (c, 2) sees: nearest cells first."""
     seen = np.zeros(len(points), dtype=np.bool_)
     if not len(points) or not len(cells):
         return seen
@@ -174,7 +170,7 @@ def reachable_surface(world: World, grid: Grid, reachable: BoolArray, scan_range
 
 
 def cut_walls(walls: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (n, 2) of equal pieces of the walls (m, 4), at most PIECE long, m, and the pieces' unit normals (n, 2)."""
+    """Centres (n, 2) of equal pieces of the walls (m, 4), at most PIECE long, m, and their unit normals (n, 2)."""
     if not len(walls):
         return np.zeros((0, 2)), np.zeros((0, 2))
     d = walls[:, 2:] - walls[:, :2]

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import ndimage
 
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.world.reachability import CELL, MARGIN, cut_walls, free_cells, make_grid
 from tfg_drake.world.world import World, WorldError
 
 
-def draw_start(walls: FloatArray, robot_radius: float, seed: int) -> FloatArray:
+def draw_start(
+    walls: FloatArray, robot_radius: float, seed: int, is_free: Callable[[FloatArray], BoolArray] | None = None
+) -> FloatArray:
     """A start pose X_WS (3,) drawn from the seed in the connected free region with the most wall length.
 
-    walls: (m, 4), m. robot_radius: m. Regions are those of a disc of robot_radius + MARGIN on the 5 cm grid; a region's
+    walls: (m, 4), m. robot_radius: m. is_free: tells of points (n, 2) in W whether the map calls them free (a grid map's
+    walls enclose its solid blocks as well as its rooms); without it all space inside the walls is. Regions are those of a disc of robot_radius + MARGIN on the 5 cm grid; a region's
     wall length is the length of wall right beside it. A world without walls begins at the origin. Raises WorldError if
     the robot fits nowhere inside the walls.
     """
@@ -23,7 +28,10 @@ def draw_start(walls: FloatArray, robot_radius: float, seed: int) -> FloatArray:
     none = np.zeros(0, dtype=np.int64)
     grid = make_grid(World(walls=walls, tag_ids=none, p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=corner))
     labels, count = ndimage.label(free_cells(grid, walls, robot_radius + MARGIN))
-    labels[labels == labels[0, 0]] = 0  # outside everything
+    outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    labels[np.isin(labels, outside)] = 0
+    if is_free is not None:
+        labels[labels > 0] *= is_free(grid.centers(labels > 0))
     pieces, normals = cut_walls(walls)
     beside = robot_radius + MARGIN + CELL
     length: IntArray = np.zeros(count + 1, dtype=np.int64)
@@ -32,9 +40,7 @@ def draw_start(walls: FloatArray, robot_radius: float, seed: int) -> FloatArray:
         length += np.bincount(labels[row, column], minlength=count + 1)
     length[0] = 0
     if not length.any():
-        raise WorldError(
-            f"no free space inside the walls for a robot of radius {robot_radius:g} m; check the map's scale"
-        )
+        raise WorldError(f"no free space inside the walls for a robot of radius {robot_radius:g} m; check the scale")
     cells = grid.centers(labels == np.argmax(length))
     random = np.random.default_rng(seed)
     position = cells[random.integers(len(cells))]

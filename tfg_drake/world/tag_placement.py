@@ -95,5 +95,6 @@ def _touched(p: FloatArray, normal: FloatArray, walls: FloatArray, reachable: cK
     if point_distance((p + _TAG_SPACE * normal)[None], walls)[0] < 0.99 * _TAG_SPACE:
         return False
     near = reachable.data[reachable.query_ball_point(p, np.sqrt(2.0) * (robot_radius + MARGIN) + CELL)]
-    near = np.ascontiguousarray(near[(near - p) @ normal > 0.0])
+    in_front = (near - p) @ normal > 0.5 * np.linalg.norm(near - p, axis=1)
+    near = np.ascontiguousarray(near[in_front])
     return len(near) > 0 and bool(line_of_sight(walls, p, near).any())

@@ -46,9 +46,7 @@ def check_world(world: World, robot_radius: float) -> None:
         if not (np.isfinite(p).all() and np.isfinite(facing)):
             raise WorldError(f"world.tags[{i}]: position or facing is not a finite number; write metres and radians")
         if tag in first:
-            raise WorldError(
-                f"world.tags[{i}].id: {tag} is taken by world.tags[{first[tag]}]; give each tag its own id"
-            )
+            raise WorldError(f"world.tags[{i}].id: {tag} is taken by world.tags[{first[tag]}]; give each tag an id")
         first[tag] = i
     if not np.isfinite(world.start).all():
         raise WorldError("world.start: not a finite number; write [x, y, yaw] in metres and radians")
@@ -57,6 +55,6 @@ def check_world(world: World, robot_radius: float) -> None:
         nearest = int(np.argmin(distance))
         if distance[nearest] < robot_radius:
             raise WorldError(
-                f"world.start: ({world.start[0]:g}, {world.start[1]:g}) is inside a wall: {distance[nearest]:.3f} m from"
-                f" world.walls[{nearest}], the robot's radius is {robot_radius:g} m; start further away"
+                f"world.start: ({world.start[0]:g}, {world.start[1]:g}) is inside a wall: {distance[nearest]:.3f} m"
+                f" from world.walls[{nearest}], the robot's radius is {robot_radius:g} m; start further away"
             )

@@ -1,0 +1,234 @@
+"""Maps from files: map_server grids, vector maps, starts, and the real buildings where they are at hand."""
+
+import gzip
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapely.geometry import LineString, box
+from shapely.ops import polygonize, unary_union
+
+from tfg_drake.world.load import furnish, load_map
+from tfg_drake.world.map_server import _borders, load_map_server
+from tfg_drake.world.start import draw_start
+from tfg_drake.world.vectormap import load_vectormap
+from tfg_drake.world.world import WorldError, check_world
+
+REAL_MAPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "maps"
+
+
+def write_grid(
+    folder: Path, free: np.ndarray, name: str = "map.pgm", origin: str = "[0, 0, 0]", negate: int = 0
+) -> Path:
+    """A map_server map of 0.1 m a cell; free (rows, columns), row 0 lowest."""
+    shade = np.where(free, 254, 0).astype(np.uint8)[::-1]
+    if negate:
+        shade = 255 - shade
+    plain = folder / name.removesuffix(".gz")
+    Image.fromarray(shade).save(plain)
+    if name.endswith(".gz"):
+        (folder / name).write_bytes(gzip.compress(plain.read_bytes()))
+    file = folder / "map.yaml"
+    file.write_text(
+        f"image: {name}\nresolution: 0.1\norigin: {origin}\nnegate: {negate}\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    return file
+
+
+def area(walls: np.ndarray) -> list[float]:
+    """Areas of the faces that the walls enclose, m^2, largest first."""
+    lines = unary_union([LineString(w.reshape(2, 2)) for w in walls])
+    return sorted((face.area for face in polygonize(lines)), reverse=True)
+
+
+@pytest.mark.parametrize("name", ["map.pgm", "map.pgm.gz", "map.png"])
+@pytest.mark.parametrize("negate", [0, 1])
+def test_a_room_with_a_block_comes_back_exactly(tmp_path, name, negate):
+    free = np.zeros((40, 60), dtype=bool)
+    free[5:35, 5:55] = True
+    free[15:20, 20:30] = False
+    walls = load_map_server(write_grid(tmp_path, free, name, "[-1, 2, 0]", negate)).walls
+    assert len(walls) == 8
+    outline = unary_union([LineString(w.reshape(2, 2)) for w in walls])
+    expected = box(-0.5, 2.5, 4.5, 5.5).boundary.union(box(1.0, 3.5, 2.0, 4.0).boundary)
+    assert outline.hausdorff_distance(expected) < 1e-9
+
+
+def test_the_origin_turns_the_map(tmp_path):
+    free = np.ones((10, 20), dtype=bool)
+    walls = load_map_server(write_grid(tmp_path, free, origin="[1, 2, 1.5707963267948966]")).walls
+    assert len(walls) == 4
+    x, y = walls[:, [0, 2]], walls[:, [1, 3]]
+    np.testing.assert_allclose([x.min(), x.max(), y.min(), y.max()], [0.0, 1.0, 2.0, 4.0], atol=1e-9)
+
+
+def test_slanted_walls_become_straight_and_stay_within_a_cell(tmp_path):
+    rows, columns = np.mgrid[0:200, 0:200]
+    free = (columns > 10) & (rows > 10) & (rows + 0.3 * columns < 150)
+    walls = load_map_server(write_grid(tmp_path, free)).walls
+    assert len(walls) < 20
+    assert area(walls)[0] == pytest.approx(free.sum() * 0.01, rel=0.02)
+
+
+def test_blocks_that_touch_at_a_corner_are_kept_apart():
+    free = np.zeros((8, 8), dtype=bool)
+    free[1:4, 1:4] = free[4:7, 4:7] = True
+    assert sorted(len(line) for line in _borders(free)) == [13, 13]
+
+
+def test_unknown_cells_are_walls_and_specks_collapse_to_a_line(tmp_path):
+    shade = np.full((20, 20), 254, dtype=np.uint8)
+    shade[:, 10:] = 205
+    shade[10, 5] = 0
+    file = write_grid(tmp_path, shade == 254)
+    Image.fromarray(shade).save(tmp_path / "map.pgm")
+    walls = load_map_server(file).walls
+    assert len(walls) == 5
+    assert area(walls)[0] == pytest.approx(1.0 * 2.0)
+
+
+def test_transparent_pixels_are_unknown(tmp_path):
+    pixels = np.full((5, 8, 4), 255, dtype=np.uint8)
+    pixels[:, 4:, 3] = 0
+    Image.fromarray(pixels).save(tmp_path / "map.png")
+    (tmp_path / "map.yaml").write_text("image: map.png\nresolution: 1.0\norigin: [0, 0, 0]\n")
+    assert area(load_map_server(tmp_path / "map.yaml").walls) == [20.0]
+
+
+def test_bad_map_server_files_are_refused_in_one_line(tmp_path):
+    file = tmp_path / "map.yaml"
+
+    def message(text: str) -> str:
+        file.write_text(text)
+        with pytest.raises(WorldError) as error:
+            load_map_server(file)
+        return str(error.value)
+
+    good = "image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"
+    assert message("resolution: 0.1") == (
+        f"{file}: image: missing; a map_server file names its image, for example image: map.pgm"
+    )
+    assert message(good) == f"{file}: image: {tmp_path / 'map.pgm'} does not exist"
+    (tmp_path / "map.pgm").write_bytes(b"P5\n10 10\n255\nshort")
+    assert message(good).startswith(f"{file}: image: {tmp_path / 'map.pgm'} is not a readable image: ")
+    (tmp_path / "map.pgm.gz").write_bytes(b"not gzip")
+    assert message(good.replace("pgm", "pgm.gz")).startswith(f"{file}: image: {tmp_path / 'map.pgm.gz'} is not a read")
+    Image.fromarray(np.zeros((5, 5), dtype=np.uint8)).save(tmp_path / "map.pgm")
+    assert message(good) == f"{file}: no free space in the image; check negate and free_thresh"
+    assert message(good.replace("0.1", "-0.1")) == (
+        f"{file}: resolution: must be greater than 0 metres per cell, is -0.1"
+    )
+    assert message(good.replace("0.1", "fine")) == f"{file}: resolution: expected a number, found 'fine'"
+    assert message(good.replace("[0, 0, 0]", "[0, 0]")) == (
+        f"{file}: origin: expected [x, y, yaw] of the image's lower left corner, found [0, 0]"
+    )
+    assert message("image: [").startswith(f"{file}: cannot be read: ")
+
+
+def test_vectormap_has_a_fence_and_drops_walls_of_zero_length(tmp_path, caplog):
+    file = tmp_path / "room.vectormap.txt"
+    file.write_text(" 0,0, 4,0\n4,0,4,3\n\n2,2,2,2\n4,3,0,3\n")
+    walls, dropped = load_vectormap(file)
+    assert dropped == 1
+    np.testing.assert_allclose(walls[:3], [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3]])
+    np.testing.assert_allclose(walls[3:], [[-1, -1, 5, -1], [5, -1, 5, 4], [5, 4, -1, 4], [-1, 4, -1, -1]])
+    with caplog.at_level(logging.WARNING):
+        load_map(file, 0.18, None, (2.0, 1.0, 0.0), 0)
+    assert caplog.messages == [f"{file}: dropped 1 walls of zero length"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("0,0,1,0\n1,2,3\n", "{file}: line 2: expected x0,y0,x1,y1 in metres, found '1,2,3'"),
+        ("0,0,1,a\n", "{file}: line 1: expected x0,y0,x1,y1 in metres, found '0,0,1,a'"),
+        ("0,0,1,nan\n", "{file}: line 1: expected x0,y0,x1,y1 in metres, found '0,0,1,nan'"),
+        ("\n", "{file}: no walls in it; expected lines of x0,y0,x1,y1 in metres"),
+    ],
+)
+def test_bad_vectormaps_are_refused_in_one_line(tmp_path, text, message):
+    file = tmp_path / "bad.vectormap.txt"
+    file.write_text(text)
+    with pytest.raises(WorldError) as error:
+        load_vectormap(file)
+    assert str(error.value) == message.format(file=file)
+
+
+def test_the_start_is_drawn_from_the_seed_in_the_region_with_the_most_wall():
+    small = [[0, 0, 2, 0], [2, 0, 2, 2], [2, 2, 0, 2], [0, 2, 0, 0]]
+    large = [[10, 0, 16, 0], [16, 0, 16, 5], [16, 5, 10, 5], [10, 5, 10, 0]]
+    walls = np.array(small + large, dtype=float)
+    starts = np.array([draw_start(walls, 0.18, seed) for seed in range(20)])
+    assert (starts[:, 0] > 10.2).all()
+    assert len(np.unique(starts, axis=0)) == 20
+    np.testing.assert_array_equal(draw_start(walls, 0.18, 3), starts[3])
+    with pytest.raises(WorldError, match="no free space inside the walls for a robot of radius 3 m; check the scale"):
+        draw_start(walls, 3.0, 0)
+    np.testing.assert_array_equal(draw_start(np.zeros((0, 4)), 0.18, 0), np.zeros(3))
+
+
+def test_a_start_in_a_solid_block_of_a_grid_is_neither_drawn_nor_accepted(tmp_path):
+    free = np.zeros((120, 120), dtype=bool)
+    free[5:115, 5:115] = True
+    free[10:110, 10:110] = False
+    free[45:75, 112:115] = False
+    file = write_grid(tmp_path, free)
+    with pytest.raises(WorldError) as error:
+        load_map(file, 0.18, None, (6.0, 6.0, 0.0), 0)
+    assert str(error.value) == f"{file}: world.start: (6, 6) is not in a free cell of the map; start elsewhere"
+    starts = np.array([load_map(file, 0.18, None, None, seed).start for seed in range(5)])
+    assert not ((starts[:, :2] > 1.0) & (starts[:, :2] < 11.0)).all(axis=1).any()
+
+
+def test_load_map_complains_in_one_line(tmp_path):
+    with pytest.raises(WorldError) as error:
+        load_map(tmp_path / "none.yaml", 0.18, None, None, 0)
+    assert str(error.value) == f"{tmp_path / 'none.yaml'}: no such file"
+    (tmp_path / "plan.dxf").write_text("")
+    with pytest.raises(WorldError) as error:
+        load_map(tmp_path / "plan.dxf", 0.18, None, None, 0)
+    assert str(error.value) == (
+        f"{tmp_path / 'plan.dxf'}: unknown kind of map; give a scenario or map_server .yaml or a *.vectormap.txt"
+    )
+    file = tmp_path / "room.vectormap.txt"
+    file.write_text("0,0,4,0\n4,0,4,3\n4,3,0,3\n0,3,0,0\n")
+    with pytest.raises(WorldError) as error:
+        load_map(file, 0.18, 1.0, (0.1, 1.0, 0.0), 0)
+    assert str(error.value) == (
+        f"{file}: world.start: (0.1, 1) is inside a wall: 0.100 m from world.walls[3], the robot's radius is 0.18 m;"
+        " start further away"
+    )
+
+
+def test_furnish_replaces_only_what_is_given(tmp_path):
+    file = tmp_path / "room.vectormap.txt"
+    file.write_text("0,0,4,0\n4,0,4,3\n4,3,0,3\n0,3,0,0\n")
+    bare = load_map(file, 0.18, None, (2.0, 1.0, 0.0), 0)
+    assert len(bare.tag_ids) == 0
+    tagged = furnish(bare, 0.18, 1.0, None)
+    assert len(tagged.tag_ids) == 14
+    moved = furnish(tagged, 0.18, None, (1.0, 1.0, 0.5))
+    np.testing.assert_array_equal(moved.p_WT, tagged.p_WT)
+    np.testing.assert_array_equal(moved.start, [1.0, 1.0, 0.5])
+
+
+@pytest.mark.skipif(not REAL_MAPS.is_dir(), reason="the real buildings' maps are not beside the repository")
+@pytest.mark.parametrize(
+    ("name", "most_walls", "least_tags"),
+    [
+        ("Joydeepb-Home.vectormap.txt", 100, 60),
+        ("LGRC1.vectormap.txt", 200, 400),
+        ("NSHA.vectormap.txt", 1100, 400),
+        ("GDC3.vectormap.txt", 6500, 600),
+        ("building_31.yaml", 5000, 200),
+        ("willow-2010-02-18-0.10.yaml", 5000, 300),
+    ],
+)
+def test_real_buildings_load(name, most_walls, least_tags):
+    world = load_map(REAL_MAPS / name, 0.18, 2.0, None, 0)
+    check_world(world, 0.18)
+    assert len(world.walls) <= most_walls
+    assert len(world.tag_ids) >= least_tags

@@ -1,0 +1,147 @@
+"""The figures of a run that need the truth: pure functions, plain arrays in, floats out.
+
+Frames: W world, M map. Truth in W becomes truth in M with X_MW, the inverse of the start pose. A figure without data
+is nan.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from tfg_drake.geometry.distance import point_distance
+from tfg_drake.geometry.se2 import rotation, wrap_angle
+from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.messages import BoolArray, FloatArray
+from tfg_drake.world.reachability import cut_walls
+
+# A true surface counts as mapped, and a mapped surface as true, within this distance, m.
+SURFACE_TOLERANCE = 0.25
+
+
+def rmse(error: FloatArray) -> float:
+    """Root of the mean squared length of the rows of error (n, d); nan without rows."""
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))) if len(error) else float("nan")
+
+
+def align(p_AP: FloatArray, p_BP: FloatArray) -> FloatArray:
+    """The pose X_AB (3,) that brings points p_BP (n, 2) closest to p_AP (n, 2), least squares, without scale.
+
+    Horn (1987) and Umeyama (1991), planar. Without points: the identity.
+    """
+    if not len(p_AP):
+        return np.zeros(3)
+    mean_A, mean_B = p_AP.mean(axis=0), p_BP.mean(axis=0)
+    a, b = p_AP - mean_A, p_BP - mean_B
+    theta = float(np.arctan2(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]), np.sum(a * b)))
+    return np.append(mean_A - rotation(theta) @ mean_B, theta)
+
+
+def landmark_rmse(p_ML: FloatArray, p_ML_true: FloatArray) -> float:
+    """RMSE of estimated against true landmarks, both (n, 2) in M, m."""
+    return rmse(p_ML - p_ML_true)
+
+
+def landmark_rmse_aligned(p_ML: FloatArray, p_ML_true: FloatArray) -> float:
+    """RMSE, m, after the rigid transform that fits the estimates (n, 2) to the truth (n, 2) best."""
+    X = align(p_ML_true, p_ML)
+    return rmse(p_ML @ rotation(float(X[2])).T + X[:2] - p_ML_true)
+
+
+def anees(error: FloatArray, covariance: FloatArray) -> float:
+    """Average normalised estimation error squared: the mean of e' P^-1 e / d over errors (n, d) with (n, d, d); 1 is
+    consistent (Bar-Shalom, Li and Kirubarajan 2001, section 5.4); nan without errors."""
+    if not len(error):
+        return float("nan")
+    return float(
+        np.mean(np.sum(error * np.linalg.solve(covariance, error[..., None])[..., 0], axis=1)) / error.shape[1]
+    )
+
+
+def landmark_anees(p_ML: FloatArray, p_ML_true: FloatArray, covariance: FloatArray) -> float:
+    """ANEES of landmarks (n, 2), each with its own block of covariance (2n, 2n) or (2n + 3, 2n + 3)."""
+    n = len(p_ML)
+    blocks = covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)
+    index = np.arange(n)
+    return anees(p_ML - p_ML_true, blocks[index, :, index, :])
+
+
+def landmark_nees(p_ML: FloatArray, p_ML_true: FloatArray, covariance: FloatArray) -> float:
+    """e' P^-1 e / 2n of all landmarks (n, 2) jointly, P the leading (2n, 2n) block of covariance; nan without any."""
+    n = len(p_ML)
+    if not n:
+        return float("nan")
+    error = (p_ML - p_ML_true).ravel()
+    factor = scipy.linalg.cho_factor(covariance[: 2 * n, : 2 * n])
+    return float(error @ scipy.linalg.cho_solve(factor, error) / (2 * n))
+
+
+def pose_anees(X_MB: FloatArray, X_MB_true: FloatArray, covariance: FloatArray) -> float:
+    """ANEES of poses (n, 3) with covariances (n, 3, 3) of (x, y) in M and theta."""
+    error = X_MB - X_MB_true
+    error[:, 2] = wrap_angle(error[:, 2])
+    return anees(error, covariance)
+
+
+def statistics(error: FloatArray) -> dict[str, float]:
+    """mean, std, max and final of a series of errors (n,), in its own unit; nan without errors."""
+    if not len(error):
+        return dict.fromkeys(("mean", "std", "max", "final"), float("nan"))
+    return {
+        "mean": float(error.mean()),
+        "std": float(error.std()),
+        "max": float(error.max()),
+        "final": float(error[-1]),
+    }
+
+
+def pose_errors(X_MB: FloatArray, X_MB_true: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distances (n,), m, and absolute heading differences (n,), rad, between estimated and true poses (n, 3)."""
+    error = X_MB - X_MB_true
+    return np.asarray(np.hypot(error[:, 0], error[:, 1])), np.abs(wrap_angle(error[:, 2]))
+
+
+def surface_coverage(p_WS: FloatArray, segments: FloatArray) -> float:
+    """Share of the reachable surface pieces p_WS (n, 2) within SURFACE_TOLERANCE of a mapped segment (m, 4) in W."""
+    if not len(p_WS):
+        return float("nan")
+    return float(np.mean(point_distance(p_WS, np.ascontiguousarray(segments)) <= SURFACE_TOLERANCE))
+
+
+def surface_phantom(segments: FloatArray, walls: FloatArray) -> float:
+    """Length, m, of the mapped segments (m, 4) that has no wall (k, 4) within SURFACE_TOLERANCE, both in W.
+
+    Segments are cut into pieces of at most 5 cm, each judged by its centre.
+    """
+    length = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
+    segments, length = segments[length > 0.0], length[length > 0.0]
+    total = 0.0
+    for segment, metres in zip(segments, length, strict=True):
+        centers, _ = cut_walls(segment[None])
+        far = point_distance(centers, np.ascontiguousarray(walls)) > SURFACE_TOLERANCE
+        total += float(metres * np.mean(far))
+    return total
+
+
+def area_coverage(p_WC: FloatArray, walls: FloatArray, p_WG: FloatArray, scan_range: float) -> float:
+    """Share of the reachable cells p_WC (c, 2) that some goal observation saw.
+
+    p_WG: (g, 2) true positions of the goal observations, all in W, m. A cell is seen from a goal if it is within
+    scan_range (m) and no wall (m, 4) lies between; the turn at a goal looks all round.
+    """
+    if not len(p_WC):
+        return float("nan")
+    seen: BoolArray = np.zeros(len(p_WC), dtype=np.bool_)
+    for goal in p_WG:
+        near = np.nonzero(~seen & (np.hypot(p_WC[:, 0] - goal[0], p_WC[:, 1] - goal[1]) <= scan_range))[0]
+        seen[near] = line_of_sight(np.ascontiguousarray(walls), goal, np.ascontiguousarray(p_WC[near]))
+    return float(np.mean(seen))
+
+
+def min_clearance(p_WB: FloatArray, walls: FloatArray, robot_radius: float) -> float:
+    """Least distance, m, of the robot's outline from a wall (m, 4) over positions p_WB (n, 2) in W.
+
+    Negative where the outline overlaps a wall, inf without walls or positions.
+    """
+    distance = point_distance(np.ascontiguousarray(p_WB), np.ascontiguousarray(walls))
+    return float(distance.min(initial=np.inf)) - robot_radius
