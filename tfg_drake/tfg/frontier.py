@@ -1,0 +1,268 @@
+"""Frontiers: where a turn's free space ends at the unknown, not at a surface.
+
+They lie along the shadow edges and maximum-range arcs of every goal's star polygon, a little inside the unknown, and
+along surfaces that no turn has seen well enough to have found a tag there. All are kept in the frame A of the goal
+that saw them, so that they move with the map.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.star import inside_any
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, TfgMap, message
+from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.polyline import covered, pack, sample, segments_of
+from tfg_drake.tfg.segmentation import Component
+
+# How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m.
+PUSH = 0.35
+SPACING = 0.4
+# How far on the free side of the edge the line to a frontier point begins that no surface may cut, m.
+ROOT = 0.1
+# A frontier point this close to a surface is part of it, m.
+SURFACE_DISTANCE = 0.1
+# Spacing of the points of uninspected surface, m, how far in front of it they must have been seen from, m, and how
+# far in front of it their frontier points lie, m.
+UNINSPECTED_SPACING = 0.1
+UNINSPECTED_LIFT = 0.08
+UNINSPECTED_STANDOFF = 0.3
+# Shorter stretches of uninspected surface are let be, m; points this close make one stretch, m.
+UNINSPECTED_LENGTH = 0.25
+UNINSPECTED_GAP = 0.16
+# Free space this close behind a surface means a thin wall, m.
+THIN_WALL = 0.25
+# A point of two goals' frontiers counts once within this distance, m.
+SAME_FRONTIER = 0.35
+# Frontier length that a tag which was sighted but is not in the map stands for, m.
+SIGHTED_LENGTH = 1.0
+
+
+@message
+class FrontierPoints:
+    """Points kept in goals' frames, or all placed in one frame.
+
+    goal: (f,) whose frame A. p: (f, 2) m. normal: (f, 2) unit vectors from the unknown back to where it was seen from;
+    for uninspected surface the surface's normal on its free side. length: (f,) m. on_surface: (f,) whether it stands
+    for uninspected surface. id: (f,) of the tag sighted there, -1 for none.
+    """
+
+    goal: IntArray
+    p: FloatArray
+    normal: FloatArray
+    length: FloatArray
+    on_surface: BoolArray
+    id: IntArray
+
+
+def no_points() -> FrontierPoints:
+    """No frontier at all."""
+    none = np.zeros(0, dtype=np.int64)
+    return FrontierPoints(none, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool), none)
+
+
+def points_of(
+    goal: int, p: FloatArray, normal: FloatArray, length: FloatArray, ids: IntArray | None = None
+) -> FrontierPoints:
+    """Points (f, 2), normals (f, 2) and lengths (f,) in the frame of one goal; ids (f,) of sighted tags."""
+    if ids is None:
+        ids = np.full(len(p), -1, dtype=np.int64)
+    return FrontierPoints(np.full(len(p), goal, dtype=np.int64), p, normal, length, np.zeros(len(p), dtype=bool), ids)
+
+
+def select(points: FrontierPoints, keep: BoolArray) -> FrontierPoints:
+    """The points to keep (f,)."""
+    return FrontierPoints(
+        points.goal[keep],
+        points.p[keep],
+        points.normal[keep],
+        points.length[keep],
+        points.on_surface[keep],
+        points.id[keep],
+    )
+
+
+def join(a: FrontierPoints, b: FrontierPoints) -> FrontierPoints:
+    """The points of both."""
+    return FrontierPoints(
+        np.concatenate([a.goal, b.goal]),
+        np.concatenate([a.p, b.p]),
+        np.concatenate([a.normal, b.normal]),
+        np.concatenate([a.length, b.length]),
+        np.concatenate([a.on_surface, b.on_surface]),
+        np.concatenate([a.id, b.id]),
+    )
+
+
+def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
+    """The points in the map frame, with the goals' poses X_MA (k, 3)."""
+    pose = X_MA[points.goal]
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+
+    def turn(v: FloatArray) -> FloatArray:
+        return np.stack([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]], axis=1)
+
+    return FrontierPoints(
+        points.goal, pose[:, :2] + turn(points.p), turn(points.normal), points.length, points.on_surface, points.id
+    )
+
+
+def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Frontier points of one panorama in A: p (f, 2), m, normal (f, 2) and length (f,), m.
+
+    links: (b,) whether a bin and the next one saw the same surface. least_gap: shadow edges shorter than this (m) are
+    let be: the robot does not fit through.
+    """
+    angles, ranges = panorama.angles, panorama.ranges
+    free = np.isinf(ranges)
+    reach = np.where(free, panorama.range_max, ranges)
+    ends = reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    following = np.roll(ends, -1, axis=0)
+    span = following - ends
+    length = np.hypot(span[:, 0], span[:, 1])
+    both_free = free & np.roll(free, -1)
+    known = ~np.isnan(ranges) & ~np.isnan(np.roll(ranges, -1))
+
+    shadow = known & ~links & ~both_free & (length >= least_gap)
+    # Behind the nearer surface, whichever end it is at: to the right of the edge, which runs counter-clockwise.
+    right = np.stack([span[:, 1], -span[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
+    p, normal, share = _along(ends[shadow], following[shadow], right[shadow])
+
+    starts, stops = _runs(both_free & known)
+    arc_p, arc_normal, arc_share = [p], [normal], [share]
+    for a, b in zip(starts, stops, strict=True):
+        first = angles[a % len(angles)]
+        sweep = (b - a) * 2.0 * np.pi / len(angles)
+        count = max(1, round(sweep * panorama.range_max / SPACING))
+        theta = first + (np.arange(count) + 0.5) / count * sweep
+        outwards = np.stack([np.cos(theta), np.sin(theta)], axis=1)
+        arc_p.append((panorama.range_max + PUSH) * outwards)
+        arc_normal.append(-outwards)
+        arc_share.append(np.full(count, sweep * panorama.range_max / count))
+    return np.concatenate(arc_p), np.concatenate(arc_normal), np.concatenate(arc_share)
+
+
+def _along(start: FloatArray, stop: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points every SPACING along edges (e, 2) to (e, 2), pushed by PUSH in each edge's direction (e, 2)."""
+    length = np.hypot(*(stop - start).T)
+    count = np.maximum(1, np.round(length / SPACING).astype(np.int64))
+    edge = np.repeat(np.arange(len(count)), count)
+    fraction = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[edge]
+    p = start[edge] + fraction[:, None] * (stop - start)[edge] + PUSH * direction[edge]
+    return p, -direction[edge], (length / count)[edge]
+
+
+def _runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
+    """Circular runs of true flags (n,): where each starts, and where it stops, beyond n where it wraps round."""
+    n = len(flags)
+    if flags.all():
+        return np.array([0]), np.array([n])
+    if not flags.any():
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    starts = np.flatnonzero(flags & ~np.roll(flags, 1))
+    stops = np.flatnonzero(flags & ~np.roll(flags, -1)) + 1
+    if stops[0] <= starts[0]:
+        stops = np.append(stops[1:], stops[0] + n)
+    return starts, stops
+
+
+def find_uninspected(
+    components: list[Component], max_range: float, max_incidence: float
+) -> tuple[FloatArray, FloatArray]:
+    """Points (u, 2) and normals (u, 2) in A on surfaces seen too far off or too slantwise to find a tag there.
+
+    max_range: m and max_incidence: rad, as far as the tag sensor sees.
+    """
+    points, normals, _, _, _ = sample(*pack([c.polyline for c in components]), UNINSPECTED_SPACING)
+    distance = np.hypot(points[:, 0], points[:, 1])
+    facing = -np.sum(points * normals, axis=1)
+    poor = (distance > max_range) | (facing < np.cos(max_incidence) * distance)
+    return points[poor], normals[poor]
+
+
+def find_unseen_backs(
+    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Points (u, 2) and normals (u, 2) of the faces of thin walls that no turn has seen, only the other face.
+
+    Free space begins right behind such a wall, but no surface faces it. offsets, vertices: all surfaces, packed, m.
+    stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
+    """
+    points, normals, _, _, _ = sample(offsets, vertices, UNINSPECTED_SPACING)
+    faced = covered(points, -normals, segments_of(offsets, vertices)[0], THIN_WALL)
+    points, normals = points[~faced], -normals[~faced]
+    free = inside_any(points + THIN_WALL * normals, *stars)
+    return points[free], normals[free]
+
+
+def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
+    """Frontier points in front of the longer stretches of uninspected surface, all in the frame of the points."""
+    p, normal = points.p, points.normal
+    rows: list[IntArray] = []
+    for stretch in _stretches(p, normal):
+        if len(stretch) * UNINSPECTED_SPACING < UNINSPECTED_LENGTH:
+            continue
+        mean = normal[stretch].mean(axis=0)
+        stretch = stretch[np.argsort(p[stretch] @ np.array([-mean[1], mean[0]]), kind="stable")]
+        rows += np.array_split(stretch, max(1, round(len(stretch) * UNINSPECTED_SPACING / SPACING)))
+    if not rows:
+        return no_points()
+    normals = np.array([normal[r].mean(axis=0) for r in rows])
+    normals /= np.maximum(np.hypot(normals[:, 0], normals[:, 1]), 1e-9)[:, None]
+    return FrontierPoints(
+        points.goal[[r[0] for r in rows]],
+        np.array([p[r].mean(axis=0) for r in rows]) + UNINSPECTED_STANDOFF * normals,
+        normals,
+        np.array([len(r) * UNINSPECTED_SPACING for r in rows]),
+        np.ones(len(rows), dtype=bool),
+        np.full(len(rows), -1, dtype=np.int64),
+    )
+
+
+def _stretches(p: FloatArray, normal: FloatArray) -> list[IntArray]:
+    """Indices of points (n, 2) that hang together on one face, with normals (n, 2)."""
+    if not len(p):
+        return []
+    difference = p[:, None] - p[None]
+    close = np.hypot(difference[..., 0], difference[..., 1]) <= UNINSPECTED_GAP
+    close &= normal @ normal.T > 0.7
+    label = np.full(len(p), -1)
+    stretches = []
+    for seed in range(len(p)):
+        if label[seed] >= 0:
+            continue
+        label[seed] = seed
+        stack, members = [seed], []
+        while stack:
+            i = stack.pop()
+            members.append(i)
+            for j in np.flatnonzero(close[i] & (label < 0)).tolist():
+                label[j] = seed
+                stack.append(j)
+        stretches.append(np.sort(np.array(members)))
+    return stretches
+
+
+def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
+    """Which frontier points no surface explains, (f,): none runs through them, none cuts them off from the free side.
+
+    points and segments (m, 4) in one frame.
+    """
+    root = points.p + (PUSH + ROOT) * points.normal
+    cut_off = clearance(np.concatenate([root, points.p], axis=1), segments, 1e-6) == 0.0
+    on_surface = clearance(np.concatenate([points.p, points.p], axis=1), segments, SURFACE_DISTANCE)
+    return np.asarray(~cut_off & (on_surface >= SURFACE_DISTANCE))
+
+
+def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
+    """Which points (n, 2) have none of the others (m, 2) within distance (m), (n,)."""
+    if not len(others):
+        return np.ones(len(p), dtype=bool)
+    square = (p[:, None, 0] - others[None, :, 0]) ** 2 + (p[:, None, 1] - others[None, :, 1]) ** 2
+    return np.asarray((square > distance * distance).all(axis=1))
+
+
+def frontier_length_total(tfg: TfgMap) -> float:
+    """Length of all live frontiers, m."""
+    return float(tfg.frontier_length.sum())

@@ -1,0 +1,371 @@
+"""The topological feature graph: what every goal adds to it, and where the current map estimate puts it.
+
+Sections III and IV of Mu et al. (CDC 2016): landmarks are vertices, two landmarks are joined where an obstacle surface
+runs from one to the other. Beyond the paper, wall ends, surfaces without a landmark and free star polygons are kept,
+all anchored to landmarks or goals, so that they move with the map when a loop closes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.se2 import inverse, rotation, transform
+from tfg_drake.geometry.star import inside_any, inspected
+from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message
+from tfg_drake.tfg.frontier import (
+    SAME_FRONTIER,
+    SIGHTED_LENGTH,
+    UNINSPECTED_LIFT,
+    UNINSPECTED_SPACING,
+    FrontierPoints,
+    far_from,
+    find_frontiers,
+    find_uninspected,
+    find_unseen_backs,
+    join,
+    no_points,
+    open_frontiers,
+    place_points,
+    points_of,
+    select,
+    uninspected_frontiers,
+)
+from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.polyline import segments_of
+from tfg_drake.tfg.segmentation import panorama_links, segment
+from tfg_drake.tfg.star_polygon import star_polygon
+from tfg_drake.tfg.surfaces import Surfaces, add_observation, no_surfaces, place
+
+# Goals tried within this distance of each other count for the same frontier point, m.
+TRIED_DISTANCE = 0.5
+# Room between a line of sight and surfaces that makes it certain, m, but for this much of the line's end, m.
+LINE_ROOM = 0.15
+LINE_END = 0.45
+# Goals this close to each other are the same place, m.
+SAME_PLACE = 0.75
+
+
+@message
+class Sightings:
+    """Tags seen on the way that are not in the map yet. ids: (s,). p_MU, p_MS: (s, 2) m, tag and where it was seen."""
+
+    ids: IntArray
+    p_MU: FloatArray
+    p_MS: FloatArray
+
+
+def no_sightings() -> Sightings:
+    """No tag sighted."""
+    return Sightings(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+
+
+def note_sightings(sightings: Sightings, pose: PoseEstimate) -> Sightings:
+    """The sightings with those tags of the robot's pose estimate that are new among them; itself if there are none."""
+    new = ~np.isin(pose.new_ids, sightings.ids)
+    if not new.any():
+        return sightings
+    return Sightings(
+        np.concatenate([sightings.ids, pose.new_ids[new]]),
+        np.concatenate([sightings.p_MU, pose.p_MU[new]]),
+        np.concatenate([sightings.p_MS, np.tile(pose.X_MB[:2], (int(new.sum()), 1))]),
+    )
+
+
+@message
+class TfgGraph:
+    """The graph in the coordinates of its landmarks and goals.
+
+    stage: number of goals in it. surfaces: obstacle surfaces. tag_ids: (n,) ascending, tag_goal: (n,) and tag_facing:
+    (n, 2): the side each landmark faces, a unit vector in that goal's frame; tag_range: (n,) m from where it was seen.
+    star_offsets: (k + 1,), star_vertices: (v, 2) in each goal's frame, m. shadows: frontier points of free space that
+    no star has covered yet. uninspected: points of surface on which a tag may have been missed.
+    unseen_backs: points on the far faces of thin walls that no goal has seen. sighted: tags seen on
+    the way and not mapped. tried: places where goals have tried a frontier in vain, tried_count: (t,) how often.
+    """
+
+    stage: int
+    surfaces: Surfaces
+    tag_ids: IntArray
+    tag_goal: IntArray
+    tag_facing: FloatArray
+    tag_range: FloatArray
+    star_offsets: IntArray
+    star_vertices: FloatArray
+    shadows: FrontierPoints
+    uninspected: FrontierPoints
+    unseen_backs: FrontierPoints
+    sighted: FrontierPoints
+    tried: FrontierPoints
+    tried_count: IntArray
+
+
+def empty_graph() -> TfgGraph:
+    """The graph before the first goal."""
+    none, pairs, zero = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(1, dtype=np.int64)
+    points = no_points()
+    return TfgGraph(
+        0, no_surfaces(), none, none, pairs, np.zeros(0), zero, pairs, points, points, points, points, points, none
+    )
+
+
+def update(
+    graph: TfgGraph,
+    estimate: MapEstimate,
+    panorama: Panorama,
+    sightings: Sightings,
+    tags: TagSensorConfig,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+) -> TfgGraph:
+    """The graph with the newest goal of the estimate added.
+
+    estimate: the map at stage graph.stage + 1. panorama: what that goal's turn saw, in its arrival frame. sightings:
+    tags seen on the way to it.
+
+    Raises ValueError where the estimate is of another stage.
+    """
+    if estimate.stage != graph.stage + 1:
+        raise ValueError(f"The graph holds {graph.stage} goals: it cannot take stage {estimate.stage} of the map next.")
+    goal = graph.stage
+    X_MA = estimate.X_MA
+    links = panorama_links(panorama)
+    components = segment(panorama, links)
+
+    surfaces, seen_ids, seen_normal = add_observation(
+        graph.surfaces, estimate, components, panorama, graph.tag_ids, _facing(graph, X_MA)
+    )
+    tag_ids, tag_goal, tag_facing, tag_range = _update_facing(graph, estimate, seen_ids, seen_normal)
+    star = star_polygon(panorama)
+    star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
+    star_vertices = np.concatenate([graph.star_vertices, star])
+    stars = _place_stars(star_offsets, star_vertices, X_MA)
+    newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
+
+    p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
+    shadows = _merge(
+        graph.shadows,
+        points_of(goal, p, normal, length),
+        X_MA,
+        lambda points: ~inside_any(points.p, *newest),
+        lambda points: ~inside_any(points.p, *stars),
+        SAME_FRONTIER,
+    )
+
+    def unseen(stars: tuple[IntArray, FloatArray, FloatArray], points: FrontierPoints) -> BoolArray:
+        front = points.p + UNINSPECTED_LIFT * points.normal
+        return np.asarray(~inspected(front, points.normal, *stars, tags.range, tags.max_incidence))
+
+    p, normal = find_uninspected(components, tags.range, tags.max_incidence)
+    uninspected = _merge(
+        graph.uninspected,
+        points_of(goal, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
+        X_MA,
+        lambda points: unseen(newest, points),
+        lambda points: unseen(stars, points),
+        0.9 * UNINSPECTED_SPACING,
+    )
+    p_back, normal_back = find_unseen_backs(surfaces.offsets, place(surfaces, estimate), stars)
+    X_AM = inverse(X_MA[goal])
+    p_back, normal_back = transform(X_AM, p_back), normal_back @ rotation(float(X_AM[2])).T
+    updated = TfgGraph(
+        estimate.stage,
+        surfaces,
+        tag_ids,
+        tag_goal,
+        tag_facing,
+        tag_range,
+        star_offsets,
+        star_vertices,
+        shadows,
+        uninspected,
+        points_of(goal, p_back, normal_back, np.full(len(p_back), UNINSPECTED_SPACING)),
+        _update_sighted(graph.sighted, sightings, estimate),
+        graph.tried,
+        graph.tried_count,
+    )
+    return _count_attempts(graph, updated, estimate, tags, explorer)
+
+
+def resolve(graph: TfgGraph, estimate: MapEstimate, explorer: ExplorerConfig) -> TfgMap:
+    """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's."""
+    segments, owner = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
+    facing = np.zeros((len(estimate.ids), 2))
+    facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
+    frontier = live_frontiers(graph, estimate, segments, explorer)
+    star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
+    return TfgMap(
+        stage=graph.stage,
+        segments=segments,
+        segment_kind=graph.surfaces.kind[owner],
+        segment_ids=graph.surfaces.ids[owner],
+        facing=facing,
+        frontiers=frontier.p,
+        frontier_length=frontier.length,
+        frontier_normal=frontier.normal,
+        star_offsets=star_offsets,
+        star_vertices=star_vertices,
+        star_centers=star_centers,
+    )
+
+
+def empty_map() -> TfgMap:
+    """What the graph before the first goal resolves to."""
+    none, points = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    return TfgMap(
+        stage=0,
+        segments=np.zeros((0, 4)),
+        segment_kind=none,
+        segment_ids=np.zeros((0, 2), dtype=np.int64),
+        facing=points,
+        frontiers=points,
+        frontier_length=np.zeros(0),
+        frontier_normal=points,
+        star_offsets=np.zeros(1, dtype=np.int64),
+        star_vertices=points,
+        star_centers=points,
+    )
+
+
+def live_frontiers(
+    graph: TfgGraph, estimate: MapEstimate, segments: FloatArray, explorer: ExplorerConfig
+) -> FrontierPoints:
+    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) all surfaces there, m.
+
+    Those that explorer.frontier_attempts goals have tried in vain are left out.
+    """
+    shadows = place_points(graph.shadows, estimate.X_MA)
+    shadows = select(shadows, open_frontiers(shadows, segments))
+    poorly_seen = join(graph.uninspected, graph.unseen_backs)
+    points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
+    points = join(points, place_points(graph.sighted, estimate.X_MA))
+    given_up = select(graph.tried, graph.tried_count >= explorer.frontier_attempts)
+    return select(points, far_from(points.p, place_points(given_up, estimate.X_MA).p, TRIED_DISTANCE))
+
+
+def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
+    """The side each of graph.tag_ids faces, in the map frame (n, 2)."""
+    theta = X_MA[graph.tag_goal, 2]
+    c, s = np.cos(theta), np.sin(theta)
+    x, y = graph.tag_facing[:, 0], graph.tag_facing[:, 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+
+
+def _update_facing(
+    graph: TfgGraph, estimate: MapEstimate, seen_ids: IntArray, seen_normal: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """tag_ids, tag_goal, tag_facing and tag_range with the newest goal's observation.
+
+    A tag faces along the normal of its surface as seen from nearest by; without a surface, towards that goal.
+    """
+    goal, observation = estimate.stage - 1, estimate.observation
+    p_AL = transform(inverse(estimate.X_MA[goal]), estimate.p_ML)
+    ids = estimate.ids
+    known = np.searchsorted(ids, graph.tag_ids)
+    tag_goal = np.full(len(ids), -1)
+    facing, distance = np.zeros((len(ids), 2)), np.full(len(ids), np.inf)
+    tag_goal[known], facing[known], distance[known] = graph.tag_goal, graph.tag_facing, graph.tag_range
+
+    new_distance = np.hypot(p_AL[:, 0], p_AL[:, 1])
+    on_surface = np.zeros(len(ids), dtype=bool)
+    on_surface[np.searchsorted(ids, seen_ids)] = True
+    seen = np.isin(ids, observation.ids)
+    bare = seen & ~on_surface & (tag_goal < 0)
+    better = on_surface & (new_distance < distance)
+    normal = np.zeros((len(ids), 2))
+    normal[np.searchsorted(ids, seen_ids)] = seen_normal
+    facing[better] = normal[better]
+    facing[bare] = -p_AL[bare] / np.maximum(new_distance[bare], 1e-9)[:, None]
+    tag_goal[better | bare] = goal
+    distance[better] = new_distance[better]
+    has = tag_goal >= 0
+    return ids[has], tag_goal[has], facing[has], distance[has]
+
+
+def _place_stars(
+    star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """star_offsets, star_vertices and star_centers in the map frame; X_MA: (k, 3), a row a star."""
+    pose = np.repeat(X_MA, np.diff(star_offsets), axis=0)
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    x, y = star_vertices[:, 0], star_vertices[:, 1]
+    return star_offsets, pose[:, :2] + np.stack([c * x - s * y, s * x + c * y], axis=1), X_MA[:, :2]
+
+
+def _merge(
+    old: FrontierPoints,
+    new: FrontierPoints,
+    X_MA: FloatArray,
+    keep_old: Callable[[FrontierPoints], BoolArray],
+    keep_new: Callable[[FrontierPoints], BoolArray],
+    distance: float,
+) -> FrontierPoints:
+    """The old points to keep, and those of the new ones to keep that have no old one within distance (m).
+
+    keep_old and keep_new judge the points placed in the map frame.
+    """
+    placed = place_points(old, X_MA)
+    keep = keep_old(placed)
+    old, placed = select(old, keep), select(placed, keep)
+    new_placed = place_points(new, X_MA)
+    fresh = far_from(new_placed.p, placed.p, distance)
+    return join(old, select(new, fresh & keep_new(new_placed)))
+
+
+def _update_sighted(sighted: FrontierPoints, sightings: Sightings, estimate: MapEstimate) -> FrontierPoints:
+    """The tags sighted so far that the map still lacks, in goals' frames; the first sighting of a tag counts."""
+    goal = estimate.stage - 1
+    X_AM = inverse(estimate.X_MA[goal])
+    p, seen_from = transform(X_AM, sightings.p_MU), transform(X_AM, sightings.p_MS)
+    normal = seen_from - p
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
+    new = points_of(goal, p, normal, np.full(len(p), SIGHTED_LENGTH), sightings.ids)
+    points = join(sighted, select(new, ~np.isin(new.id, sighted.id)))
+    return select(points, ~np.isin(points.id, estimate.ids))
+
+
+def _count_attempts(
+    before: TfgGraph, after: TfgGraph, estimate: MapEstimate, tags: TagSensorConfig, explorer: ExplorerConfig
+) -> TfgGraph:
+    """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on."""
+    center = estimate.X_MA[-1, :2]
+
+    # A second look from the same place counts whatever the room.
+    repeated = not far_from(center[None], estimate.X_MA[:-1, :2], SAME_PLACE)[0]
+
+    def in_view(graph: TfgGraph) -> FloatArray:
+        segments, _ = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
+        points = live_frontiers(graph, estimate, segments, explorer)
+        towards = center - points.p
+        distance = np.hypot(towards[:, 0], towards[:, 1])
+        # A surface must be looked at from its front, as a tag on it must.
+        slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
+        # Past surfaces with room to spare: their ends are known to a ray's width, and so are shadows.
+        last = np.minimum(LINE_END / np.maximum(distance, 1e-9), 1.0)[:, None]
+        lines = np.concatenate([np.broadcast_to(center, points.p.shape), points.p + last * towards], axis=1)
+        roomy = clearance(lines, segments, LINE_ROOM) >= LINE_ROOM
+        clear = line_of_sight(segments, center, points.p) & (roomy | repeated)
+        return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear])
+
+    # Seen from here by the old map, alive, and no surface found since that explains why.
+    failed = in_view(after)
+    failed = failed[~far_from(failed, in_view(before), TRIED_DISTANCE)]
+
+    tried = place_points(after.tried, estimate.X_MA)
+    again = ~far_from(tried.p, failed, TRIED_DISTANCE)
+    first: list[FloatArray] = []
+    for p in failed[far_from(failed, tried.p, TRIED_DISTANCE)]:
+        if far_from(p[None], np.array(first).reshape(-1, 2), TRIED_DISTANCE)[0]:
+            first.append(p)
+    added = transform(inverse(estimate.X_MA[-1]), np.array(first).reshape(-1, 2))
+    nothing = np.zeros(len(added))
+    return dataclasses.replace(
+        after,
+        tried=join(after.tried, points_of(after.stage - 1, added, np.zeros_like(added), nothing)),
+        tried_count=np.concatenate([after.tried_count + again, np.ones(len(added), dtype=np.int64)]),
+    )

@@ -1,0 +1,103 @@
+"""One 360-degree scan from the many that a turn in place takes, seen from the arrival frame A."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import FloatArray, LaserScan, message
+
+# Bins of 0.5 degrees.
+BINS = 720
+# A scan this much outside the stamps of the turn's poses is not part of the turn, s.
+STAMP_TOLERANCE = 1e-3
+# Rays within this many standard deviations of their bin's median range fell on the same surface.
+SAME_SURFACE = 4.0
+
+
+@message
+class Panorama:
+    """What a whole turn saw from the origin of A, one entry a bin of bearing, counter-clockwise.
+
+    angles: (b,) rad from A's x axis in (0, 2 pi), increasing: the bearing of the point that stands for the bin, the
+    bin's centre where there is none. ranges: (b,) m, inf where the bin is free up to range_max, nan where the turn
+    never looked. range_max: m. sigma: standard deviation of a single ray, m.
+    """
+
+    angles: FloatArray
+    ranges: FloatArray
+    range_max: float
+    sigma: float
+
+    @property
+    def points(self) -> FloatArray:
+        """p_AP (b, 2), m, not finite where a bin has no point."""
+        return np.asarray(self.ranges[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1))
+
+
+@njit(cache=True)
+def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """Bearing and range of each bin, from rays as bearing (n,) in [0, 2 pi) and range (n,), inf where free."""
+    width = 2.0 * np.pi / bins
+    index = np.minimum((bearings / width).astype(np.int64), bins - 1)
+    start = np.zeros(bins + 1, dtype=np.int64)
+    for i in index:
+        start[i + 1] += 1
+    start = np.cumsum(start)
+    order = np.argsort(index, kind="mergesort")
+    angles = np.empty(bins)
+    merged = np.full(bins, np.nan)
+    for b in range(bins):
+        rays = order[start[b] : start[b + 1]]
+        angles[b] = (b + 0.5) * width
+        if len(rays) == 0:
+            continue
+        # The lower median is the range of an actual ray. Where the bin straddles a jump edge it lies on one of the two
+        # surfaces, and only rays of that surface are averaged: no point floats between the two.
+        median = np.sort(ranges[rays])[(len(rays) - 1) // 2]
+        if median == np.inf:
+            merged[b] = np.inf
+            continue
+        x, y, count = 0.0, 0.0, 0
+        for i in rays:
+            if abs(ranges[i] - median) <= tolerance:
+                x += ranges[i] * np.cos(bearings[i])
+                y += ranges[i] * np.sin(bearings[i])
+                count += 1
+        merged[b] = np.hypot(x, y) / count
+        # Within the bin however rounding falls, so that bearings stay in order.
+        angles[b] = min(max(np.arctan2(y, x) % (2.0 * np.pi), (b + 1e-6) * width), (b + 1 - 1e-6) * width)
+    return angles, merged
+
+
+def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatArray) -> Panorama:
+    """The panorama of a turn.
+
+    scans: taken during the turn; those outside the stamps are left out. stamps: (t,) s, increasing, and X_AB: (t, 3),
+    the turn's poses in the arrival frame A, between which a scan's pose is interpolated. Each bin holds the mean point
+    of the rays that met the surface at the bin's median range.
+
+    Raises ValueError where there is no pose, or no scan at all.
+    """
+    if not len(stamps):
+        raise ValueError("A panorama needs at least one pose of the turn.")
+    if not scans:
+        raise ValueError("A panorama needs at least one scan.")
+    range_max, sigma = scans[0].range_max, scans[0].sigma
+    heading = np.unwrap(X_AB[:, 2])
+    bearings, ranges = [np.zeros(0)], [np.zeros(0)]
+    for scan in scans:
+        if not stamps[0] - STAMP_TOLERANCE <= scan.stamp <= stamps[-1] + STAMP_TOLERANCE:
+            continue
+        x, y = np.interp(scan.stamp, stamps, X_AB[:, 0]), np.interp(scan.stamp, stamps, X_AB[:, 1])
+        looked = ~np.isnan(scan.ranges)
+        angles = scan.angles[looked] + np.interp(scan.stamp, stamps, heading)
+        hit = np.isfinite(scan.ranges[looked])
+        reach = np.where(hit, scan.ranges[looked], range_max)
+        px, py = x + reach * np.cos(angles), y + reach * np.sin(angles)
+        bearings.append(np.arctan2(py, px) % (2.0 * np.pi))
+        ranges.append(np.where(hit, np.hypot(px, py), np.inf))
+    angles, merged = _merge(np.concatenate(bearings), np.concatenate(ranges), BINS, max(SAME_SURFACE * sigma, 1e-6))
+    return Panorama(angles, merged, range_max, sigma)

@@ -1,0 +1,152 @@
+"""Polylines packed one after the other: arc length, nearest points, samples and what covers them.
+
+Polyline i of a packed set has the vertices[offsets[i]:offsets[i + 1]]. The side a surface was seen from is the left
+of its polyline, and its normal points there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+
+# How far a segment covers what lies beyond its ends, m: enough for no gap at a polyline's corners.
+END_REACH = 0.03
+
+
+def pack(polylines: Sequence[FloatArray]) -> tuple[IntArray, FloatArray]:
+    """offsets (n + 1,) and vertices (v, 2) of n polylines (v_i, 2)."""
+    offsets = np.zeros(len(polylines) + 1, dtype=np.int64)
+    np.cumsum([len(p) for p in polylines], out=offsets[1:])
+    return offsets, np.concatenate([np.zeros((0, 2)), *polylines])
+
+
+def segments_of(offsets: IntArray, vertices: FloatArray) -> tuple[FloatArray, IntArray]:
+    """All pieces (m, 4) of packed polylines, in order, and the polyline each belongs to (m,)."""
+    owner = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    inner = owner[1:] == owner[:-1]
+    return np.concatenate([vertices[:-1], vertices[1:]], axis=1)[inner], owner[:-1][inner]
+
+
+def arc_length(polyline: FloatArray) -> FloatArray:
+    """Arc length at each vertex of a polyline (v, 2), (v,), m."""
+    step = np.diff(polyline, axis=0)
+    return np.concatenate([np.zeros(1), np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
+
+
+def cut(polyline: FloatArray, start: float, stop: float) -> FloatArray:
+    """The part of a polyline (v, 2) between two arc lengths start < stop, m."""
+    s = arc_length(polyline)
+    inner = polyline[(s > start + 1e-9) & (s < stop - 1e-9)]
+    ends = np.stack([np.interp([start, stop], s, polyline[:, 0]), np.interp([start, stop], s, polyline[:, 1])], axis=1)
+    return np.concatenate([ends[:1], inner, ends[1:]])
+
+
+@njit(cache=True)
+def nearest(
+    points: FloatArray, offsets: IntArray, vertices: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """The nearest place on packed polylines to each point (n, 2).
+
+    Returns the polyline (n,), -1 where there is none, the arc length along it (n,), m, the distance (n,), m, inf where
+    there is none, and the unit normal on the polyline's left (n, 2).
+    """
+    n = points.shape[0]
+    owner = np.full(n, -1)
+    along = np.zeros(n)
+    distance = np.full(n, np.inf)
+    normal = np.zeros((n, 2))
+    for i in range(offsets.shape[0] - 1):
+        s = 0.0
+        for v in range(offsets[i], offsets[i + 1] - 1):
+            x0, y0 = vertices[v, 0], vertices[v, 1]
+            dx, dy = vertices[v + 1, 0] - x0, vertices[v + 1, 1] - y0
+            length = np.hypot(dx, dy)
+            if length == 0.0:
+                continue
+            for j in range(n):
+                ex, ey = points[j, 0] - x0, points[j, 1] - y0
+                t = min(1.0, max(0.0, (ex * dx + ey * dy) / (length * length)))
+                d = np.hypot(ex - t * dx, ey - t * dy)
+                if d < distance[j]:
+                    owner[j], along[j], distance[j] = i, s + t * length, d
+                    normal[j, 0], normal[j, 1] = -dy / length, dx / length
+            s += length
+    return owner, along, distance, normal
+
+
+@njit(cache=True)
+def sample(
+    offsets: IntArray, vertices: FloatArray, spacing: float
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
+    """Cuts every piece of packed polylines into equal lengths of at most spacing (m).
+
+    Returns the middles (n, 2), the unit normals on the left (n, 2), the polyline each belongs to (n,), and the arc
+    lengths at which each length starts and stops (n,), (n,), m.
+    """
+    count = 0
+    for i in range(offsets.shape[0] - 1):
+        for v in range(offsets[i], offsets[i + 1] - 1):
+            length = np.hypot(vertices[v + 1, 0] - vertices[v, 0], vertices[v + 1, 1] - vertices[v, 1])
+            count += int(np.ceil(length / spacing))
+    points, normals = np.zeros((count, 2)), np.zeros((count, 2))
+    owner, start, stop = np.zeros(count, dtype=np.int64), np.zeros(count), np.zeros(count)
+    n = 0
+    for i in range(offsets.shape[0] - 1):
+        s = 0.0
+        for v in range(offsets[i], offsets[i + 1] - 1):
+            dx, dy = vertices[v + 1, 0] - vertices[v, 0], vertices[v + 1, 1] - vertices[v, 1]
+            length = np.hypot(dx, dy)
+            parts = int(np.ceil(length / spacing))
+            for k in range(parts):
+                t = (k + 0.5) / parts
+                points[n, 0], points[n, 1] = vertices[v, 0] + t * dx, vertices[v, 1] + t * dy
+                normals[n, 0], normals[n, 1] = -dy / length, dx / length
+                owner[n], start[n], stop[n] = i, s + k * length / parts, s + (k + 1) * length / parts
+                n += 1
+            s += length
+    return points, normals, owner, start, stop
+
+
+@njit(cache=True)
+def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, distance: float) -> BoolArray:
+    """Which points (n, 2) with unit normals (n, 2) lie within distance (m) of a segment (m, 4) seen from the same side.
+
+    Distance is measured across the segment; beyond its ends it covers next to nothing.
+    The two faces of a thin wall never cover each other: a segment counts only where its left normal is within 60
+    degrees of the point's.
+    """
+    result = np.zeros(points.shape[0], dtype=np.bool_)
+    for i in range(points.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        for j in range(segments.shape[0]):
+            x0, y0, x1, y1 = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
+            reach = distance + END_REACH
+            if min(x0, x1) > x + reach or max(x0, x1) < x - reach:
+                continue
+            if min(y0, y1) > y + reach or max(y0, y1) < y - reach:
+                continue
+            dx, dy = x1 - x0, y1 - y0
+            length = np.hypot(dx, dy)
+            if length == 0.0 or dx * normals[i, 1] - dy * normals[i, 0] < 0.5 * length:
+                continue
+            along = ((x - x0) * dx + (y - y0) * dy) / length
+            if -END_REACH <= along <= length + END_REACH and abs((x - x0) * dy - (y - y0) * dx) <= distance * length:
+                result[i] = True
+                break
+    return result
+
+
+def uncovered_runs(
+    is_covered: BoolArray, start: FloatArray, stop: FloatArray, least: float
+) -> list[tuple[float, float]]:
+    """The stretches (start, stop) of one polyline, m of arc length, that consecutive uncovered samples (n,) make.
+
+    Stretches shorter than least (m) are left out.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], is_covered, [True]]).astype(np.int8)))
+    runs = [(float(start[a]), float(stop[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(a, b) for a, b in runs if b - a >= least]

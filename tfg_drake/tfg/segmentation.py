@@ -1,0 +1,131 @@
+"""Surfaces in a panorama: adaptive-breakpoint segmentation, then corners by Douglas and Peucker's rule."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.tfg.panorama import Panorama
+
+# Smallest angle between a ray and a surface at which neighbouring points are still joined (Borges and Aldon's
+# lambda), rad.
+JOIN_INCIDENCE = np.deg2rad(10.0)
+# The same where the two points lie on one straight line with their neighbours, rad, and then at most this far, m.
+STRAIGHT_INCIDENCE = np.deg2rad(3.0)
+STRAIGHT_REACH = 0.8
+# How far a point may lie off the straight line, m.
+CORNER_TOLERANCE = 0.03
+# Components of fewer points are noise or too small to say anything about their direction.
+LEAST_POINTS = 3
+
+
+class Component(NamedTuple):
+    """One connected surface seen from the origin of A: a polyline (v, 2) in A, m, counter-clockwise round the origin.
+
+    The side it was seen from is therefore its left. closed: it runs all the way round; its last vertex is its first.
+    bins: (p,) panorama bins it was seen in.
+    """
+
+    polyline: FloatArray
+    closed: bool
+    bins: IntArray
+
+
+@njit(cache=True)
+def _off_line(p: FloatArray, i: int, j: int, k: int) -> float:
+    """Distance of point k from the line through i and j."""
+    dx, dy = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1]
+    length = np.hypot(dx, dy)
+    ex, ey = p[k, 0] - p[i, 0], p[k, 1] - p[i, 1]
+    if length == 0.0:
+        return float(np.hypot(ex, ey))
+    return float(abs(dx * ey - dy * ex) / length)
+
+
+@njit(cache=True)
+def find_links(points: FloatArray, ranges: FloatArray, angles: FloatArray, sigma: float, tolerance: float) -> BoolArray:
+    """Whether bin i and the next one (the first after the last) saw the same surface, (b,).
+
+    points: (b, 2) m, ranges: (b,) m, angles: (b,) rad of a panorama. sigma: noise of a range, m. tolerance: how far
+    points of one straight surface lie off a line, m.
+    """
+    n = len(ranges)
+    links = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        j = (i + 1) % n
+        if not (np.isfinite(ranges[i]) and np.isfinite(ranges[j])):
+            continue
+        step = (angles[j] - angles[i]) % (2.0 * np.pi)
+        gap = np.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
+        near = min(ranges[i], ranges[j])
+        if gap <= 3.0 * sigma + near * np.sin(step) / np.sin(JOIN_INCIDENCE - min(step, 0.5 * JOIN_INCIDENCE)):
+            links[i] = True
+            continue
+        # At grazing incidence the points of one wall lie far apart, but on one line.
+        before, after = (i - 1) % n, (j + 1) % n
+        if gap > STRAIGHT_REACH or not (np.isfinite(ranges[before]) and np.isfinite(ranges[after])):
+            continue
+        if gap <= near * np.sin(step) / np.sin(STRAIGHT_INCIDENCE - min(step, 0.5 * STRAIGHT_INCIDENCE)):
+            links[i] = (
+                _off_line(points, before, after, i) <= tolerance and _off_line(points, before, after, j) <= tolerance
+            )
+    return links
+
+
+@njit(cache=True)
+def find_corners(points: FloatArray, tolerance: float) -> BoolArray:
+    """Which of the points (n, 2) to keep so that the polyline stays within tolerance (m) of all of them, (n,)."""
+    n = len(points)
+    keep = np.zeros(n, dtype=np.bool_)
+    if n == 0:
+        return keep
+    keep[0] = keep[n - 1] = True
+    stack = [(0, n - 1)]
+    while len(stack) > 0:
+        first, last = stack.pop()
+        farthest, worst = -1, tolerance
+        for k in range(first + 1, last):
+            # Distance to the segment, not the line: a polyline may come back past its own start.
+            dx, dy = points[last, 0] - points[first, 0], points[last, 1] - points[first, 1]
+            square = dx * dx + dy * dy
+            t = 0.0
+            if square > 0.0:
+                t = ((points[k, 0] - points[first, 0]) * dx + (points[k, 1] - points[first, 1]) * dy) / square
+                t = min(1.0, max(0.0, t))
+            off = np.hypot(points[first, 0] + t * dx - points[k, 0], points[first, 1] + t * dy - points[k, 1])
+            if off > worst:
+                farthest, worst = k, off
+        if farthest >= 0:
+            keep[farthest] = True
+            stack.append((first, farthest))
+            stack.append((farthest, last))
+    return keep
+
+
+def panorama_links(panorama: Panorama) -> BoolArray:
+    """Whether each bin of a panorama and the next one saw the same surface, (b,)."""
+    return find_links(
+        panorama.points, panorama.ranges, panorama.angles, panorama.sigma, CORNER_TOLERANCE + panorama.sigma
+    )
+
+
+def segment(panorama: Panorama, links: BoolArray) -> list[Component]:
+    """The surfaces of a panorama as polylines, in order of bearing. links: (b,) as panorama_links gives them."""
+    n = len(links)
+    points = panorama.points
+    tolerance = CORNER_TOLERANCE + panorama.sigma
+    breaks = np.flatnonzero(~links)
+    if not len(breaks):
+        # Cut a closed surface at its farthest point, most likely a corner.
+        start = int(np.argmax(panorama.ranges))
+        bins = (start + np.arange(n + 1)) % n
+        return [Component(points[bins][find_corners(points[bins], tolerance)], True, bins[:-1])]
+    components = []
+    for left, right in zip(breaks, np.append(breaks[1:], breaks[0] + n), strict=True):
+        bins = np.arange(left + 1, right + 1) % n
+        if len(bins) >= LEAST_POINTS and np.isfinite(panorama.ranges[bins]).all():
+            components.append(Component(points[bins][find_corners(points[bins], tolerance)], False, bins))
+    return components
