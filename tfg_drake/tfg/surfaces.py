@@ -33,6 +33,8 @@ SURFACE_COVERS = 0.1
 # Samples for that, m; shorter remains are dropped, m.
 SPACING = 0.05
 LEAST_LENGTH = 0.04
+# What is left overlaps what covers the rest by this, m, so that no line of sight slips between them.
+OVERLAP = 0.06
 # A wall end or loose surface this far inside what a turn saw to be free was an error or is gone, m.
 REFUTED_DEPTH = 0.15
 # Neighbouring bins that must agree to that.
@@ -278,6 +280,7 @@ def _trim(
             trimmed.append(piece)
             continue
         for a, b in uncovered_runs(drop[own], start[own], stop[own], LEAST_LENGTH):
+            a, b = max(a - OVERLAP, 0.0), min(b + OVERLAP, float(stop[own][-1]))
             trimmed.append(piece._replace(polyline=cut(piece.polyline, a, b)))
     return trimmed
 
