@@ -34,8 +34,9 @@ class OccupancyMap:
         """Which points (n, 2) in W lie in free cells (n,)."""
         index = np.floor(transform(inverse(self.X_WI), p_WP) / self.resolution).astype(np.int64)
         inside = ((index >= 0) & (index < self.free.shape[::-1])).all(axis=1)
-        index = np.where(inside[:, None], index, 0)
-        return np.asarray(inside & self.free[index[:, 1], index[:, 0]])
+        row, column = index[inside, 1], index[inside, 0]
+        inside[inside] = self.free[row, column]
+        return np.asarray(inside)
 
 
 def load_map_server(path: Path) -> OccupancyMap:

@@ -17,10 +17,10 @@ def draw_start(
 ) -> FloatArray:
     """A start pose X_WS (3,) drawn from the seed in the connected free region with the most wall length.
 
-    walls: (m, 4), m. robot_radius: m. is_free: tells of points (n, 2) in W whether the map calls them free (a grid map's
-    walls enclose its solid blocks as well as its rooms); without it all space inside the walls is. Regions are those of a disc of robot_radius + MARGIN on the 5 cm grid; a region's
-    wall length is the length of wall right beside it. A world without walls begins at the origin. Raises WorldError if
-    the robot fits nowhere inside the walls.
+    walls: (m, 4), m. robot_radius: m. is_free: tells of points (n, 2) in W whether the map calls them free (the walls
+    of a grid enclose its solid blocks as well as its rooms); without it all space inside the walls is. Regions are
+    those of a disc of robot_radius + MARGIN on the 5 cm grid; a region's wall length is that of the wall right beside
+    it. A world without walls begins at the origin. Raises WorldError if the robot fits nowhere inside the walls.
     """
     if not len(walls):
         return np.zeros(3)
