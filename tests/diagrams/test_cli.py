@@ -1,0 +1,141 @@
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tfg_drake.diagrams import cli
+from tfg_drake.diagrams.run import Progress
+
+ROOM = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
+"""
+
+
+def call(capsys, *arguments):
+    """Exit code, standard output, standard error."""
+    with pytest.raises(SystemExit) as caught:
+        cli.main(list(arguments))
+    return (caught.value.code, *capsys.readouterr())
+
+
+@pytest.fixture
+def room(tmp_path):
+    path = tmp_path / "room.yaml"
+    path.write_text(ROOM)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ("explore --max-time 0", "--max-time 0: must be greater than 0 s"),
+        ("explore --max-time nan", "--max-time nan: must be greater than 0 s"),
+        ("explore --realtime-rate -1", "--realtime-rate -1: must be 0 (no limit) or more"),
+        ("explore --tag-spacing 0", "--tag-spacing 0: must be greater than 0 m"),
+        ("explore --seed -1", "--seed -1: must be between 0 and 2147483647"),
+        ("explore --start 1,2", "--start 1,2: must be X,Y,YAW in metres and radians, such as 1.5,2,0"),
+        ("explore --start a,b,c", "--start a,b,c: must be X,Y,YAW in metres and radians, such as 1.5,2,0"),
+        ("explore --start 1,2,inf", "--start 1,2,inf: must be finite"),
+        ("explore --set a", "--set a: expected KEY=VALUE, such as explorer.stop_gain=5"),
+        ("explore --out /dev/null", "--out /dev/null: is a file; name a folder"),
+        ("explore --out /dev/null/x", "--out /dev/null/x: not a directory; name a folder that can be written"),
+        ("explore a b", "got unexpected extra argument(s) (b); see tfg-drake explore --help"),
+        ("fly", "no such command 'fly'; see tfg-drake --help"),
+        ("", "missing command; see tfg-drake --help"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(capsys, arguments, complaint):
+    assert call(capsys, *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "beginning"),
+    [
+        # The parser and the loader have their own words for the rest.
+        ("explore --sed 3", "no such option: --sed"),
+        ("explore --seed", "option '--seed' requires an argument"),
+        ("explore --seed three", "invalid value for '--seed': "),
+        ("explore nowhere", "nowhere: no such file or scenario; "),
+        ("explore --world nowhere.vectormap.txt", "nowhere.vectormap.txt: "),
+        ("explore --set explorer.stop_gian=1", "--set explorer.stop_gian=1: "),
+    ],
+)
+def test_other_bad_input_too(capsys, arguments, beginning):
+    code, out, err = call(capsys, *arguments.split())
+    assert (code, out) == (2, "")
+    assert err.startswith(f"tfg-drake: {beginning}")
+    assert err.count("\n") == 1
+
+
+def test_bad_input_leaves_no_folder_behind(capsys, tmp_path):
+    call(capsys, "explore", "nowhere", "--out", str(tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_help_is_quick_and_names_every_option():
+    code = "import sys; from tfg_drake.diagrams import cli; cli.main(['explore', '--help'])"
+    heavy = "\nfinally: print([m for m in ('pydrake', 'numpy', 'gtsam', 'numba', 'matplotlib') if m in sys.modules])"
+    program = "import sys\ntry: exec(" + repr(code) + ")" + heavy
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    options = "world tag-spacing start seed headless realtime-rate max-time set out json"
+    for option in options.split(" "):
+        assert f"--{option} " in done.stdout
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_mission_from_the_command_line(capsys, room, tmp_path):
+    arguments = ["explore", room, "--tag-spacing", "1", "--headless", "--json", "--out", str(tmp_path / "run")]
+    code, out, err = call(capsys, *arguments, "--set", "explorer.samples=100", "--seed", "5", "--max-time", "200")
+    assert (code, err) == (0, "")
+    summary = json.loads(out.splitlines()[-1])
+    assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
+    lines = [line for line in out.splitlines() if not line.startswith("compiling")]
+    names = [line[:12].strip() for line in lines[:-1]]
+    assert names == ["outcome", "simulated", "driven", "landmarks", "pose error", "coverage", "safety", "files"]
+
+
+@pytest.mark.parametrize(
+    ("outcome", "code"),
+    [("complete", 0), ("budget", 0), ("time_limit", 0), ("stuck", 1), ("fault", 3), ("interrupted", 130)],
+)
+def test_exit_codes(outcome, code):
+    assert cli.EXIT_CODES[outcome] == code
+
+
+def test_ctrl_c_ends_with_130_and_a_summary(room, tmp_path):
+    command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", room, "--tag-spacing", "1", "--headless"]
+    command += ["--json", "--realtime-rate", "1", "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    stages = tmp_path / "run" / "stages.jsonl"
+    while not stages.exists():  # made as the simulation begins
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "")
+    assert json.loads(out.splitlines()[-1])["outcome"] == "interrupted"
+
+
+def test_the_progress_line():
+    progress = Progress(
+        time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks=63, area=412.4, position_error=0.0213
+    )
+    expected = "   120 s  stage   7 follow     63 tags    412 m2  error   2.1 cm   30.0 x real time"
+    assert cli.progress_line(progress) == expected
+
+
+def test_plain_progress_lines_come_now_and_then(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(cli.time, "monotonic", lambda: now[0])
+    with cli._progress_display() as show:
+        for second in range(31):
+            now[0] = float(second)
+            show(Progress(now[0], now[0], "observe", 1, 0, 0.0, 0.0))
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["10", "20", "30"]

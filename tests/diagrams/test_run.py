@@ -1,0 +1,173 @@
+import json
+import math
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+from tfg_drake.diagrams import run
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.map_file import load_map
+from tfg_drake.trajectory import read_tum
+
+ROOM = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
+"""
+# What a machine's speed and load may change.
+MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s"}
+MACHINE |= {"peak_rss_bytes", "stage_ms"}
+_FIELDS = """schema version scenario world seed method outcome reason sim_time_s wall_time_s cpu_time_s real_time_factor
+distance_m stages landmarks_present landmarks_reachable landmarks_mapped landmarks_extra landmark_rmse_m
+landmark_rmse_aligned_m landmark_entropy_nats landmark_anees landmark_nees pose_anees position_error_m
+heading_error_rad surface_coverage surface_phantom_m area_coverage contacts min_clearance_m map_variables map_bytes
+estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
+FIELDS = _FIELDS.split()
+
+
+def room():
+    return ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return run.explore(room(), name="room", out_dir=tmp_path_factory.mktemp("run"))
+
+
+def test_a_small_room_is_explored_to_its_end(finished):
+    summary = finished.summary
+    assert summary["outcome"] == "complete"
+    assert summary["landmarks_mapped"] == summary["landmarks_reachable"] == summary["landmarks_present"] > 10
+    assert summary["landmark_rmse_m"] < 0.1
+    assert summary["contacts"] == 0
+    assert summary["area_coverage"] > 0.99
+
+
+def test_the_summary_has_every_field_in_order(finished):
+    written = json.loads((finished.folder / "summary.json").read_text())
+    assert written == finished.summary
+    assert list(written) == FIELDS
+    for name in ("position_error_m", "heading_error_rad"):
+        assert list(written[name]) == ["mean", "std", "max", "final"]
+    assert list(written["map_variables"]) == ["landmarks", "poses", "calibration"]
+    assert list(written["stage_ms"]) == ["median", "p99", "max"]
+
+
+def test_stages_are_written_line_by_line(finished):
+    lines = [json.loads(line) for line in (finished.folder / "stages.jsonl").read_text().splitlines()]
+    assert lines == finished.stages
+    assert [line["stage"] for line in lines] == list(range(1, finished.summary["stages"] + 1))
+    first = lines[0]
+    np.testing.assert_allclose(first["goal"], [2.0, 1.5, 0.3], atol=1e-9)
+    assert first["predicted_gain"] is None
+    # Everything is new: from the prior of 10 m an axis to the entropy that is left.
+    prior = first["landmarks"] * math.log(2.0 * math.pi * math.e * 10.0**2)
+    assert first["realised_gain"] == pytest.approx(prior - first["entropy_nats"])
+    for line in lines[1:]:
+        assert line["predicted_gain"] == pytest.approx(line["exploitation"] + line["exploration"])
+    assert lines[-1]["entropy_nats"] == finished.summary["landmark_entropy_nats"]
+
+
+def test_the_folder_is_whole(finished):
+    names = "figure.png log.txt map.npz scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
+    assert sorted(path.name for path in finished.folder.iterdir()) == names.split()
+    assert (finished.folder / "figure.png").read_bytes().startswith(b"\x89PNG")
+    saved = load_map(finished.folder / "map.npz")
+    assert len(saved.ids) == finished.summary["map_variables"]["landmarks"]
+    assert LoadScenario(finished.folder / "scenario.yaml") == room()
+
+
+def test_the_trajectories_share_a_frame_and_end_together(finished):
+    stamps, X_WB = read_tum(finished.folder / "trajectory.tum")
+    true_stamps, X_WB_true = read_tum(finished.folder / "truth.tum")
+    np.testing.assert_allclose(X_WB[0], [2.0, 1.5, 0.3], atol=1e-6)
+    assert true_stamps[-1] <= finished.summary["sim_time_s"] <= true_stamps[-1] + 0.1
+    truth = X_WB_true[np.searchsorted(true_stamps, stamps)]
+    error = np.linalg.norm(X_WB[:, :2] - truth[:, :2], axis=1)
+    assert error.mean() == pytest.approx(finished.summary["position_error_m"]["mean"], abs=1e-6)
+    assert error.max() < 0.2
+
+
+def test_the_same_seed_gives_the_same_run(finished, tmp_path):
+    again = run.explore(room(), name="room", out_dir=tmp_path)
+    assert {k: v for k, v in again.summary.items() if k not in MACHINE} == {
+        k: v for k, v in finished.summary.items() if k not in MACHINE
+    }
+    for name in ("stages.jsonl", "map.npz", "trajectory.tum", "truth.tum", "scenario.yaml"):
+        assert (tmp_path / name).read_bytes() == (finished.folder / name).read_bytes(), name
+
+
+def test_the_time_limit_ends_a_mission(tmp_path):
+    seen = []
+    result = run.explore(room(), max_time=8.5, out_dir=tmp_path, on_progress=seen.append)
+    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 8.5)
+    assert result.summary["reason"] == "the time limit of 8.5 s was reached"
+    assert [progress.time for progress in seen] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 8.5]
+    assert seen[-1].landmarks == result.summary["landmarks_mapped"] > 0
+    assert 10.0 < seen[-1].area < 24.1
+
+
+def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
+    summary = run.explore(room(), max_time=1.0, out_dir=tmp_path).summary
+    assert list(summary) == FIELDS
+    assert summary["stages"] == summary["landmarks_mapped"] == summary["map_bytes"] == 0
+    assert summary["landmark_rmse_m"] is summary["landmark_entropy_nats"] is summary["pose_anees"] is None
+    assert summary["area_coverage"] == 0.0
+    assert not (tmp_path / "map.npz").exists()
+
+
+def test_ctrl_c_leaves_a_usable_result(tmp_path):
+    def interrupt(progress):
+        if progress.time == 8.0:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    result = run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
+    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 8 s")
+    assert load_map(tmp_path / "map.npz").stage == 1
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_second_ctrl_c_aborts(tmp_path):
+    def interrupt(_progress):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
+
+
+@pytest.mark.parametrize("error", [ValueError("no way\nmore"), SystemExit("no way\nmore")])
+def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, monkeypatch, error):
+    class Failing(run.PoseVector):
+        def _CalcVector(self, context, output):
+            if context.get_time() > 7.5:
+                raise error
+            super()._CalcVector(context, output)
+
+    monkeypatch.setattr(run, "PoseVector", Failing)
+    summary = run.explore(room(), out_dir=tmp_path).summary
+    assert summary["outcome"] == "fault"
+    assert summary["reason"] == f"{type(error).__name__} at 7.53 s: no way"
+    assert summary["stages"] == 1
+    assert list(summary) == FIELDS
+    assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
+
+
+def test_default_folders_do_not_collide(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run.time, "strftime", lambda _format: "20260101-120000")
+    folders = [run._make_folder(None, "paper", 4).name for _ in range(2)]
+    assert folders == ["20260101-120000-paper-4", "20260101-120000-paper-4-2"]
+
+
+def test_the_mission_may_run_outside_the_main_thread(tmp_path):
+    results = []
+    worker = threading.Thread(target=lambda: results.append(run.explore(room(), max_time=1.0, out_dir=tmp_path)))
+    worker.start()
+    worker.join()
+    assert results[0].summary["outcome"] == "time_limit"

@@ -1,0 +1,32 @@
+import io
+
+import numpy as np
+from PIL import Image
+
+from tfg_drake.figure import draw_run
+from tfg_drake.world.world import World
+
+WORLD = World(
+    walls=np.array([[0.0, 0.0, 6.0, 0.0], [6.0, 0.0, 6.0, 4.0]]),
+    tag_ids=np.array([4, 7]),
+    p_WT=np.array([[1.0, 0.0], [3.0, 0.0]]),
+    tag_facing=np.full(2, np.pi / 2),
+    start=np.array([1.0, 1.0, 0.0]),
+)
+
+
+def test_draws_a_run_that_has_not_begun(tmp_path):
+    nothing = np.zeros((0, 3))
+    draw_run(tmp_path / "f.png", "nothing yet", WORLD, None, None, nothing, nothing, np.ones(2, dtype=bool))
+    image = Image.open(io.BytesIO((tmp_path / "f.png").read_bytes()))
+    assert image.width == 1760
+    # The missed tags are red.
+    pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert np.any((pixels[..., 0] > 180) & (pixels[..., 1] < 70) & (pixels[..., 2] < 70))
+
+
+def test_the_same_run_gives_the_same_file(tmp_path):
+    poses = np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [2.0, 2.0, 1.0]])
+    for name in ("a.png", "b.png"):
+        draw_run(tmp_path / name, "twice", WORLD, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
