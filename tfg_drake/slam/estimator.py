@@ -13,7 +13,16 @@ import dataclasses
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Odometry, PoseEstimate, TagDetections, message
+from tfg_drake.messages import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    MapEstimate,
+    Odometry,
+    PoseEstimate,
+    TagDetections,
+    message,
+)
 from tfg_drake.slam import goal_graph, pose_filter
 from tfg_drake.slam.goal_graph import GoalGraph
 from tfg_drake.slam.localizer import start_localizer, step_localizer
@@ -157,7 +166,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         if stamp > state.stamp:
             increment = arc(state.X_OB, newest.X_OB)
             X_MB, covariance = pose_filter.predict_pose(localizer, state.model, increment, stamp - state.stamp)
-    new = ~np.isin(localizer.local_ids, state.graph.ids)
+    new = _absent(localizer.local_ids, state.graph.ids)
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,
@@ -172,6 +181,14 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
 def map_estimate(state: EstimatorState) -> MapEstimate | None:
     """The map after the newest goal, None before the first."""
     return state.map
+
+
+def _absent(ids: IntArray, known: IntArray) -> BoolArray:
+    """(n,) which ids are not among the known ones (ascending)."""
+    if len(known) == 0:
+        return np.ones(len(ids), dtype=bool)
+    row = np.minimum(np.searchsorted(known, ids), len(known) - 1)
+    return np.asarray(known[row] != ids)
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:

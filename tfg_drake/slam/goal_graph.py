@@ -263,7 +263,7 @@ def _goal_error(keys: list[int], observation: GoalObservation) -> ErrorFunction:
             jacobians[0] = whitener @ on_A
             jacobians[1] = np.hstack([whitener[:, 2 * n : 2 * n + 2] @ se2.rotation(turn), whitener[:, -1:]])
             on_points = whitener[:, : 2 * n].reshape(-1, 2) @ R_MA.T
-            on_points = on_points.reshape(-1, 2 * n)
+            on_points = on_points.reshape(2 * n + 3, 2 * n)
             for i in range(n):
                 jacobians[2 + i] = on_points[:, 2 * i : 2 * i + 2]
         return np.asarray(whitener @ residual)

@@ -20,6 +20,8 @@ POSE = 3
 CORE = 6
 # Mahalanobis gate of one sighting (2 degrees of freedom): 1 in 270 000 good ones fails it.
 GATE = 25.0
+_NOTHING_CONSIDERED = np.empty((CORE, 0))
+_NOTHING_CONSIDERED.flags.writeable = False
 
 
 @message
@@ -82,9 +84,11 @@ def predict_pose(
     filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
     """The pose (3,) and its covariance (3, 3) alone after an odometry increment."""
-    core = _replace(filter_, filter_.mean[:CORE], filter_.covariance[:CORE, :CORE].copy(), np.empty((CORE, 0)))
-    core = predict(core, model, increment, dt)
-    return core.mean[:POSE], core.covariance[:POSE, :POSE]
+    covariance = filter_.covariance[:CORE, :CORE].copy()
+    # Read-only like every message's array: the kernel is compiled for one kind.
+    covariance.flags.writeable = False
+    mean, covariance, _ = _predict(filter_.mean[:CORE], covariance, _NOTHING_CONSIDERED, increment, dt, model.noise)
+    return mean[:POSE], covariance[:POSE, :POSE]
 
 
 def update(filter_: PoseFilter, detections: TagDetections) -> PoseFilter:

@@ -65,7 +65,7 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
     stamps, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in frames]
     counts = [len(detections.ids) for detections in seen]
-    detection_node = np.repeat(node, counts)
+    detection_node = np.repeat(np.array(node, dtype=np.int64), counts)
     all_ids = np.concatenate([np.empty(0, dtype=np.int64), *(detections.ids for detections in seen)])
     z = np.empty((len(all_ids), 4))
     if len(all_ids) > 0:

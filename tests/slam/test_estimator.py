@@ -1,0 +1,122 @@
+import copy
+
+import numpy as np
+import pytest
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.geometry import se2
+from tfg_drake.messages import Odometry
+from tfg_drake.slam.estimator import (
+    begin_turn,
+    end_turn,
+    initial_state,
+    map_estimate,
+    pose_estimate,
+    process_detections,
+    process_odometry,
+)
+
+TURN = 201
+
+
+def feed(state, message):
+    return (process_odometry if isinstance(message, Odometry) else process_detections)(state, message)
+
+
+def explore(drive, seed, noise, goals=8, tags=80, check=None, order=lambda messages: messages):
+    """Turns at goals on a ring in a 20 x 20 m room; returns the robot and the estimator after the last."""
+    points = np.random.default_rng(1000 + seed).uniform(-10.0, 10.0, (tags, 2))
+    robot = drive(points, seed, noise, start=(6.0, 0.0, 0.5 * np.pi))
+    state = process_odometry(initial_state(robot.config), robot.odometry())
+
+    def move(state, speed, turn_rate, steps):
+        for _ in range(steps):
+            for message in order(robot.step(speed, turn_rate)):
+                state = feed(state, message)
+            if check is not None:
+                check(robot, state)
+        return state
+
+    for goal in range(goals):
+        if goal > 0:
+            state = move(state, 0.5, 0.5 / 6.0, int(6.0 * 2.0 * np.pi / 8.0 / 0.5 * 32.0))
+        state = move(begin_turn(state, robot.time), 0.0, 1.0, TURN)
+        state = end_turn(state, robot.time)
+    return robot, state
+
+
+def test_exact_without_noise(drive):
+    def check(robot, state):
+        error = pose_estimate(state).X_MB - robot.X_MB
+        error[2] = se2.wrap_angle(error[2])
+        assert np.abs(error).max() < 1e-6
+
+    robot, state = explore(drive, 1, 0.0, goals=4, check=check)
+    estimate = map_estimate(state)
+    assert estimate.stage == 4
+    assert len(estimate.ids) > 60
+    np.testing.assert_allclose(estimate.p_ML, robot.p_ML(estimate.ids), atol=1e-6)
+    np.testing.assert_allclose(estimate.X_MD, robot.X_MB, atol=1e-6)
+    assert estimate.observation.X_AB.shape[0] > 60
+
+
+def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
+    landmarks, poses, online = [], [], []
+
+    def check(robot, state):
+        if round(robot.time * 32.0) % 16 == 0:
+            estimate = pose_estimate(state)
+            error = estimate.X_MB - robot.X_MB
+            error[2] = se2.wrap_angle(error[2])
+            online.append(nees(error, estimate.covariance))
+
+    for seed in range(6):
+        robot, state = explore(drive, seed, 1.0, goals=5, check=check)
+        estimate = map_estimate(state)
+        assert len(state.rejected) == 0
+        landmarks.append(nees((estimate.p_ML - robot.p_ML(estimate.ids)).ravel(), estimate.covariance[:-3, :-3]))
+        error = estimate.X_MD - robot.X_MB
+        error[2] = se2.wrap_angle(error[2])
+        poses.append(nees(error, estimate.covariance[-3:, -3:]))
+        assert np.sqrt(np.mean((estimate.p_ML - robot.p_ML(estimate.ids)) ** 2)) < 0.05
+    assert 0.8 < np.mean(landmarks) < 1.2
+    assert np.mean(poses) < 2.0
+    assert 0.3 < np.mean(online) < 1.6
+
+
+def test_the_order_of_arrival_does_not_matter(drive):
+    _, one = explore(drive, 2, 1.0, goals=2)
+    _, other = explore(drive, 2, 1.0, goals=2, order=lambda messages: messages[::-1])
+    np.testing.assert_array_equal(map_estimate(one).p_ML, map_estimate(other).p_ML)
+    np.testing.assert_array_equal(map_estimate(one).covariance, map_estimate(other).covariance)
+
+
+def test_old_messages_change_nothing_and_the_state_copies_for_free(drive):
+    robot, state = explore(drive, 3, 1.0, goals=1)
+    assert process_odometry(state, Odometry(robot.time, np.ones(3), np.zeros(2))) is state
+    frame = robot._frame(robot.X_WB, robot.time - 1.0)
+    assert process_detections(state, frame) is state
+    assert copy.deepcopy(state) is state
+
+
+def test_odometry_alone_keeps_the_buffers_short(drive):
+    robot = drive(np.empty((0, 2)), 5, 0.0)
+    state = process_odometry(initial_state(robot.config), robot.odometry())
+    for _ in range(200):
+        state = process_odometry(state, robot.step(0.4, 0.2)[-1])
+    assert len(state.odometry) < 12
+    np.testing.assert_allclose(pose_estimate(state).X_MB, robot.X_MB, atol=1e-9)
+    assert pose_estimate(state).stage == 0
+
+
+def test_before_and_out_of_turn():
+    state = initial_state(OdometryConfig())
+    assert map_estimate(state) is None
+    np.testing.assert_array_equal(pose_estimate(state).X_MB, np.zeros(3))
+    with pytest.raises(ValueError, match="before the first odometry message"):
+        begin_turn(state, 0.0)
+    with pytest.raises(ValueError, match="No turn is open"):
+        end_turn(state, 0.0)
+    state = begin_turn(process_odometry(state, Odometry(0.0, np.zeros(3), np.zeros(2))), 0.0)
+    with pytest.raises(ValueError, match="A turn is open already"):
+        begin_turn(state, 0.0)

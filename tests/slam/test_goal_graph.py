@@ -1,0 +1,159 @@
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import A, D, L
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import GoalObservation
+from tfg_drake.slam import goal_graph
+from tfg_drake.slam.goal_graph import add_goal, empty_graph, empty_map, factor_graph, solve
+
+SEGMENT = np.diag([0.05, 0.05, 0.02]) ** 2
+
+
+def ring(seed, noise, goals=8, tags=40, seen=15):
+    """Goals on a circle, their observations with correlated noise, and the segments between them."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-6.0, 6.0, (tags, 2))
+    angle = 2.0 * np.pi * np.arange(goals) / goals
+    X_WA = np.column_stack([4.0 * np.cos(angle), 4.0 * np.sin(angle), se2.wrap_angle(angle + 1.0)])
+    points = se2.transform(se2.inverse(X_WA[0]), points)
+    X_MA = se2.between(X_WA[0], X_WA)
+    observations, segments, X_MD = [], [], []
+    for i, X in enumerate(X_MA):
+        rows = np.sort(np.argsort(np.hypot(*(points - X[:2]).T))[:seen])
+        size = 2 * seen + 3
+        root = 0.003 * rng.normal(size=(size, size)) + 0.01 * np.eye(size)
+        X_AD = np.array([0.02, -0.01, 0.1])
+        error = noise * root @ rng.normal(size=size)
+        observations.append(
+            GoalObservation(
+                ids=rows + 100,
+                p_AL=se2.transform(se2.inverse(X), points[rows]) + error[:-3].reshape(-1, 2),
+                X_AD=X_AD + error[-3:],
+                covariance=root @ root.T,
+                stamps=np.empty(0),
+                X_AB=np.empty((0, 3)),
+            )
+        )
+        if i > 0:
+            segments.append(se2.between(X_MD[-1], X) + noise * np.sqrt(np.diag(SEGMENT)) * rng.normal(size=3))
+        X_MD.append(se2.compose(X, X_AD))
+    return points, X_MA, np.array(X_MD), observations, segments
+
+
+def build(observations, segments):
+    graph, estimate = empty_graph(), None
+    for i, observation in enumerate(observations):
+        X_DA = segments[i - 1] if i > 0 else np.zeros(3)
+        graph, rejected = add_goal(graph, estimate, observation, X_DA, SEGMENT)
+        assert len(rejected) == 0
+        graph, estimate = solve(graph, float(i), observation)
+    return graph, estimate
+
+
+def test_exact_without_noise():
+    points, X_MA, X_MD, observations, segments = ring(1, 0.0)
+    graph, estimate = build(observations, segments)
+    np.testing.assert_allclose(estimate.p_ML, points[estimate.ids - 100], atol=1e-6)
+    np.testing.assert_allclose(se2.between(X_MA, estimate.X_MA), np.zeros((8, 3)), atol=1e-6)
+    np.testing.assert_allclose(se2.between(X_MD, graph.X_MD), np.zeros((8, 3)), atol=1e-6)
+    assert estimate.stage == len(observations)
+    assert np.all(np.diff(estimate.ids) > 0)
+
+
+def test_values_and_covariance_are_gtsams_own():
+    _, _, _, observations, segments = ring(2, 1.0)
+    graph, estimate = build(observations, segments)
+    factors = factor_graph(graph)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-12)
+    values = gtsam.LevenbergMarquardtOptimizer(factors, goal_graph._values(graph), parameters).optimize()
+    for tag, point in zip(estimate.ids, estimate.p_ML, strict=True):
+        np.testing.assert_allclose(point, values.atPoint2(L(int(tag))), atol=1e-5)
+    keys = [*(L(int(tag)) for tag in estimate.ids), D(len(observations) - 1)]
+    expected = gtsam.Marginals(factors, values).jointMarginalCovariance(keys).fullMatrix()
+    to_M = np.eye(len(expected))
+    to_M[-3:-1, -3:-1] = se2.rotation(estimate.X_MD[2])
+    np.testing.assert_allclose(estimate.covariance, to_M @ expected @ to_M.T, rtol=2e-3, atol=1e-8)
+    entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * estimate.covariance[:-3, :-3])[1]
+    assert abs(estimate.entropy - entropy) < 1e-8
+
+
+def test_jacobians_of_the_goal_factor():
+    _, X_MA, X_MD, observations, _ = ring(3, 1.0)
+    observation = observations[2]
+    keys = [A(0), D(0), *(L(int(tag)) for tag in observation.ids)]
+    factor = gtsam.CustomFactor(
+        gtsam.noiseModel.Unit.Create(2 * len(observation.ids) + 3), keys, goal_graph._goal_error(keys, observation)
+    )
+    values = gtsam.Values()
+    values.insert(A(0), gtsam.Pose2(*X_MA[2]))
+    values.insert(D(0), gtsam.Pose2(*X_MD[2]))
+    for tag, point in zip(observation.ids, observation.p_AL, strict=True):
+        values.insert(L(int(tag)), se2.transform(X_MA[2], point) + 0.1)
+    jacobian = factor.linearize(values).jacobian()[0]
+    column = 0
+    for key in keys:
+        size = 3 if key in keys[:2] else 2
+        for i in range(size):
+            errors = []
+            for h in (1e-6, -1e-6):
+                moved = gtsam.Values(values)
+                if size == 3:
+                    moved.update(key, moved.atPose2(key).retract(h * np.eye(3)[i]))
+                else:
+                    moved.update(key, moved.atPoint2(key) + h * np.eye(2)[i])
+                errors.append(factor.unwhitenedError(moved))
+            np.testing.assert_allclose(jacobian[:, column], (errors[0] - errors[1]) / 2e-6, rtol=1e-4, atol=1e-3)
+            column += 1
+
+
+def test_consistent(nees):
+    landmarks, poses = [], []
+    for seed in range(20):
+        points, _, X_MD, observations, segments = ring(seed, 1.0)
+        _, estimate = build(observations, segments)
+        error = (estimate.p_ML - points[estimate.ids - 100]).ravel()
+        pose = estimate.X_MD - X_MD[-1]
+        pose[2] = se2.wrap_angle(pose[2])
+        landmarks.append(nees(error, estimate.covariance[:-3, :-3]))
+        poses.append(nees(pose, estimate.covariance[-3:, -3:]))
+    assert 0.85 < np.mean(landmarks) < 1.15
+    assert 0.5 < np.mean(poses) < 1.6
+
+
+def test_a_moved_tag_is_left_out_and_named():
+    points, _, _, observations, segments = ring(4, 1.0)
+    graph, estimate = build(observations[:3], segments[:2])
+    observation = observations[3]
+    known = np.flatnonzero(np.isin(observation.ids, graph.ids))
+    p_AL = observation.p_AL.copy()
+    p_AL[known[:2]] += 1.5
+    moved = GoalObservation(
+        ids=observation.ids,
+        p_AL=p_AL,
+        X_AD=observation.X_AD,
+        covariance=observation.covariance,
+        stamps=observation.stamps,
+        X_AB=observation.X_AB,
+    )
+    graph, rejected = add_goal(graph, estimate, moved, segments[2], SEGMENT)
+    np.testing.assert_array_equal(rejected, observation.ids[known[:2]])
+    assert len(graph.observations[-1].ids) == len(observation.ids) - 2
+    _, estimate = solve(graph, 0.0, moved)
+    assert np.abs(estimate.p_ML - points[estimate.ids - 100]).max() < 0.2
+
+
+def test_goals_without_tags_hang_on_their_segments():
+    nothing = GoalObservation(
+        ids=np.empty(0, dtype=np.int64),
+        p_AL=np.empty((0, 2)),
+        X_AD=np.array([0.0, 0.0, 0.5]),
+        covariance=1e-4 * np.eye(3),
+        stamps=np.empty(0),
+        X_AB=np.empty((0, 3)),
+    )
+    _, estimate = build([nothing, nothing], [np.array([2.0, 0.0, 0.0])])
+    np.testing.assert_allclose(estimate.X_MD, [2.0 * np.cos(0.5), 2.0 * np.sin(0.5), 1.0], atol=1e-9)
+    assert estimate.entropy == 0.0
+    assert empty_map().stage == 0

@@ -1,0 +1,98 @@
+import dataclasses
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import B, L
+
+from tfg_drake.geometry import se2
+from tfg_drake.slam import turn as turn_module
+from tfg_drake.slam.odometry_model import odometry_model
+from tfg_drake.slam.turn import solve_turn
+
+STEPS = 201
+
+
+def simulate(drive, seed, noise, tags=35):
+    points = np.random.default_rng(seed).uniform(-8.0, 8.0, (tags, 2))
+    robot = drive(points, seed, noise)
+    begin = robot.instant()
+    frames = robot.frames(0.0, 1.0, STEPS)
+    return robot, (odometry_model(robot.config), begin, frames, robot.instant())
+
+
+def error(robot, observation):
+    """Of tags and heading of D: D's position is exact in this simulator, whose wheels never slip on the spot."""
+    heading = se2.wrap_angle(observation.X_AD[2] - robot.X_MB[2])
+    return np.append((observation.p_AL - robot.p_ML(observation.ids)).ravel(), heading)
+
+
+def test_exact_without_noise(drive):
+    robot, arguments = simulate(drive, 1, 0.0)
+    solution = solve_turn(*arguments)
+    observation = solution.observation
+    assert solution.dropped == 0
+    assert len(observation.ids) > 25
+    np.testing.assert_allclose(observation.p_AL, robot.p_ML(observation.ids), atol=1e-6)
+    np.testing.assert_allclose(observation.X_AD, robot.X_MB, atol=1e-6)
+    assert observation.X_AB.shape == (len(observation.stamps), 3)
+    np.testing.assert_allclose(observation.X_AB[:, 2], se2.wrap_angle(observation.stamps), atol=1e-6)
+    assert np.all(np.diff(observation.stamps) > 0.0)
+
+
+def test_covariance_is_the_full_graphs_marginal(drive, monkeypatch):
+    _, arguments = simulate(drive, 2, 1.0)
+    kept = {}
+    joint = turn_module._joint_covariance
+
+    def spy(graph, values, ids, nodes):
+        kept.update(graph=graph, values=values, nodes=nodes)
+        return joint(graph, values, ids, nodes)
+
+    monkeypatch.setattr(turn_module, "_joint_covariance", spy)
+    observation = solve_turn(*arguments).observation
+    last = kept["nodes"] - 1
+    keys = [*(L(int(tag)) for tag in observation.ids), B(last)]
+    expected = gtsam.Marginals(kept["graph"], kept["values"]).jointMarginalCovariance(keys).fullMatrix()
+    to_A = np.eye(len(expected))
+    to_A[-3:-1, -3:-1] = se2.rotation(observation.X_AD[2])
+    np.testing.assert_allclose(observation.covariance, to_A @ expected @ to_A.T, rtol=1e-5, atol=1e-10)
+
+
+def test_consistent(drive, nees):
+    values = []
+    for seed in range(15):
+        robot, arguments = simulate(drive, seed, 1.0)
+        observation = solve_turn(*arguments).observation
+        rows = np.append(np.arange(2 * len(observation.ids)), -1)
+        values.append(nees(error(robot, observation), observation.covariance[np.ix_(rows, rows)]))
+    assert 0.85 < np.mean(values) < 1.15
+
+
+def test_outliers_are_dropped_and_counted(drive):
+    robot, (model, begin, frames, end) = simulate(drive, 3, 1.0)
+    bad = [10, 30, 50]
+    spoilt = list(frames)
+    for i in bad:
+        detections = frames[i].detections
+        distance = detections.range.copy()
+        distance[0] += 4.0
+        spoilt[i] = dataclasses.replace(frames[i], detections=dataclasses.replace(detections, range=distance))
+    clean = solve_turn(model, begin, frames, end)
+    solution = solve_turn(model, begin, tuple(spoilt), end)
+    assert clean.dropped == 0
+    assert solution.dropped == len(bad)
+    np.testing.assert_allclose(solution.observation.X_AD, clean.observation.X_AD, atol=5e-3)
+    assert np.abs(error(robot, solution.observation)).max() < 0.3
+
+
+@pytest.mark.parametrize("steps", [0, STEPS])
+def test_without_tags_odometry_remains(drive, steps):
+    robot = drive(np.empty((0, 2)), 4, 0.0)
+    begin, frames = robot.instant(), robot.frames(0.0, 1.0, steps)
+    observation = solve_turn(odometry_model(robot.config), begin, frames, robot.instant()).observation
+    assert len(observation.ids) == 0
+    np.testing.assert_allclose(observation.X_AD, robot.X_MB, atol=1e-9)
+    assert observation.covariance.shape == (3, 3)
+    # A gyro scale error of 1 percent over a whole turn.
+    assert steps == 0 or np.sqrt(observation.covariance[2, 2]) == pytest.approx(0.0648, abs=2e-3)
