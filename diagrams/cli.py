@@ -219,7 +219,7 @@ class _ProgressDisplay:
         if self._live is not None:
             from rich.text import Text
 
-            self._live.update(Text(progress_line(progress)))
+            self._live.update(Text(progress_line(progress), no_wrap=True, overflow="ellipsis"))
         elif time.monotonic() >= self._next_line:
             self._next_line += LINE_INTERVAL
             print(progress_line(progress), flush=True)
@@ -230,11 +230,11 @@ def _progress_display() -> _ProgressDisplay:
 
 
 def progress_line(progress: Progress) -> str:
-    """How far the mission has come, on one line."""
+    """How far the mission has come, on one line of a terminal of 80 columns."""
     speed = progress.time / max(progress.wall_time, 1e-9)
     return (
-        f"{progress.time:6.0f} s  stage {progress.stage:3d} {progress.phase:8s} {progress.landmarks:4d} tags"
-        f" {progress.area:6.0f} m2  error {100.0 * progress.position_error:5.1f} cm  {speed:5.1f} x real time"
+        f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
+        f" {progress.area:5.0f} m2  error {100.0 * progress.position_error:5.1f} cm  {speed:4.1f} x real time"
     )
 
 
