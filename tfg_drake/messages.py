@@ -55,12 +55,14 @@ class Odometry:
     """Dead reckoning by wheels and gyro.
 
     stamp: s. X_OB: (3,) integrated pose of the body in the odometry frame. V_B: (2,) measured forward speed (m/s)
-    and turn rate (rad/s).
+    and turn rate (rad/s). at_rest: no wheel has turned since the message before: the encoders know that the robot
+    stands, while the gyro's angle wanders on.
     """
 
     stamp: float
     X_OB: FloatArray
     V_B: FloatArray
+    at_rest: bool = False
 
 
 @message

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
-from tfg_drake.planning.information_gain import exact_gain, odometry_covariance, turn_noise
+from tfg_drake.planning.information_gain import _share_seen, exact_gain, odometry_covariance, turn_noise
 
 
 def whitened(p_AL, noise):
@@ -56,6 +56,10 @@ def problem(seed, n=9, common=0.3):
     return rng, p_ML, X_MD, covariance, point, Q
 
 
+# A sensor range at which every frontier point counts in full, m.
+SEE_ALL = 1e9
+
+
 def kernel(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma, noise):
     n = 2 * len(p_ML)
     S = covariance
@@ -63,11 +67,16 @@ def kernel(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma, no
     ends = np.array([0, len(known)]), np.array([0, len(p_MU)])
     return exact_gain(
         point[None], Q, ends[0], np.asarray(known, dtype=np.int64), ends[1], np.arange(len(p_MU)), p_ML, X_MD, S,
-        given, p_MU, count, prior_sigma, noise,
+        given, p_MU, count, prior_sigma, noise, np.array([SEE_ALL, 1.0]),
     )[0]  # fmt: skip
 
 
 NOISE = turn_noise(TagSensorConfig(), 1.0)
+
+
+@pytest.mark.parametrize(("distance", "share"), [(1.0, 1.0), (5.0, 1.0), (7.5, 0.5), (10.0, 0.0), (12.0, 0.0)])
+def test_a_frontier_counts_by_the_depth_of_view_behind_it(distance, share):
+    assert _share_seen(distance, 0.0, np.array([10.0, 5.0])) == pytest.approx(share)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -14,9 +14,11 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.messages import FloatArray, Odometry
 
 # Where the entries of the state begin: the time (s) it holds at, the true pose X_WB (3), the integrated pose X_OB (3),
-# the measured forward speed and turn rate.
-TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE = 0, 1, 4, 7, 8
-STATE_SIZE = 9
+# the measured forward speed and turn rate, and whether the wheels stood.
+TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE, AT_REST = 0, 1, 4, 7, 8, 9
+STATE_SIZE = 10
+# Motion below this turns no encoder by a tick, m and rad.
+TICK = 1e-5
 
 
 @njit(cache=True)
@@ -55,6 +57,8 @@ def _integrate(
     after[INTEGRATED + 2] = _wrap(state[INTEGRATED + 2] + turn)
     after[SPEED] = scale * pose[3]
     after[TURN_RATE] = turn / duration
+    still = math.hypot(dx, dy) < TICK and abs(_wrap(pose[2] - state[TRUTH + 2])) < TICK
+    after[AT_REST] = 1.0 if still else 0.0
     return after
 
 
@@ -81,7 +85,7 @@ def integrate(
     pose: (5,) true x, y, theta of X_WB, forward speed and turn rate. errors: (3,) from run_errors. standard_normal:
     (2,) numbers, fresh every time. The distance takes the scale error and a random walk that grows with distance; the
     heading takes the gyro's scale error, its bias and a random walk that grows with time. The random walk of distance
-    is slip, which the wheels' speed does not show. Before any time has passed the state stays as it is.
+    is slip, which the wheels' speed does not show; a robot that stands turns no wheel. Before any time has passed the state stays as it is.
     """
     after: FloatArray = _integrate(
         state, stamp, pose, errors, standard_normal, config.distance_noise, config.gyro_noise
@@ -98,4 +102,9 @@ def initial_state(X_WS: FloatArray) -> FloatArray:
 
 def message(state: FloatArray) -> Odometry:
     """What the state (STATE_SIZE,) says to the robot."""
-    return Odometry(float(state[TIME]), state[INTEGRATED : INTEGRATED + 3].copy(), state[SPEED : TURN_RATE + 1].copy())
+    return Odometry(
+        stamp=float(state[TIME]),
+        X_OB=state[INTEGRATED : INTEGRATED + 3],
+        V_B=state[SPEED : TURN_RATE + 1],
+        at_rest=bool(state[AT_REST]),
+    )
