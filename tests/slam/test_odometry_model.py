@@ -30,7 +30,7 @@ def test_jacobian_on_the_calibration():
 
 
 def test_random_walk_against_many_small_steps():
-    dt, steps, speed, rate = 1.0 / 256.0, 64, 0.5, 0.2
+    dt, steps, speed, rate = 1.0 / 256.0, 64, 0.5, 0.05
     noise = np.append(MODEL.noise[:2], 0.0)
     rng = np.random.default_rng(1)
     X = np.zeros((4000, 3))
