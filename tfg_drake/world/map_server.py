@@ -34,9 +34,9 @@ class OccupancyMap:
         """Which points (n, 2) in W lie in free cells (n,)."""
         index = np.floor(transform(inverse(self.X_WI), p_WP) / self.resolution).astype(np.int64)
         inside = ((index >= 0) & (index < self.free.shape[::-1])).all(axis=1)
-        row, column = index[inside, 1], index[inside, 0]
-        inside[inside] = self.free[row, column]
-        return np.asarray(inside)
+        free = np.zeros(len(p_WP), dtype=np.bool_)
+        free[inside] = self.free[index[inside, 1], index[inside, 0]]
+        return free
 
 
 def load_map_server(path: Path) -> OccupancyMap:

@@ -120,21 +120,20 @@ def _seen(
         return seen
     tree = cKDTree(cells)
     origins = points + _OFF_WALL * normals
-    left = np.arange(len(points))
-    count = 1
-    while len(left):
-        distance, index = tree.query(
-            points[left], k=np.arange(max(1, count // 8), count + 1), distance_upper_bound=range_max
-        )
+
+    def sees(i: int, index: IntArray) -> bool:
+        offset = cells[index] - origins[i]
+        facing = offset @ normals[i] >= np.cos(max_incidence) * np.linalg.norm(offset, axis=1)
+        near = np.ascontiguousarray(cells[index[facing]])
+        return len(near) > 0 and bool(line_of_sight(walls, origins[i], near).any())
+
+    for count in (1, 8, 64):
+        left = np.nonzero(~seen)[0]
+        distance, index = tree.query(points[left], k=np.arange(1, count + 1), distance_upper_bound=range_max)
         for row, i in enumerate(left):
-            near = cells[index[row, : np.searchsorted(distance[row], range_max, side="right")]]
-            offset = near - origins[i]
-            facing = offset @ normals[i] >= np.cos(max_incidence) * np.linalg.norm(offset, axis=1)
-            near = np.ascontiguousarray(near[facing])
-            seen[i] = len(near) > 0 and bool(line_of_sight(walls, origins[i], near).any())
-        exhausted = ~np.isfinite(distance[:, -1])
-        left = left[~seen[left] & ~exhausted]
-        count *= 8
+            seen[i] = sees(i, index[row, np.isfinite(distance[row])])
+    for i in np.nonzero(~seen)[0]:
+        seen[i] = sees(i, np.array(tree.query_ball_point(points[i], range_max), dtype=np.int64))
     return seen
 
 
