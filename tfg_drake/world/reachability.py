@@ -130,9 +130,9 @@ def _seen(
     for count in (1, 8, 64):
         left = np.nonzero(~seen)[0]
         distance, index = tree.query(points[left], k=np.arange(1, count + 1), distance_upper_bound=range_max)
-        for row, i in enumerate(left):
+        for row, i in enumerate(left.tolist()):
             seen[i] = sees(i, index[row, np.isfinite(distance[row])])
-    for i in np.nonzero(~seen)[0]:
+    for i in np.nonzero(~seen)[0].tolist():
         seen[i] = sees(i, np.array(tree.query_ball_point(points[i], range_max), dtype=np.int64))
     return seen
 
