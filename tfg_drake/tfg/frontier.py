@@ -13,26 +13,29 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, TfgMap, message
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import covered, pack, sample, segments_of
+from tfg_drake.tfg.polyline import covered, joined, pack, sample, segments_of
 from tfg_drake.tfg.segmentation import Component
 
 # How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m.
 PUSH = 0.35
 SPACING = 0.4
 # How far on the free side of the edge the line to a frontier point begins that no surface may cut, m.
-ROOT = 0.1
+ROOT = 0.2
 # A frontier point this close to a surface is part of it, m.
 SURFACE_DISTANCE = 0.1
 # Spacing of the points of uninspected surface, m, how far in front of it they must have been seen from, m, and how
 # far in front of it their frontier points lie, m.
 UNINSPECTED_SPACING = 0.1
-UNINSPECTED_LIFT = 0.08
+UNINSPECTED_LIFT = 0.2
 UNINSPECTED_STANDOFF = 0.3
 # Shorter stretches of uninspected surface are let be, m; points this close make one stretch, m.
 UNINSPECTED_LENGTH = 0.25
 UNINSPECTED_GAP = 0.16
 # Free space this close behind a surface means a thin wall, m.
 THIN_WALL = 0.25
+# A surface that ends farther than this from every other one goes on round a corner, m; how much of it is unseen, m.
+END_GAP = 0.15
+END_LENGTH = 0.4
 # A point of two goals' frontiers counts once within this distance, m.
 SAME_FRONTIER = 0.35
 # Frontier length that a tag which was sighted but is not in the map stands for, m.
@@ -196,16 +199,48 @@ def find_unseen_backs(
     return points[free], normals[free]
 
 
+def find_open_ends(
+    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Points (u, 2) in front of faces that no turn has seen, only the corner where they begin, and normals (u, 2).
+
+    There a surface ends in the open: no other one goes on, but what lies behind it is free. offsets, vertices: all
+    surfaces, packed, m. stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
+    """
+    at = np.concatenate([vertices[offsets[:-1]], vertices[offsets[1:] - 1]])
+    before = np.concatenate([vertices[offsets[:-1] + 1], vertices[offsets[1:] - 2]])
+    owner = np.tile(np.arange(len(offsets) - 1), 2)
+    along = at - before
+    along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+    # Behind the surface is on its right, which is on the left of the way back to its start.
+    sign = np.repeat([-1.0, 1.0], len(offsets) - 1)[:, None]
+    behind = sign * np.stack([along[:, 1], -along[:, 0]], axis=1)
+    points = at + UNINSPECTED_STANDOFF * along + END_GAP * behind
+    segments, segment_owner = segments_of(offsets, vertices)
+    is_open = ~joined(at, owner, segments, segment_owner, END_GAP) & inside_any(points, *stars)
+    points, along, at = points[is_open], along[is_open], at[is_open]
+    is_open = _unexplained(at + 1e-3 * along, points, segments)
+    return points[is_open], along[is_open]
+
+
 def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
     """Frontier points in front of the longer stretches of uninspected surface, all in the frame of the points."""
     p, normal = points.p, points.normal
     rows: list[IntArray] = []
+    lengths: list[float] = []
     for stretch in _stretches(p, normal):
-        if len(stretch) * UNINSPECTED_SPACING < UNINSPECTED_LENGTH:
-            continue
         mean = normal[stretch].mean(axis=0)
-        stretch = stretch[np.argsort(p[stretch] @ np.array([-mean[1], mean[0]]), kind="stable")]
-        rows += np.array_split(stretch, max(1, round(len(stretch) * UNINSPECTED_SPACING / SPACING)))
+        mean /= max(np.hypot(*mean), 1e-9)
+        along = p[stretch] @ np.array([-mean[1], mean[0]])
+        # By extent, not by count: two goals may have placed the same stretch a little differently.
+        length = float(np.ptp(along)) + UNINSPECTED_SPACING
+        if length < UNINSPECTED_LENGTH:
+            continue
+        parts = max(1, round(length / SPACING))
+        part = np.minimum((parts * (along - along.min()) / length).astype(np.int64), parts - 1)
+        for k in np.unique(part):
+            rows.append(stretch[part == k])
+            lengths.append(length / parts)
     if not rows:
         return no_points()
     normals = np.array([normal[r].mean(axis=0) for r in rows])
@@ -214,7 +249,7 @@ def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
         points.goal[[r[0] for r in rows]],
         np.array([p[r].mean(axis=0) for r in rows]) + UNINSPECTED_STANDOFF * normals,
         normals,
-        np.array([len(r) * UNINSPECTED_SPACING for r in rows]),
+        np.array(lengths),
         np.ones(len(rows), dtype=bool),
         np.full(len(rows), -1, dtype=np.int64),
     )
@@ -249,9 +284,13 @@ def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
 
     points and segments (m, 4) in one frame.
     """
-    root = points.p + (PUSH + ROOT) * points.normal
-    cut_off = clearance(np.concatenate([root, points.p], axis=1), segments, 1e-6) == 0.0
-    on_surface = clearance(np.concatenate([points.p, points.p], axis=1), segments, SURFACE_DISTANCE)
+    return _unexplained(points.p + (PUSH + ROOT) * points.normal, points.p, segments)
+
+
+def _unexplained(root: FloatArray, p: FloatArray, segments: FloatArray) -> BoolArray:
+    """Which points p (f, 2) no surface (m, 4) runs through or cuts off from their roots (f, 2), (f,)."""
+    cut_off = clearance(np.concatenate([root, p], axis=1), segments, 1e-6) == 0.0
+    on_surface = clearance(np.concatenate([p, p], axis=1), segments, SURFACE_DISTANCE)
     return np.asarray(~cut_off & (on_surface >= SURFACE_DISTANCE))
 
 

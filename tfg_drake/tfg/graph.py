@@ -19,6 +19,7 @@ from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message
 from tfg_drake.tfg.frontier import (
+    END_LENGTH,
     SAME_FRONTIER,
     SIGHTED_LENGTH,
     UNINSPECTED_LIFT,
@@ -26,6 +27,7 @@ from tfg_drake.tfg.frontier import (
     FrontierPoints,
     far_from,
     find_frontiers,
+    find_open_ends,
     find_uninspected,
     find_unseen_backs,
     join,
@@ -85,7 +87,8 @@ class TfgGraph:
     (n, 2): the side each landmark faces, a unit vector in that goal's frame; tag_range: (n,) m from where it was seen.
     star_offsets: (k + 1,), star_vertices: (v, 2) in each goal's frame, m. shadows: frontier points of free space that
     no star has covered yet. uninspected: points of surface on which a tag may have been missed.
-    unseen_backs: points on the far faces of thin walls that no goal has seen. sighted: tags seen on
+    unseen_backs: points on the far faces of thin walls that no goal has seen.
+    open_ends: points in front of other faces that none has seen. sighted: tags seen on
     the way and not mapped. tried: places where goals have tried a frontier in vain, tried_count: (t,) how often.
     """
 
@@ -100,6 +103,7 @@ class TfgGraph:
     shadows: FrontierPoints
     uninspected: FrontierPoints
     unseen_backs: FrontierPoints
+    open_ends: FrontierPoints
     sighted: FrontierPoints
     tried: FrontierPoints
     tried_count: IntArray
@@ -110,7 +114,21 @@ def empty_graph() -> TfgGraph:
     none, pairs, zero = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(1, dtype=np.int64)
     points = no_points()
     return TfgGraph(
-        0, no_surfaces(), none, none, pairs, np.zeros(0), zero, pairs, points, points, points, points, points, none
+        0,
+        no_surfaces(),
+        none,
+        none,
+        pairs,
+        np.zeros(0),
+        zero,
+        pairs,
+        points,
+        points,
+        points,
+        points,
+        points,
+        points,
+        none,
     )
 
 
@@ -170,9 +188,14 @@ def update(
         lambda points: unseen(stars, points),
         0.9 * UNINSPECTED_SPACING,
     )
-    p_back, normal_back = find_unseen_backs(surfaces.offsets, place(surfaces, estimate), stars)
+    placed = place(surfaces, estimate)
     X_AM = inverse(X_MA[goal])
-    p_back, normal_back = transform(X_AM, p_back), normal_back @ rotation(float(X_AM[2])).T
+
+    def unseen_faces(found: tuple[FloatArray, FloatArray], length: float) -> FrontierPoints:
+        p, normal = transform(X_AM, found[0]), found[1] @ rotation(float(X_AM[2])).T
+        points = points_of(goal, p, normal, np.full(len(p), length))
+        return dataclasses.replace(points, on_surface=np.ones(len(p), dtype=bool))
+
     updated = TfgGraph(
         estimate.stage,
         surfaces,
@@ -184,7 +207,8 @@ def update(
         star_vertices,
         shadows,
         uninspected,
-        points_of(goal, p_back, normal_back, np.full(len(p_back), UNINSPECTED_SPACING)),
+        unseen_faces(find_unseen_backs(surfaces.offsets, placed, stars), UNINSPECTED_SPACING),
+        unseen_faces(find_open_ends(surfaces.offsets, placed, stars), END_LENGTH),
         _update_sighted(graph.sighted, sightings, estimate),
         graph.tried,
         graph.tried_count,
@@ -243,7 +267,7 @@ def live_frontiers(
     shadows = select(shadows, open_frontiers(shadows, segments))
     poorly_seen = join(graph.uninspected, graph.unseen_backs)
     points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
-    points = join(points, place_points(graph.sighted, estimate.X_MA))
+    points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     given_up = select(graph.tried, graph.tried_count >= explorer.frontier_attempts)
     return select(points, far_from(points.p, place_points(given_up, estimate.X_MA).p, TRIED_DISTANCE))
 

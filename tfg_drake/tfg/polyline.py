@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.distance import point_segment_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # How far a segment covers what lies beyond its ends, m: enough for no gap at a polyline's corners.
@@ -135,6 +136,23 @@ def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, dista
                 continue
             along = ((x - x0) * dx + (y - y0) * dy) / length
             if -END_REACH <= along <= length + END_REACH and abs((x - x0) * dy - (y - y0) * dx) <= distance * length:
+                result[i] = True
+                break
+    return result
+
+
+@njit(cache=True)
+def joined(
+    points: FloatArray, owner: IntArray, segments: FloatArray, segment_owner: IntArray, distance: float
+) -> BoolArray:
+    """Which points (n, 2) of polylines (n,) lie within distance (m) of a segment (m, 4) of another polyline (m,)."""
+    result = np.zeros(points.shape[0], dtype=np.bool_)
+    for i in range(points.shape[0]):
+        for j in range(segments.shape[0]):
+            if segment_owner[j] == owner[i]:
+                continue
+            s = segments[j]
+            if point_segment_distance(points[i, 0], points[i, 1], s[0], s[1], s[2], s[3]) <= distance:
                 result[i] = True
                 break
     return result
