@@ -8,14 +8,14 @@ velocity_commanded  <- follower  <-----------------------  path
 from __future__ import annotations
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
+from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.prm_planner import PrmPlanner
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 from tfg_drake.systems.slam_estimator import SlamEstimator
 from tfg_drake.systems.tfg_builder import TfgBuilder
-
-from tfg_drake.diagrams.scenario import Scenario
-from tfg_drake.systems.mission_sequencer import MissionSequencer
 
 
 def MakeTfgExplorer(scenario: Scenario) -> Diagram:

@@ -42,7 +42,7 @@ class PurePursuitFollower(LeafSystem):
 
     def __init__(self, robot: RobotConfig, explorer: ExplorerConfig):
         super().__init__()
-        self._robot, self._turn_rate = robot, explorer.turn_rate
+        self._robot, self._turn_rate, self._first_look = robot, explorer.turn_rate, explorer.first_look
         self._pose = declare_message_input(self, "pose").get_index()
         self._path = declare_message_input(self, "path").get_index()
         self._mission = declare_message_input(self, "mission").get_index()
@@ -88,6 +88,8 @@ class PurePursuitFollower(LeafSystem):
             x[[TURN_SINCE, TURNED, HEADING]] = mission.since, 0.0, heading
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
+        if mission.stage == 0 and x[STAMP] < mission.since + self._first_look:
+            return
         x[TURN_RATE] = turn_in_place(x[TURNED], 2.0 * math.pi, self._turn_rate, self._robot)
 
     def _Follow(self, x: np.ndarray, path: Path, pose: PoseEstimate) -> None:

@@ -84,12 +84,12 @@ class RingDrive:
         result = []
         for _ in range(steps):
             *seen, odometry = self.step(speed, turn_rate)
-            result += [TurnFrame(d.stamp, interpolate(self.last, odometry, d.stamp), d) for d in seen]
+            result += [TurnFrame(d.stamp, d.stamp, interpolate(self.last, odometry, d.stamp), d) for d in seen]
             self.last = odometry
         return tuple(result)
 
     def instant(self):
-        return TurnFrame(self.time, self.X_OB, no_detections(self.time))
+        return TurnFrame(self.time, self.time, self.X_OB, no_detections(self.time))
 
 
 @pytest.fixture

@@ -6,7 +6,16 @@ from hypothesis import strategies as st
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry
-from tfg_drake.slam.odometry_model import arc, interpolate, odometry_model, predict_increment
+from tfg_drake.slam.odometry_model import (
+    REST_SHARE,
+    arc,
+    first_reckoning,
+    interpolate,
+    interpolate_clock,
+    odometry_model,
+    predict_increment,
+    reckon,
+)
 
 MODEL = odometry_model(OdometryConfig())
 
@@ -59,3 +68,18 @@ def test_half_turns_wrap():
     before = Odometry(0.0, np.array([0.0, 0.0, 3.1]), np.zeros(2))
     after = Odometry(1.0, np.array([0.0, 0.0, -3.1]), np.zeros(2))
     assert abs(interpolate(before, after, 0.5)[2]) == pytest.approx(np.pi)
+
+
+def test_what_the_gyro_says_while_no_wheel_turns_is_left_out():
+    first = Odometry(1.0, np.array([1.0, 2.0, 0.5]), np.zeros(2))
+    still = Odometry(2.0, np.array([1.0, 2.0, 0.7]), np.array([0.0, 0.2]), at_rest=True)
+    on = Odometry(3.0, se2.compose(still.X_OB, np.array([0.5, 0.0, 0.1])), np.array([0.5, 0.1]))
+    start = first_reckoning(first)
+    rest = reckon(start, first, still)
+    np.testing.assert_array_equal(rest.X_OB, first.X_OB)
+    np.testing.assert_array_equal(rest.V_B, 0.0)
+    assert rest.clock == pytest.approx(1.0 + REST_SHARE)
+    moved = reckon(rest, still, on)
+    np.testing.assert_allclose(moved.X_OB, se2.compose(first.X_OB, np.array([0.5, 0.0, 0.1])), atol=1e-12)
+    assert moved.clock == pytest.approx(2.0 + REST_SHARE)
+    assert interpolate_clock(rest, moved, 2.5) == pytest.approx(1.5 + REST_SHARE)

@@ -20,7 +20,7 @@ class Rig:
         self.simulator = Simulator(self.follower)
         self.context = self.simulator.get_mutable_context()
         self.X, self.V = np.zeros(3), np.zeros(2)
-        self.mission = MissionStatus(phase="observe", stage=0, since=0.0)
+        self.mission = MissionStatus(phase="observe", stage=1, since=0.0)
         self.path = Path(id=1, stage=1, points=np.reshape(path, (-1, 2)).astype(float))
         self._fix()
         self.simulator.Initialize()
@@ -62,6 +62,14 @@ def test_turns_once_and_stops():
     assert rig.status().turned == pytest.approx(rig.X[2], abs=1e-9)
     assert abs(rig.V[1]) < 0.02
     assert rig.context.get_time() < 2 * math.pi + 2.0
+
+
+def test_the_first_turn_of_a_mission_begins_with_a_look():
+    rig = Rig()
+    rig.mission = MissionStatus(phase="observe", stage=0, since=0.0)
+    rig._fix()
+    assert not rig.run(ExplorerConfig().first_look, lambda _: rig.V[1] != 0.0)
+    assert rig.run(12, lambda status: status.turn_done)
 
 
 def test_every_observation_turns_anew():

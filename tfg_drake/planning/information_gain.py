@@ -251,8 +251,8 @@ def information_gain(
     """Expected gains of a full turn at each point (c, 2), m in M, reached after distance (c,) m and time (c,) s.
 
     tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new landmarks,
-    seen where the frontier point is, less where the view ends soon behind it. The arrival pose is known through odometry since the last departure alone, as in
-    the factor that will join the two goals.
+    seen where the frontier point is, less where the view ends soon behind it. The arrival pose is known through
+    odometry since the last departure alone, as in the factor that will join the two goals.
     """
     out = exact_gain(
         np.ascontiguousarray(points),

@@ -85,7 +85,8 @@ def integrate(
     pose: (5,) true x, y, theta of X_WB, forward speed and turn rate. errors: (3,) from run_errors. standard_normal:
     (2,) numbers, fresh every time. The distance takes the scale error and a random walk that grows with distance; the
     heading takes the gyro's scale error, its bias and a random walk that grows with time. The random walk of distance
-    is slip, which the wheels' speed does not show; a robot that stands turns no wheel. Before any time has passed the state stays as it is.
+    is slip, which the wheels' speed does not show; a robot that stands turns no wheel. Before any time has passed the
+    state stays as it is.
     """
     after: FloatArray = _integrate(
         state, stamp, pose, errors, standard_normal, config.distance_noise, config.gyro_noise

@@ -26,7 +26,16 @@ from tfg_drake.messages import (
 from tfg_drake.slam import goal_graph, pose_filter
 from tfg_drake.slam.goal_graph import GoalGraph
 from tfg_drake.slam.localizer import start_localizer, step_localizer
-from tfg_drake.slam.odometry_model import OdometryModel, arc, interpolate, odometry_model
+from tfg_drake.slam.odometry_model import (
+    DeadReckoning,
+    OdometryModel,
+    arc,
+    first_reckoning,
+    interpolate,
+    interpolate_clock,
+    odometry_model,
+    reckon,
+)
 from tfg_drake.slam.pose_filter import PoseFilter
 from tfg_drake.slam.segment import segment_factor, start_segment, step_segment
 from tfg_drake.slam.turn import TurnFrame, no_detections, solve_turn
@@ -50,15 +59,18 @@ class OpenTurn:
 class EstimatorState:
     """All the estimator knows.
 
-    odometry: messages from the filters' instant on. pending: frames waiting for odometry. stamp (s), X_OB (3,): the
-    filters' instant and the odometry then. map: None before the first goal. rejected: (r,) ids of known tags left out
-    of the newest goal, dropped: sightings left out of its turn.
+    newest: the last odometry message. odometry: dead reckoning from the filters' instant on. pending: frames that
+    wait for odometry. stamp (s), clock (s), X_OB (3,): the filters' instant and the dead reckoning then. map: None
+    before the first goal. rejected: (r,) ids of known tags left out of the newest goal, dropped: sightings left out of
+    its turn.
     """
 
     model: OdometryModel
-    odometry: tuple[Odometry, ...]
+    newest: Odometry | None
+    odometry: tuple[DeadReckoning, ...]
     pending: tuple[TagDetections, ...]
     stamp: float
+    clock: float
     X_OB: FloatArray
     localizer: PoseFilter
     segment: PoseFilter
@@ -74,9 +86,11 @@ def initial_state(config: OdometryConfig) -> EstimatorState:
     model = odometry_model(config)
     return EstimatorState(
         model=model,
+        newest=None,
         odometry=(),
         pending=(),
         stamp=-np.inf,
+        clock=-np.inf,
         X_OB=np.zeros(3),
         localizer=start_localizer(model, None),
         segment=start_segment(model),
@@ -90,11 +104,15 @@ def initial_state(config: OdometryConfig) -> EstimatorState:
 
 def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorState:
     """The state after one odometry message; one that is not newer than the last is ignored."""
-    if not state.odometry:
-        return dataclasses.replace(state, odometry=(odometry,), stamp=odometry.stamp, X_OB=odometry.X_OB)
-    if odometry.stamp <= state.odometry[-1].stamp:
+    if state.newest is None:
+        first = first_reckoning(odometry)
+        return dataclasses.replace(
+            state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
+        )
+    if odometry.stamp <= state.newest.stamp:
         return state
-    state = _process_pending(dataclasses.replace(state, odometry=(*state.odometry, odometry)))
+    reckoning = reckon(state.odometry[-1], state.newest, odometry)
+    state = _process_pending(dataclasses.replace(state, newest=odometry, odometry=(*state.odometry, reckoning)))
     before = state.odometry[-2].stamp
     if before - state.stamp > LONGEST_STEP:
         state = _step(state, no_detections(before))
@@ -122,7 +140,7 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
         raise ValueError("A turn is open already.")
     state = _step_to(state, stamp)
     X_DA, covariance = segment_factor(state.segment)
-    begin = TurnFrame(stamp=state.stamp, X_OB=state.X_OB, detections=no_detections(state.stamp))
+    begin = TurnFrame(stamp=state.stamp, clock=state.clock, X_OB=state.X_OB, detections=no_detections(state.stamp))
     turn = OpenTurn(begin=begin, frames=(), X_DA=X_DA, segment_covariance=covariance)
     return dataclasses.replace(state, turn=turn)
 
@@ -137,7 +155,7 @@ def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     state = _step_to(state, stamp)
     turn = state.turn
     assert turn is not None
-    end = TurnFrame(stamp=state.stamp, X_OB=state.X_OB, detections=no_detections(state.stamp))
+    end = TurnFrame(stamp=state.stamp, clock=state.clock, X_OB=state.X_OB, detections=no_detections(state.stamp))
     solution = solve_turn(state.model, turn.begin, turn.frames, end)
     graph, rejected = goal_graph.add_goal(
         state.graph, state.map, solution.observation, turn.X_DA, turn.segment_covariance
@@ -165,7 +183,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
             increment = arc(state.X_OB, newest.X_OB)
-            X_MB, covariance = pose_filter.predict_pose(localizer, state.model, increment, stamp - state.stamp)
+            X_MB, covariance = pose_filter.predict_pose(localizer, state.model, increment, newest.clock - state.clock)
     new = _absent(localizer.local_ids, state.graph.ids)
     return PoseEstimate(
         stamp=stamp,
@@ -215,16 +233,18 @@ def _step(state: EstimatorState, frame: TagDetections) -> EstimatorState:
     after = next(i for i, odometry in enumerate(state.odometry) if odometry.stamp >= stamp)
     before = max(after - 1, 0)
     X_OB = interpolate(state.odometry[before], state.odometry[after], stamp)
-    increment, dt = arc(state.X_OB, X_OB), stamp - state.stamp
+    clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
+    increment, dt = arc(state.X_OB, X_OB), clock - state.clock
     segment, turn = state.segment, state.turn
     if turn is None:
         segment = step_segment(segment, state.model, increment, dt, frame)
     else:
-        turn = dataclasses.replace(turn, frames=(*turn.frames, TurnFrame(stamp=stamp, X_OB=X_OB, detections=frame)))
+        turn = dataclasses.replace(turn, frames=(*turn.frames, TurnFrame(stamp, clock, X_OB, frame)))
     return dataclasses.replace(
         state,
         odometry=state.odometry[before:],
         stamp=stamp,
+        clock=clock,
         X_OB=X_OB,
         localizer=step_localizer(state.localizer, state.model, increment, dt, frame),
         segment=segment,

@@ -19,6 +19,8 @@ from tfg_drake.messages import FloatArray, Odometry, message
 # Random walk of the position whatever the motion, m per root second: wheels slip a little when turning on the spot,
 # and no covariance becomes singular.
 POSITION_NOISE = 5e-4
+# A robot whose wheels stand may still be nudged: errors accrue at this share of their rate in motion.
+REST_SHARE = 0.01
 # Least standard deviation of a member of the calibration: a known constant is still a state.
 LEAST_CALIBRATION_SIGMA = 1e-6
 
@@ -56,7 +58,42 @@ def arc(X_OB0: FloatArray, X_OB1: FloatArray) -> FloatArray:
     return np.array([c * dx + s * dy, -s * dx + c * dy, dtheta])
 
 
-def interpolate(before: Odometry, after: Odometry, stamp: float) -> FloatArray:
+@message
+class DeadReckoning:
+    """Odometry as the estimator uses it: what the gyro says while no wheel turns is left out.
+
+    stamp: s. clock: s, the time in which errors accrue: that of the robot's motion and a little of the rest. X_OB: (3,)
+    and V_B: (2,) as in Odometry.
+    """
+
+    stamp: float
+    clock: float
+    X_OB: FloatArray
+    V_B: FloatArray
+
+
+def first_reckoning(odometry: Odometry) -> DeadReckoning:
+    """Dead reckoning from the first odometry message on."""
+    return DeadReckoning(stamp=odometry.stamp, clock=odometry.stamp, X_OB=odometry.X_OB, V_B=odometry.V_B)
+
+
+def reckon(last: DeadReckoning, before: Odometry, after: Odometry) -> DeadReckoning:
+    """Dead reckoning one message on: `before` is what `last` was made from, `after` the message that follows."""
+    dt = after.stamp - before.stamp
+    if after.at_rest:
+        return DeadReckoning(after.stamp, last.clock + REST_SHARE * dt, last.X_OB, np.zeros(2))
+    X_OB = se2.compose(last.X_OB, se2.between(before.X_OB, after.X_OB))
+    return DeadReckoning(after.stamp, last.clock + dt, X_OB, after.V_B)
+
+
+def interpolate_clock(before: DeadReckoning, after: DeadReckoning, stamp: float) -> float:
+    """The clock (s) at a stamp between two."""
+    span = after.stamp - before.stamp
+    share = (stamp - before.stamp) / span if span > 0.0 else 1.0
+    return before.clock + share * (after.clock - before.clock)
+
+
+def interpolate(before: Odometry | DeadReckoning, after: Odometry | DeadReckoning, stamp: float) -> FloatArray:
     """X_OB (3,) at a stamp between two messages, the twist constant in between."""
     span = after.stamp - before.stamp
     share = (stamp - before.stamp) / span if span > 0.0 else 1.0

@@ -28,9 +28,11 @@ ORIGIN_SIGMA = 1e-7
 
 @message
 class TurnFrame:
-    """What was seen at one instant of a turn. stamp: s. X_OB: (3,) odometry then. detections: the frame's tags."""
+    """What was seen at one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
+    frame's tags."""
 
     stamp: float
+    clock: float
     X_OB: FloatArray
     detections: TagDetections
 
@@ -62,7 +64,7 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
     frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. Without any
     detection n is 0 and X_AD comes from odometry alone.
     """
-    stamps, X_OB, node = _nodes(begin, frames, end)
+    stamps, clock, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in frames]
     counts = [len(detections.ids) for detections in seen]
     detection_node = np.repeat(np.array(node, dtype=np.int64), counts)
@@ -76,14 +78,14 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
 
     initial = _initial_value(X_OB, detection_node, all_ids, z)
     kept = np.ones(len(all_ids), dtype=bool)
-    graph = _graph(model, stamps, X_OB, detection_node, all_ids, z, kept, robust=False)
+    graph = _graph(model, clock, X_OB, detection_node, all_ids, z, kept, robust=False)
     values = _solve(graph, initial)
     if len(all_ids) > 0 and np.any(_outliers(values, detection_node, all_ids, z)):
-        robust = _graph(model, stamps, X_OB, detection_node, all_ids, z, kept, robust=True)
+        robust = _graph(model, clock, X_OB, detection_node, all_ids, z, kept, robust=True)
         values = _solve(robust, initial)
         kept = ~_outliers(values, detection_node, all_ids, z)
         values = _without_lost_tags(values, all_ids, kept)
-        graph = _graph(model, stamps, X_OB, detection_node, all_ids, z, kept, robust=False)
+        graph = _graph(model, clock, X_OB, detection_node, all_ids, z, kept, robust=False)
         values = _solve(graph, values)
 
     ids = np.unique(all_ids[kept])
@@ -99,18 +101,23 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
     return TurnSolution(observation=observation, dropped=int(np.sum(~kept)))
 
 
-def _nodes(begin: TurnFrame, frames: tuple[TurnFrame, ...], end: TurnFrame) -> tuple[FloatArray, FloatArray, list[int]]:
-    """Stamps (t,) and odometry (t, 3) of the graph's poses, and the pose of each frame; coinciding stamps share one."""
-    stamps, X_OB, node = [begin.stamp], [begin.X_OB], []
+def _nodes(
+    begin: TurnFrame, frames: tuple[TurnFrame, ...], end: TurnFrame
+) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
+    """Stamps and clock (t,) and odometry (t, 3) of the graph's poses, and the pose of each frame; coinciding stamps
+    share one."""
+    stamps, clock, X_OB, node = [begin.stamp], [begin.clock], [begin.X_OB], []
     for frame in (*frames, end):
         if frame.stamp - stamps[-1] > 1e-9:
             stamps.append(frame.stamp)
+            clock.append(frame.clock)
             X_OB.append(frame.X_OB)
         node.append(len(stamps) - 1)
     if len(stamps) == 1:
         stamps.append(begin.stamp + 1e-6)
+        clock.append(begin.clock + 1e-6)
         X_OB.append(end.X_OB)
-    return np.array(stamps), np.array(X_OB), node[:-1]
+    return np.array(stamps), np.array(clock), np.array(X_OB), node[:-1]
 
 
 def _initial_value(X_OB: FloatArray, node: IntArray, ids: IntArray, z: FloatArray) -> gtsam.Values:
@@ -128,7 +135,7 @@ def _initial_value(X_OB: FloatArray, node: IntArray, ids: IntArray, z: FloatArra
 
 def _graph(
     model: OdometryModel,
-    stamps: FloatArray,
+    clock: FloatArray,
     X_OB: FloatArray,
     node: IntArray,
     ids: IntArray,
@@ -144,8 +151,8 @@ def _graph(
         gtsam.PriorFactorVector(C(0), np.zeros(3), gtsam.noiseModel.Diagonal.Sigmas(model.calibration_sigma.copy()))
     )
     unit = gtsam.noiseModel.Unit.Create(3)
-    for i in range(len(stamps) - 1):
-        error = _odometry_error(i, arc(X_OB[i], X_OB[i + 1]), stamps[i + 1] - stamps[i], model.noise)
+    for i in range(len(clock) - 1):
+        error = _odometry_error(i, arc(X_OB[i], X_OB[i + 1]), clock[i + 1] - clock[i], model.noise)
         graph.add(gtsam.CustomFactor(unit, [B(i), B(i + 1), C(0)], error))
     huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_SIGMAS)
     for j in np.flatnonzero(kept):
