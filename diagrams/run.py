@@ -42,6 +42,11 @@ from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
 
+# Whose CPU time counts as the estimator's, the planner's, and within that as a stage's planning.
+ESTIMATOR = ("slam_estimator",)
+STAGE = ("tfg_builder", "prm_planner", "goal_selector")
+PLANNER = (*STAGE, "follower", "mission_sequencer")
+
 # Simulated time between two looks at the mission, s; a stage takes several times as long.
 STEP = 1.0
 
@@ -165,8 +170,7 @@ class Mission:
             _log.exception("the mission failed at %.3f s", self.time)
         self.wall_time = time.monotonic() - wall_start
         self.cpu_time = time.process_time() - self._cpu_start
-        totals = {name: s - self._meters_start.get(name, 0.0) for name, s in cpu_totals().items()}
-        self.estimator_cpu, self.planner_cpu = totals.get("estimator", 0.0), totals.get("planner", 0.0)
+        self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
 
     @property
     def time(self) -> float:
@@ -192,6 +196,11 @@ class Mission:
         lived = stamps <= self.end_time
         stamps, X_MB = stamps[lived], data[1:, first[lived]].T
         return stamps, compose(self.world.start, X_MB) if len(X_MB) else X_MB
+
+    def _spent(self, names: tuple[str, ...]) -> float:
+        """CPU seconds charged to some systems since the mission was made."""
+        totals = cpu_totals()
+        return sum(totals.get(name, 0.0) - self._meters_start.get(name, 0.0) for name in names)
 
     def _ended(self, interrupted: threading.Event, max_time: float) -> bool:
         if self.status.phase == "done":
@@ -222,8 +231,7 @@ class Mission:
         self.clearance = float(self._station_output("truth.clearance")[0])
         # A stage is planned within a moment of its map, long before the next: what was charged since the last look
         # belongs to the stage that the mission is in now.
-        spent = cpu_totals().get("planner", 0.0) - self._meters_start.get("planner", 0.0)
-        new = spent - sum(self.stage_cpu.values())
+        new = self._spent(STAGE) - sum(self.stage_cpu.values())
         self.stage_cpu[self.status.stage] = self.stage_cpu.get(self.status.stage, 0.0) + new
 
     def _stage_record(self, estimate: MapEstimate) -> dict[str, Any]:

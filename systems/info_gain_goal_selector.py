@@ -6,6 +6,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, PoseEstimate, Roadmap, TfgMap
 from tfg_drake.planning.goal_choice import choose, empty_choice
 from tfg_drake.systems.ports import (
@@ -52,6 +53,7 @@ class InfoGainGoalSelector(LeafSystem):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
+    @metered("goal_selector")
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self, context, self._mission, MissionStatus)
         if mission.phase != "choose" or mission.stage <= state_message(context, self._goal, GoalChoice).stage:

@@ -7,6 +7,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import (
     FollowerStatus,
     GoalChoice,
@@ -74,6 +75,7 @@ class MissionSequencer(LeafSystem):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
+    @metered("mission_sequencer")
     def _Update(self, context: Context, state: State) -> EventStatus:
         status = state_message(context, self._status, MissionStatus)
         if status.phase == "done":

@@ -6,6 +6,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import GoalChoice, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.planning.planner import PlannerState, initial_state, step
 from tfg_drake.planning.roadmap import RoadmapParameters
@@ -67,6 +68,7 @@ class PrmPlanner(LeafSystem):
     def _State(self, context: Context) -> PlannerState:
         return state_message(context, self._state, PlannerState)
 
+    @metered("prm_planner")
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = self._State(context)
         updated = step(

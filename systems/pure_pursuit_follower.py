@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FollowerStatus, MissionStatus, Path, PoseEstimate
 from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place
@@ -66,6 +67,7 @@ class PurePursuitFollower(LeafSystem):
             turn_done=bool(x[TURNED] >= 2.0 * math.pi and x[REST]),
         )
 
+    @metered("follower")
     def _Update(self, context: Context, discrete: DiscreteValues) -> EventStatus:
         x = context.get_discrete_state_vector().value().copy()
         mission = eval_message(self, context, self._mission, MissionStatus)

@@ -6,6 +6,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import OdometryConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
 from tfg_drake.slam.estimator import (
     EstimatorState,
@@ -64,12 +65,14 @@ class SlamEstimator(LeafSystem):
         declare_message_output(self, "map", self._CalcMap, depends)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
+    @metered("slam_estimator")
     def _CalcPose(self, context: Context) -> PoseEstimate:
         return pose_estimate(state_message(context, self._state, EstimatorState))
 
     def _CalcMap(self, context: Context) -> MapEstimate:
         return map_estimate(state_message(context, self._state, EstimatorState)) or empty_map()
 
+    @metered("slam_estimator")
     def _Update(self, context: Context, state: State) -> EventStatus:
         estimator = state_message(context, self._state, EstimatorState)
         detections_stamp = state_message(context, self._detections_stamp, float)

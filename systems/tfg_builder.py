@@ -9,6 +9,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -76,6 +77,7 @@ class TfgBuilder(LeafSystem):
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
 
+    @metered("tfg_builder")
     def _Update(self, context: Context, state: State) -> EventStatus:
         graph = state_message(context, self._graph, TfgGraph)
         estimate = eval_message(self, context, self._map, MapEstimate)

@@ -15,6 +15,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from tfg_drake.caption import HEIGHT as CAPTION_HEIGHT
 from tfg_drake.caption import WIDTH as CAPTION_WIDTH
 from tfg_drake.caption import Colour, caption_gltf, gain_colours, render_caption
+from tfg_drake.cpu_meter import metered
 from tfg_drake.drawing import Mesh as Triangles
 from tfg_drake.drawing import discs, ellipses, outline_segments, polyline_segments, ribbons
 from tfg_drake.geometry.se2 import transform
@@ -146,6 +147,7 @@ class TfgVisualizer(LeafSystem):
         self._DrawCaption(context)
         return EventStatus.Succeeded()
 
+    @metered("visualizer")
     def _Draw(self, context: Context) -> EventStatus:
         drawn = context.get_abstract_state(int(self._drawn)).get_value()
         self._DrawSlow(context, drawn if isinstance(drawn, tuple) else None)
