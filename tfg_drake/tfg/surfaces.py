@@ -39,6 +39,8 @@ OVERLAP = 0.06
 REFUTED_DEPTH = 0.15
 # Neighbouring bins that must agree to that.
 REFUTED_BINS = 2
+# Greatest angle between the line of sight and its normal, rad.
+REFUTED_INCIDENCE = np.deg2rad(75.0)
 
 
 @message
@@ -271,7 +273,7 @@ def _trim(
     points, normals, owner, start, stop = sample(offsets, vertices, SPACING)
     drop = covered(points, normals, segments, distance)
     if refuted_by is not None:
-        drop |= _in_free_space(points, refuted_by)
+        drop |= _refuted(points, normals, refuted_by)
     first = np.searchsorted(owner, np.arange(len(pieces) + 1))
     trimmed = []
     for i, piece in enumerate(pieces):
@@ -285,14 +287,19 @@ def _trim(
     return trimmed
 
 
-def _in_free_space(points: FloatArray, panorama: Panorama) -> BoolArray:
-    """Which points (n, 2) in A the panorama saw past, in their bin and its neighbours, (n,)."""
+def _refuted(points: FloatArray, normals: FloatArray, panorama: Panorama) -> BoolArray:
+    """Which points (n, 2) with unit normals (n, 2) in A the panorama saw past, in their bin and its neighbours, (n,).
+
+    Surfaces nearly edge-on are let be: a thin wall shows nothing of itself there.
+    """
     bins = len(panorama.ranges)
     reach = np.where(np.isinf(panorama.ranges), panorama.range_max, np.nan_to_num(panorama.ranges, posinf=0.0))
     least = np.min([np.roll(reach, k) for k in range(-REFUTED_BINS, REFUTED_BINS + 1)], axis=0)
     bearing = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi)
     index = np.minimum((bearing * bins / (2.0 * np.pi)).astype(np.int64), bins - 1)
-    return np.asarray(np.hypot(points[:, 0], points[:, 1]) < least[index] - REFUTED_DEPTH)
+    distance = np.hypot(points[:, 0], points[:, 1])
+    broadside = np.abs(np.sum(points * normals, axis=1)) >= np.cos(REFUTED_INCIDENCE) * distance
+    return np.asarray(broadside & (distance < least[index] - REFUTED_DEPTH))
 
 
 def _segments(surfaces: Sequence[_Surface]) -> FloatArray:

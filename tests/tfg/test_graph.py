@@ -1,0 +1,244 @@
+"""The graph in known worlds: what it joins, that it moves with the map, where frontiers live and die."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tfg_drake.geometry.distance import point_distance
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.geometry.star import inside_any
+from tfg_drake.messages import PoseEstimate
+from tfg_drake.tfg.frontier import frontier_length_total, place_points
+from tfg_drake.tfg.graph import Sightings, empty_graph, empty_map, no_sightings, note_sightings, resolve, update
+from tfg_drake.tfg.polyline import sample
+from tfg_drake.tfg.surfaces import EDGE, END, LOOSE
+
+# Seven goals that see all of the two rooms.
+TOUR = np.array(
+    [
+        [2.0, 3.0, 0.3],
+        [5.0, 4.5, 1.0],
+        [7.2, 4.7, 2.0],
+        [11.0, 5.0, 0.0],
+        [10.8, 1.0, 1.0],
+        [7.2, 1.0, -2.0],
+        [1.0, 1.0, 0.0],
+    ]
+)
+
+
+def _pieces(segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points every 5 cm on the segments and the length of each."""
+    points, _, _, start, stop = sample(
+        np.arange(len(segments) + 1) * 2, np.ascontiguousarray(segments).reshape(-1, 2), 0.05
+    )
+    return points, stop - start
+
+
+def test_an_empty_graph_resolves_to_an_empty_map(two_rooms) -> None:
+    assert empty_map().stage == 0
+    assert frontier_length_total(empty_map()) == 0.0
+    two_rooms.observe(TOUR[0])
+    with pytest.raises(ValueError, match="cannot take stage 1"):
+        update(
+            two_rooms.graph,
+            two_rooms.estimate,
+            two_rooms.panorama(TOUR[0]),
+            no_sightings(),
+            two_rooms.tags,
+            two_rooms.robot,
+            two_rooms.explorer,
+        )
+
+
+def test_a_tour_maps_all_walls_and_nothing_else(two_rooms) -> None:
+    for X_WA in TOUR:
+        tfg = two_rooms.observe(X_WA)
+        assert tfg.stage == two_rooms.estimate.stage
+        points, length = _pieces(tfg.segments)
+        assert length[point_distance(points, two_rooms.walls) > 0.1].sum() == 0.0
+    wall_points, _ = _pieces(two_rooms.walls)
+    assert (point_distance(wall_points, tfg.segments) < 0.1).all()
+    assert len(tfg.frontiers) == 0
+    inside = np.random.default_rng(0).uniform([0.1, 0.1], [11.9, 5.9], (300, 2))
+    in_pillar = (np.abs(inside - [9.0, 3.0]) < 0.55).all(axis=1)
+    near_wall = np.abs(inside[:, 0] - 6.0) < 0.1
+    assert inside_any(inside[~in_pillar & ~near_wall], tfg.star_offsets, tfg.star_vertices, tfg.star_centers).all()
+
+
+def test_neighbouring_tags_are_joined_and_opposite_faces_never(two_rooms) -> None:
+    for X_WA in TOUR:
+        tfg = two_rooms.observe(X_WA)
+    edges = {tuple(sorted(ids)) for ids in tfg.segment_ids[tfg.segment_kind == EDGE].tolist()}
+    for a, b in edges:
+        assert two_rooms.normal[a] @ two_rooms.normal[b] > -0.5
+    # Every tag has two neighbours but for those at the free ends of the wall between the rooms.
+    degree = np.bincount(np.array(list(edges)).ravel(), minlength=len(two_rooms.p_WT))[sorted(two_rooms.mapped)]
+    assert (degree == 2).sum() >= len(degree) - 8
+    assert (degree >= 1).all()
+    assert degree.max() == 2
+
+
+def test_edges_come_first_and_name_their_landmarks(two_rooms) -> None:
+    tfg = two_rooms.observe(TOUR[0])
+    assert (np.diff(tfg.segment_kind) >= 0).all()
+    assert {EDGE, END} <= set(tfg.segment_kind.tolist())
+    assert (tfg.segment_ids[tfg.segment_kind == EDGE] >= 0).all()
+    ends = tfg.segment_ids[tfg.segment_kind == END]
+    assert (ends[:, 0] >= 0).all()
+    assert (ends[:, 1] == -1).all()
+
+
+def test_facing_is_the_normal_of_the_tags_surface(two_rooms) -> None:
+    for X_WA in TOUR:
+        tfg = two_rooms.observe(X_WA)
+    normal = two_rooms.normal[two_rooms.estimate.ids]
+    assert (np.sum(tfg.facing * normal, axis=1) > np.cos(0.1)).all()
+
+
+def test_surfaces_without_a_landmark_are_kept(two_rooms) -> None:
+    two_rooms.tags = dataclasses.replace(two_rooms.tags, range=0.0)
+    tfg = two_rooms.observe(TOUR[0])
+    assert set(tfg.segment_kind.tolist()) == {LOOSE}
+    assert (tfg.segment_ids == -1).all()
+    points, _ = _pieces(tfg.segments)
+    assert point_distance(points, two_rooms.walls).max() < 0.1
+
+
+def test_everything_moves_with_the_map(two_rooms) -> None:
+    for X_WA in TOUR[:3]:
+        tfg = two_rooms.observe(X_WA)
+    X_NM = np.array([3.0, -2.0, 2.5])
+    moved = resolve(two_rooms.graph, two_rooms.moved(X_NM), two_rooms.explorer)
+    np.testing.assert_allclose(moved.segments[:, :2], transform(X_NM, tfg.segments[:, :2]), atol=1e-9)
+    np.testing.assert_allclose(moved.segments[:, 2:], transform(X_NM, tfg.segments[:, 2:]), atol=1e-9)
+    np.testing.assert_allclose(moved.star_vertices, transform(X_NM, tfg.star_vertices), atol=1e-9)
+    turn = np.array([0.0, 0.0, X_NM[2]])
+    np.testing.assert_allclose(moved.facing, transform(turn, tfg.facing), atol=1e-9)
+    np.testing.assert_allclose(moved.frontiers, transform(X_NM, tfg.frontiers), atol=1e-6)
+    np.testing.assert_allclose(moved.frontier_normal, transform(turn, tfg.frontier_normal), atol=1e-6)
+
+
+def test_an_edge_follows_its_two_landmarks(two_rooms) -> None:
+    tfg = two_rooms.observe(TOUR[0])
+    e = two_rooms.estimate
+    shift = np.array([0.3, 0.2])
+    a, b = tfg.segment_ids[0]
+    p_ML = e.p_ML.copy()
+    p_ML[np.isin(e.ids, [a, b])] += shift
+    moved = resolve(two_rooms.graph, dataclasses.replace(e, p_ML=p_ML), two_rooms.explorer)
+    own = (tfg.segment_ids == [a, b]).all(axis=1)
+    np.testing.assert_allclose(moved.segments[own], tfg.segments[own] + np.tile(shift, 2), atol=1e-9)
+
+
+def test_a_tag_found_later_splits_the_edge_it_lies_on(simulate) -> None:
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]], spacing=2.0)
+    middle = int(np.argmin(np.hypot(*(world.p_WT - [0.0, 1.99]).T)))
+    hidden = world.normal[middle].copy()
+    world.normal[middle] = -hidden
+    before = world.observe(np.array([0.0, 0.0, 0.0]))
+    world.normal[middle] = hidden
+    after = world.observe(np.array([0.5, 0.0, 1.0]))
+    assert middle not in before.segment_ids
+    edges = {tuple(sorted(ids)) for ids in after.segment_ids[after.segment_kind == EDGE].tolist()}
+    outer = sorted({i for pair in edges for i in pair} - {middle})
+    assert edges == {tuple(sorted((outer[0], middle))), tuple(sorted((outer[1], middle)))}
+
+
+def test_frontiers_lie_at_the_unexplored_door(two_rooms) -> None:
+    tfg = two_rooms.observe(TOUR[0])
+    assert frontier_length_total(tfg) > 0.0
+    in_next_room = tfg.frontiers[:, 0] > 6.0
+    assert in_next_room.sum() > 5
+    assert (tfg.frontiers[~in_next_room, 0] > 5.5).all()
+    shadows = place_points(two_rooms.graph.shadows, two_rooms.estimate.X_MA).p
+    assert not inside_any(shadows, tfg.star_offsets, tfg.star_vertices, tfg.star_centers).any()
+    np.testing.assert_allclose(np.hypot(*tfg.frontier_normal.T), 1.0)
+
+
+def test_the_back_of_a_thin_wall_must_be_looked_at(simulate) -> None:
+    """From straight beside a wall's end neither face shows; from one side only one does."""
+    world = simulate([[0.0, 0.0, 10.0, 0.0], [10.0, 0.0, 10.0, 6.0], [10.0, 6.0, 0.0, 6.0], [0.0, 6.0, 0.0, 0.0],
+                      [4.0, 3.0, 8.0, 3.0]])  # fmt: skip
+    world.observe(np.array([6.0, 1.0, 0.0]))
+    world.observe(np.array([2.0, 3.0, 0.0]))
+    tfg = world.observe(np.array([9.0, 3.0, 0.0]))
+    behind = np.abs(tfg.frontiers - [6.0, 3.3]).max(axis=1) < 2.0
+    assert tfg.frontier_length[behind].sum() > 2.0
+    assert (tfg.frontier_normal[behind, 1] > 0.9).sum() > 5
+    tfg = world.observe(np.array([6.0, 5.0, 0.0]))
+    assert len(tfg.frontiers) == 0
+
+
+def test_surface_seen_at_grazing_incidence_stays_a_frontier(simulate) -> None:
+    """A corridor 9 m long: the far part of its sides shows no tag from the near end."""
+    world = simulate([[0.0, 0.0, 9.0, 0.0], [9.0, 0.0, 9.0, 1.2], [9.0, 1.2, 0.0, 1.2], [0.0, 1.2, 0.0, 0.0]])
+    tfg = world.observe(np.array([0.6, 0.6, 0.0]))
+    assert (tfg.frontiers[:, 0] > 2.0).all()
+    assert frontier_length_total(tfg) > 6.0
+    # In front of the sides, looking away from them; the last metre or two may be too slanted to be a surface at all.
+    for y, side in ((0.3, 1.0), (0.9, -1.0)):
+        ahead = (np.abs(tfg.frontiers[:, 1] - y) < 0.05) & (tfg.frontier_normal[:, 1] * side > 0.9)
+        assert tfg.frontier_length[ahead].sum() > 3.0
+    for x in (3.0, 6.0, 8.5):
+        tfg = world.observe(np.array([x, 0.6, 0.0]))
+    assert len(tfg.frontiers) == 0
+
+
+def test_a_sighted_tag_is_a_frontier_until_it_is_mapped_or_given_up(two_rooms) -> None:
+    behind = int(np.flatnonzero((np.abs(two_rooms.p_WT - [12.0, 4.5]) < [0.05, 0.6]).all(axis=1))[0])
+    ghost = 10_000
+    ids, p = np.array([behind, ghost]), np.array([two_rooms.p_WT[behind], [3.0, 3.0]])
+    tfg = two_rooms.observe(TOUR[0], Sightings(ids, p, p - [1.0, 0.0]))
+    assert (two_rooms.estimate.ids != behind).all()
+    at = np.hypot(*(tfg.frontiers - two_rooms.p_WT[behind]).T)
+    assert tfg.frontier_length[np.argmin(at)] == 1.0
+    np.testing.assert_allclose(tfg.frontier_normal[np.argmin(at)], [-1.0, 0.0], atol=1e-9)
+    assert np.hypot(*(tfg.frontiers - [3.0, 3.0]).T).min() < 1e-9
+    for n, X_WA in enumerate(TOUR[1:]):
+        tfg = two_rooms.observe(X_WA)
+        if n == 0:
+            assert np.hypot(*(tfg.frontiers - [3.0, 3.0]).T).min() < 1e-9
+    assert behind in two_rooms.mapped
+    two_rooms.observe(TOUR[0])
+    tfg = two_rooms.observe(TOUR[0])
+    assert len(tfg.frontiers) == 0
+
+
+def test_sightings_are_noted_once_with_the_place_they_were_seen_from() -> None:
+    def pose(x: float, ids: list[int]) -> PoseEstimate:
+        return PoseEstimate(0.0, np.array([x, 0.0, 0.0]), np.eye(3), np.zeros(2), 1, np.array(ids, dtype=np.int64),
+                            np.array([[i, 1.0] for i in ids]).reshape(-1, 2))  # fmt: skip
+
+    sightings = note_sightings(no_sightings(), pose(0.0, []))
+    assert len(sightings.ids) == 0
+    sightings = note_sightings(sightings, pose(1.0, [7]))
+    assert note_sightings(sightings, pose(2.0, [7])) is sightings
+    sightings = note_sightings(sightings, pose(3.0, [5, 7]))
+    assert sightings.ids.tolist() == [7, 5]
+    np.testing.assert_array_equal(sightings.p_MS[:, 0], [1.0, 3.0])
+    np.testing.assert_array_equal(sightings.p_MU[:, 0], [7.0, 5.0])
+
+
+def test_what_a_turn_sees_past_is_taken_out(two_rooms) -> None:
+    """A box that is gone at the next goal leaves no surface behind."""
+    walls = two_rooms.walls
+    box = np.array([[2.0, 4.0, 3.0, 4.0], [3.0, 4.0, 3.0, 5.0], [3.0, 5.0, 2.0, 5.0], [2.0, 5.0, 2.0, 4.0]])
+    two_rooms.walls = np.concatenate([walls, box])
+    points, _ = _pieces(two_rooms.observe(TOUR[0]).segments)
+    assert (point_distance(points, box) < 0.05).any()
+    two_rooms.walls = walls
+    points, _ = _pieces(two_rooms.observe(np.array([2.2, 2.6, 0.0])).segments)
+    assert not (point_distance(points, box) < 0.05).any()
+
+
+def test_the_graph_is_the_same_to_the_bit(two_rooms) -> None:
+    first = [two_rooms.observe(X) for X in TOUR[:3]]
+    two_rooms.rng, two_rooms.graph = np.random.default_rng(1), empty_graph()
+    two_rooms.X_MA.clear()
+    two_rooms.mapped.clear()
+    second = [two_rooms.observe(X) for X in TOUR[:3]]
+    for a, b in zip(first, second, strict=True):
+        for field in dataclasses.fields(a):
+            np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name))

@@ -1,0 +1,67 @@
+"""The panorama of a turn against rays cast from its centre."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.geometry.visibility import cast_rays
+from tfg_drake.messages import LaserScan
+from tfg_drake.tfg.panorama import BINS, build_panorama
+
+START = np.array([2.0, 3.0, 0.3])
+
+
+def test_noiseless_panorama_lies_on_the_walls(two_rooms) -> None:
+    two_rooms.noise = 0.0
+    panorama = two_rooms.panorama(START)
+    hit = np.isfinite(panorama.ranges)
+    exact = cast_rays(two_rooms.walls, START[:2], panorama.angles + START[2], 10.0)
+    # A bin that straddles a corner holds the mean of points on both walls, less than the bin is wide off either.
+    np.testing.assert_allclose(panorama.ranges[hit], exact[hit], atol=0.02)
+    straight = np.abs(panorama.ranges[hit] - exact[hit]) < 1e-4
+    assert straight.mean() > 0.9
+    assert not np.isnan(panorama.ranges).any()
+    assert (np.diff(panorama.angles) > 0.0).all()
+
+
+def test_averaging_beats_the_noise_of_one_ray(two_rooms) -> None:
+    panorama = two_rooms.panorama(START)
+    exact = cast_rays(two_rooms.walls, START[:2], panorama.angles + START[2], 10.0)
+    both = np.isfinite(panorama.ranges) & np.isfinite(exact)
+    assert np.median(np.abs(panorama.ranges[both] - exact[both])) < 0.005
+
+
+def test_no_point_floats_between_two_surfaces(two_rooms) -> None:
+    panorama = two_rooms.panorama(START)
+    hit = np.isfinite(panorama.ranges)
+    angles = panorama.angles + START[2]
+    near = np.array([cast_rays(two_rooms.walls, START[:2], angles + d, 10.0) for d in np.linspace(-0.005, 0.005, 21)])
+    near = np.where(np.isinf(near), 99.0, near)
+    assert (np.abs(near - panorama.ranges).min(axis=0)[hit] < 0.05).all()
+
+
+def test_free_and_unseen_bins() -> None:
+    angles = np.linspace(-0.5, 0.5, 200)
+    scan = LaserScan(0.0, angles, np.full(200, np.inf), 10.0, 0.01)
+    panorama = build_panorama([scan], np.array([0.0]), np.zeros((1, 3)))
+    free = np.isinf(panorama.ranges)
+    assert np.isnan(panorama.ranges[~free]).all()
+    assert free.sum() == pytest.approx(BINS / (2.0 * np.pi), abs=3)
+
+
+def test_scans_are_placed_by_the_pose_at_their_stamp() -> None:
+    """Half way between two poses, across the jump of the heading at pi."""
+    scan = LaserScan(0.5, np.array([0.0]), np.array([2.0]), 10.0, 0.01)
+    late = LaserScan(1.5, np.array([0.0]), np.array([1.0]), 10.0, 0.01)
+    X_AB = np.array([[0.0, 0.0, np.pi - 0.1], [0.2, 0.0, -np.pi + 0.2]])
+    panorama = build_panorama([scan, late], np.array([0.0, 1.0]), X_AB)
+    hit = np.flatnonzero(np.isfinite(panorama.ranges))
+    expected = np.array([0.1 + 2.0 * np.cos(np.pi + 0.05), 2.0 * np.sin(np.pi + 0.05)])
+    assert len(hit) == 1
+    np.testing.assert_allclose(panorama.points[hit[0]], expected, atol=1e-12)
+
+
+def test_a_panorama_needs_poses_and_scans() -> None:
+    with pytest.raises(ValueError, match="pose"):
+        build_panorama([], np.zeros(0), np.zeros((0, 3)))
+    with pytest.raises(ValueError, match="scan"):
+        build_panorama([], np.zeros(1), np.zeros((1, 3)))
