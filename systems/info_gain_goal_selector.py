@@ -39,11 +39,11 @@ class InfoGainGoalSelector(LeafSystem):
     def __init__(self, robot: RobotConfig, odometry: OdometryConfig, sensor: TagSensorConfig, explorer: ExplorerConfig):
         super().__init__()
         self._robot, self._sensor, self._odometry, self._explorer = robot, sensor, odometry, explorer
-        self._map = declare_message_input(self, "map").get_index()
-        self._tfg = declare_message_input(self, "tfg").get_index()
-        self._roadmap = declare_message_input(self, "roadmap").get_index()
-        self._pose = declare_message_input(self, "pose").get_index()
-        self._mission = declare_message_input(self, "mission").get_index()
+        self._map = declare_message_input(self, "map")
+        self._tfg = declare_message_input(self, "tfg")
+        self._roadmap = declare_message_input(self, "roadmap")
+        self._pose = declare_message_input(self, "pose")
+        self._mission = declare_message_input(self, "mission")
         self._goal = self.DeclareAbstractState(AbstractValue.Make(empty_choice()))
         declare_message_output(
             self,
@@ -55,15 +55,15 @@ class InfoGainGoalSelector(LeafSystem):
 
     @metered("goal_selector")
     def _Update(self, context: Context, state: State) -> EventStatus:
-        mission = eval_message(self, context, self._mission, MissionStatus)
+        mission = eval_message(self._mission, context, MissionStatus)
         if mission.phase != "choose" or mission.stage <= state_message(context, self._goal, GoalChoice).stage:
             return EventStatus.DidNothing()
-        estimate = eval_message(self, context, self._map, MapEstimate)
-        tfg = eval_message(self, context, self._tfg, TfgMap)
-        roadmap = eval_message(self, context, self._roadmap, Roadmap)
+        estimate = eval_message(self._map, context, MapEstimate)
+        tfg = eval_message(self._tfg, context, TfgMap)
+        roadmap = eval_message(self._roadmap, context, Roadmap)
         if not mission.stage == estimate.stage == tfg.stage == roadmap.stage:
             return EventStatus.DidNothing()
-        here = eval_message(self, context, self._pose, PoseEstimate).X_MB[:2]
+        here = eval_message(self._pose, context, PoseEstimate).X_MB[:2]
         goal = choose(estimate, tfg, roadmap, here, self._sensor, self._odometry, self._robot, self._explorer)
         set_state_message(state, self._goal, goal)
         return EventStatus.Succeeded()

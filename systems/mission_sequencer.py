@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
@@ -56,13 +55,13 @@ class MissionSequencer(LeafSystem):
     def __init__(self, robot: RobotConfig):
         super().__init__()
         self._max_speed = robot.max_speed
-        self._map = declare_message_input(self, "map").get_index()
-        self._tfg = declare_message_input(self, "tfg").get_index()
-        self._goal = declare_message_input(self, "goal").get_index()
-        self._path = declare_message_input(self, "path").get_index()
-        self._path_status = declare_message_input(self, "path_status").get_index()
-        self._follower = declare_message_input(self, "follower_status").get_index()
-        self._hazards = declare_message_input(self, "hazards").get_index()
+        self._map = declare_message_input(self, "map")
+        self._tfg = declare_message_input(self, "tfg")
+        self._goal = declare_message_input(self, "goal")
+        self._path = declare_message_input(self, "path")
+        self._path_status = declare_message_input(self, "path_status")
+        self._follower = declare_message_input(self, "follower_status")
+        self._hazards = declare_message_input(self, "hazards")
         self._pause = self.DeclareVectorInputPort("pause", 1)
         self._enable = self.DeclareVectorInputPort("enable", 1)
         self._stop = self.DeclareVectorInputPort("stop", 1)
@@ -87,25 +86,20 @@ class MissionSequencer(LeafSystem):
         return EventStatus.Succeeded()
 
     def _Inputs(self, context: Context) -> MissionInputs:
-        path = eval_message(self, context, self._path, Path)
         return MissionInputs(
             time=context.get_time(),
-            follower=eval_message(self, context, self._follower, FollowerStatus),
-            goal=eval_message(self, context, self._goal, GoalChoice),
-            path=path,
-            path_status=eval_message(self, context, self._path_status, PathStatus),
-            map_stage=eval_message(self, context, self._map, MapEstimate).stage,
-            tfg_stage=eval_message(self, context, self._tfg, TfgMap).stage,
-            path_time=_length(path.points) / self._max_speed,
-            bumper=eval_message(self, context, self._hazards, Hazards).bumper != 0,
+            follower=eval_message(self._follower, context, FollowerStatus),
+            goal=eval_message(self._goal, context, GoalChoice),
+            path=eval_message(self._path, context, Path),
+            path_status=eval_message(self._path_status, context, PathStatus),
+            map_stage=eval_message(self._map, context, MapEstimate).stage,
+            tfg_stage=eval_message(self._tfg, context, TfgMap).stage,
+            max_speed=self._max_speed,
+            bumper=eval_message(self._hazards, context, Hazards).bumper != 0,
             pause=_flag(self._pause, context, False),
             enable=_flag(self._enable, context, True),
             stop=_flag(self._stop, context, False),
         )
-
-
-def _length(points: np.ndarray) -> float:
-    return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
 
 
 def _flag(port, context: Context, default: bool) -> bool:

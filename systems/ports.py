@@ -33,26 +33,28 @@ def declare_message_output(
     return cast(OutputPort, port)
 
 
-def eval_message(system: LeafSystem, context: Context, port_index: int, kind: type[T]) -> T:
+def eval_message(port: InputPort, context: Context, kind: type[T]) -> T:
     """The message at an input port.
 
     Raises TypeError where the port is not connected or holds anything else than a kind.
     """
-    port = system.get_input_port(port_index)
-    where = f"{system.get_name()}.{port.get_name()}"
     try:
         value = port.Eval(context)
-    except RuntimeError:
+    except (RuntimeError, SystemExit) as error:
         if port.HasValue(context):
             raise
-        raise TypeError(f"{where} must be connected to an output of {kind.__name__}.") from None
-    return _checked(value, kind, where)
+        raise TypeError(f"{_name(port)} must be connected to an output of {kind.__name__}.") from error
+    if not isinstance(value, kind):
+        raise TypeError(f"{_name(port)} must hold {kind.__name__}, not {type(value).__name__}.")
+    return value
 
 
 def state_message(context: Context | State, index: int, kind: type[T]) -> T:
     """The message in an abstract state variable. Raises TypeError where it holds anything else than a kind."""
     value = context.get_abstract_state(int(index)).get_value()
-    return _checked(value, kind, f"abstract state {int(index)}")
+    if not isinstance(value, kind):
+        raise TypeError(f"abstract state {int(index)} must hold {kind.__name__}, not {type(value).__name__}.")
+    return value
 
 
 def set_state_message(state: State, index: int, value: object) -> None:
@@ -60,7 +62,5 @@ def set_state_message(state: State, index: int, value: object) -> None:
     state.get_mutable_abstract_state(int(index)).set_value(value)
 
 
-def _checked(value: object, kind: type[T], where: str) -> T:
-    if not isinstance(value, kind):
-        raise TypeError(f"{where} must hold {kind.__name__}, not {type(value).__name__}.")
-    return value
+def _name(port: InputPort) -> str:
+    return f"{port.get_system().get_name()}.{port.get_name()}"

@@ -22,9 +22,9 @@ class PoseVector(LeafSystem):
 
     def __init__(self) -> None:
         super().__init__()
-        self._pose = declare_message_input(self, "pose").get_index()
-        self.DeclareVectorOutputPort("vector", 4, self._CalcVector, {self.input_port_ticket(self._pose)})
+        self._pose = declare_message_input(self, "pose")
+        self.DeclareVectorOutputPort("vector", 4, self._CalcVector, {self._pose.ticket()})
 
     def _CalcVector(self, context: Context, output: BasicVector) -> None:
-        pose = eval_message(self, context, self._pose, PoseEstimate)
+        pose = eval_message(self._pose, context, PoseEstimate)
         output.SetFromVector([pose.stamp, *pose.X_MB])

@@ -52,12 +52,12 @@ class PrmPlanner(LeafSystem):
     ):
         super().__init__()
         self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, seed)
-        self._map = declare_message_input(self, "map").get_index()
-        self._tfg = declare_message_input(self, "tfg").get_index()
-        self._pose = declare_message_input(self, "pose").get_index()
-        self._goal = declare_message_input(self, "goal").get_index()
-        self._scan = declare_message_input(self, "scan").get_index()
-        self._mission = declare_message_input(self, "mission").get_index()
+        self._map = declare_message_input(self, "map")
+        self._tfg = declare_message_input(self, "tfg")
+        self._pose = declare_message_input(self, "pose")
+        self._goal = declare_message_input(self, "goal")
+        self._scan = declare_message_input(self, "scan")
+        self._mission = declare_message_input(self, "mission")
         self._state = self.DeclareAbstractState(AbstractValue.Make(initial_state()))
         ticket = {self.abstract_state_ticket(self._state)}
         declare_message_output(self, "roadmap", lambda context: self._State(context).roadmap, ticket)
@@ -73,12 +73,12 @@ class PrmPlanner(LeafSystem):
         now = self._State(context)
         updated = step(
             now,
-            eval_message(self, context, self._map, MapEstimate),
-            eval_message(self, context, self._tfg, TfgMap),
-            eval_message(self, context, self._pose, PoseEstimate),
-            eval_message(self, context, self._goal, GoalChoice),
-            eval_message(self, context, self._scan, LaserScan),
-            eval_message(self, context, self._mission, MissionStatus),
+            eval_message(self._map, context, MapEstimate),
+            eval_message(self._tfg, context, TfgMap),
+            eval_message(self._pose, context, PoseEstimate),
+            eval_message(self._goal, context, GoalChoice),
+            eval_message(self._scan, context, LaserScan),
+            eval_message(self._mission, context, MissionStatus),
             self._parameters,
         )
         if updated is now:

@@ -44,9 +44,9 @@ class PurePursuitFollower(LeafSystem):
     def __init__(self, robot: RobotConfig, explorer: ExplorerConfig):
         super().__init__()
         self._robot, self._turn_rate, self._first_look = robot, explorer.turn_rate, explorer.first_look
-        self._pose = declare_message_input(self, "pose").get_index()
-        self._path = declare_message_input(self, "path").get_index()
-        self._mission = declare_message_input(self, "mission").get_index()
+        self._pose = declare_message_input(self, "pose")
+        self._path = declare_message_input(self, "path")
+        self._mission = declare_message_input(self, "mission")
         initial = np.zeros(12)
         initial[[TURN_SINCE, PATH]] = -1.0
         ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
@@ -70,14 +70,14 @@ class PurePursuitFollower(LeafSystem):
     @metered("follower")
     def _Update(self, context: Context, discrete: DiscreteValues) -> EventStatus:
         x = context.get_discrete_state_vector().value().copy()
-        mission = eval_message(self, context, self._mission, MissionStatus)
-        pose = eval_message(self, context, self._pose, PoseEstimate)
+        mission = eval_message(self._mission, context, MissionStatus)
+        pose = eval_message(self._pose, context, PoseEstimate)
         x[STAMP] = context.get_time()
         x[[SPEED, TURN_RATE]] = 0.0
         if mission.phase == "observe":
             self._Turn(x, mission, pose)
         elif mission.phase == "follow":
-            self._Follow(x, eval_message(self, context, self._path, Path), pose)
+            self._Follow(x, eval_message(self._path, context, Path), pose)
         if x[SPEED] != 0.0 or x[TURN_RATE] != 0.0:
             x[ZERO_SINCE] = x[STAMP]
         x[REST] = x[STAMP] - x[ZERO_SINCE] >= SETTLING and at_rest(*pose.speed)

@@ -44,8 +44,8 @@ class SafetyFilter(LeafSystem):
     @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
-        hazards = eval_message(self, context, self._hazards.get_index(), Hazards)
-        scan = eval_message(self, context, self._scan.get_index(), LaserScan)
+        hazards = eval_message(self._hazards, context, Hazards)
+        scan = eval_message(self._scan, context, LaserScan)
         state = context.get_discrete_state_vector().value()
         update.set_value(
             filter_command(state, context.get_time(), command, hazards, scan, self._robot, self._safety, PERIOD)

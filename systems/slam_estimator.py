@@ -55,9 +55,9 @@ class SlamEstimator(LeafSystem):
         """odometry_config: what the estimator believes of the odometry."""
         super().__init__()
         self.set_name("slam_estimator")
-        self._odometry = declare_message_input(self, "odometry").get_index()
-        self._detections = declare_message_input(self, "detections").get_index()
-        self._mission = declare_message_input(self, "mission").get_index()
+        self._odometry = declare_message_input(self, "odometry")
+        self._detections = declare_message_input(self, "detections")
+        self._mission = declare_message_input(self, "mission")
         self._state = self.DeclareAbstractState(AbstractValue.Make(initial_state(odometry_config)))
         self._detections_stamp = self.DeclareAbstractState(AbstractValue.Make(-float("inf")))
         depends = {self.abstract_state_ticket(self._state)}
@@ -76,9 +76,9 @@ class SlamEstimator(LeafSystem):
     def _Update(self, context: Context, state: State) -> EventStatus:
         estimator = state_message(context, self._state, EstimatorState)
         detections_stamp = state_message(context, self._detections_stamp, float)
-        odometry = eval_message(self, context, self._odometry, Odometry)
-        detections = eval_message(self, context, self._detections, TagDetections)
-        mission = eval_message(self, context, self._mission, MissionStatus)
+        odometry = eval_message(self._odometry, context, Odometry)
+        detections = eval_message(self._detections, context, TagDetections)
+        mission = eval_message(self._mission, context, MissionStatus)
 
         estimator = process_odometry(estimator, odometry)
         if detections.stamp > detections_stamp:

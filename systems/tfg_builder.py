@@ -60,10 +60,10 @@ class TfgBuilder(LeafSystem):
     def __init__(self, tags: TagSensorConfig, scan: ScanConfig, robot: RobotConfig, explorer: ExplorerConfig):
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
-        self._scan = declare_message_input(self, "scan").get_index()
-        self._map = declare_message_input(self, "map").get_index()
-        self._pose = declare_message_input(self, "pose").get_index()
-        self._mission = declare_message_input(self, "mission").get_index()
+        self._scan = declare_message_input(self, "scan")
+        self._map = declare_message_input(self, "map")
+        self._pose = declare_message_input(self, "pose")
+        self._mission = declare_message_input(self, "mission")
         self._buffer = self.DeclareAbstractState(AbstractValue.Make(_Buffer((), no_sightings())))
         self._graph = self.DeclareAbstractState(AbstractValue.Make(empty_graph()))
         self._tfg = self.DeclareAbstractState(AbstractValue.Make(empty_map()))
@@ -80,7 +80,7 @@ class TfgBuilder(LeafSystem):
     @metered("tfg_builder")
     def _Update(self, context: Context, state: State) -> EventStatus:
         graph = state_message(context, self._graph, TfgGraph)
-        estimate = eval_message(self, context, self._map, MapEstimate)
+        estimate = eval_message(self._map, context, MapEstimate)
         if estimate.stage > graph.stage:
             self._AddGoal(context, state, graph, estimate)
             return EventStatus.Succeeded()
@@ -92,10 +92,10 @@ class TfgBuilder(LeafSystem):
         return EventStatus.Succeeded()
 
     def _Collect(self, context: Context, buffer: _Buffer) -> _Buffer:
-        sightings = note_sightings(buffer.sightings, eval_message(self, context, self._pose, PoseEstimate))
+        sightings = note_sightings(buffer.sightings, eval_message(self._pose, context, PoseEstimate))
         scans = buffer.scans
-        if eval_message(self, context, self._mission, MissionStatus).phase == "observe":
-            scan = eval_message(self, context, self._scan, LaserScan)
+        if eval_message(self._mission, context, MissionStatus).phase == "observe":
+            scan = eval_message(self._scan, context, LaserScan)
             if np.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
                 scans = (*scans, scan)
         if scans is buffer.scans and sightings is buffer.sightings:

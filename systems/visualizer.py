@@ -120,9 +120,7 @@ class TfgVisualizer(LeafSystem):
         self._X_WM = np.array(X_WM, dtype=float)
         self._radius = radius
         self._title = title
-        self._inputs = {
-            name: declare_message_input(self, name).get_index() for name in (*_SLOW_INPUTS, "pose", "mission", "scan")
-        }
+        self._inputs = {name: declare_message_input(self, name) for name in (*_SLOW_INPUTS, "pose", "mission", "scan")}
         self._truth = self.DeclareVectorInputPort("truth", 5).get_index()
         self._drawn = self.DeclareAbstractState(AbstractValue.Make(object()))
         self.DeclareInitializationPublishEvent(self._DrawEverything)
@@ -162,8 +160,8 @@ class TfgVisualizer(LeafSystem):
         state.get_mutable_abstract_state(int(self._drawn)).set_value(shown)
 
     def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
-        index = self._inputs[name]
-        return eval_message(self, context, index, kind) if self.get_input_port(index).HasValue(context) else None
+        port = self._inputs[name]
+        return eval_message(port, context, kind) if port.HasValue(context) else None
 
     # What changes with the stage
 

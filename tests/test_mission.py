@@ -98,8 +98,9 @@ def test_a_bumper_hit_asks_for_a_new_path_once_the_reflex_is_over():
 
 def test_a_path_that_takes_far_too_long_is_planned_again():
     status = following(10.0)
-    assert step(status, inputs(69.0, path_time=1.0)) is status
-    assert step(status, inputs(75.0, path_time=1.0)).phase == "plan"
+    path = Path(7, 1, np.array([[0.0, 0.0], [0.5, 0.0]]))
+    assert step(status, inputs(73.0, path=path)) is status
+    assert step(status, inputs(75.0, path=path)).phase == "plan"
 
 
 @pytest.mark.parametrize(("phase", "resumed"), [("observe", "observe"), ("choose", "choose"), ("follow", "plan")])

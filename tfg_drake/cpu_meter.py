@@ -9,25 +9,50 @@ when somebody asks for it, often in the middle of another component's event.
 
 from __future__ import annotations
 
+import functools
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _totals: dict[str, float] = {}
 _open: list[str] = []
 _since = 0.0
 
 
-@contextmanager
-def metered(name: str) -> Iterator[None]:
-    """Charge this thread's CPU time inside the block to `name`, less what blocks within it charge elsewhere."""
-    _charge()
-    _open.append(name)
-    try:
-        yield
-    finally:
+class metered:
+    """Charge this thread's CPU time to `name`, less what blocks within it charge elsewhere; also a decorator."""
+
+    def __init__(self, name: str) -> None:
+        """name: of the account."""
+        self._name = name
+
+    def __enter__(self) -> None:
+        """Open the block."""
+        _charge()
+        _open.append(self._name)
+
+    def __exit__(self, *_: object) -> None:
+        """Close the block."""
         _charge()
         _open.pop()
+
+    def __call__(self, function: Callable[P, R]) -> Callable[P, R]:
+        """The function, each of its calls a block."""
+
+        @functools.wraps(function)
+        def inner(*args: P.args, **kwargs: P.kwargs) -> R:
+            _charge()
+            _open.append(self._name)
+            try:
+                return function(*args, **kwargs)
+            finally:
+                _charge()
+                _open.pop()
+
+        return inner
 
 
 def cpu_totals() -> dict[str, float]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus
 
 # A follower status older than this after a phase began may still speak of the phase before, s.
@@ -26,7 +28,7 @@ class MissionInputs:
     """What the sequencer sees at one instant.
 
     time: s. follower, goal, path, path_status: the newest messages. map_stage, tfg_stage: goals in the estimator's map
-    and in the TFG. path_time: s the path would take at full speed. bumper: the base reports contact. pause, enable,
+    and in the TFG. max_speed: the robot's, m/s. bumper: the base reports contact. pause, enable,
     stop: the operator's inputs.
     """
 
@@ -37,7 +39,7 @@ class MissionInputs:
     path_status: PathStatus
     map_stage: int
     tfg_stage: int
-    path_time: float = 0.0
+    max_speed: float = 0.5
     bumper: bool = False
     pause: bool = False
     enable: bool = True
@@ -111,13 +113,18 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     if follower.path_id == status.path_id and follower.arrived:
         return _begin(status, inputs, "observe", failures=0)
     blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
-    late = inputs.time - status.since > 60.0 + PATIENCE * inputs.path_time
+    late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE
     if not (blocked or late or bumped):
         return status
     if status.replans < MAX_REPLANS:
         return _begin(status, inputs, "plan", replans=status.replans + 1)
     return _give_up_goal(status, inputs)
+
+
+def _overdue(status: MissionStatus, inputs: MissionInputs) -> bool:
+    length = np.hypot(*np.diff(inputs.path.points, axis=0).T).sum()
+    return bool(inputs.time - status.since > 60.0 + PATIENCE * length / inputs.max_speed)
 
 
 def _give_up_goal(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:

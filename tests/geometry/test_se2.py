@@ -88,7 +88,7 @@ def test_rows_of_poses_broadcast():
     rng = np.random.default_rng(1)
     X_AB, X_BC = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
     rows = [compose(a, b) for a, b in zip(X_AB, X_BC, strict=True)]
-    np.testing.assert_array_equal(compose(X_AB, X_BC), rows)
-    np.testing.assert_array_equal(inverse(X_AB), [inverse(a) for a in X_AB])
-    np.testing.assert_array_equal(compose(X_AB[0], X_BC), [compose(X_AB[0], b) for b in X_BC])
+    np.testing.assert_allclose(compose(X_AB, X_BC), rows, atol=1e-14)
+    np.testing.assert_allclose(inverse(X_AB), [inverse(a) for a in X_AB], atol=1e-14)
+    np.testing.assert_allclose(compose(X_AB[0], X_BC), [compose(X_AB[0], b) for b in X_BC], atol=1e-14)
     assert compose(X_AB[0], np.empty((0, 3))).shape == (0, 3)

@@ -21,7 +21,7 @@ class _Relay(LeafSystem):
         self.set_name("relay")
         port = declare_message_input(self, "odometry")
         self.state = self.DeclareAbstractState(AbstractValue.Make(Odometry(0.0, np.zeros(3), np.zeros(2))))
-        declare_message_output(self, "out", lambda c: eval_message(self, c, 0, Odometry), {port.ticket()})
+        declare_message_output(self, "out", lambda c: eval_message(port, c, Odometry), {port.ticket()})
 
 
 def test_a_message_passes_through():
@@ -36,10 +36,10 @@ def test_the_wrong_message_and_no_message_are_named():
     relay = _Relay()
     context = relay.CreateDefaultContext()
     with pytest.raises(TypeError, match=r"^relay\.odometry must be connected to an output of Odometry\.$"):
-        eval_message(relay, context, 0, Odometry)
+        eval_message(relay.get_input_port(0), context, Odometry)
     relay.get_input_port(0).FixValue(context, AbstractValue.Make(Hazards(0.0, 0, 0, 0)))
     with pytest.raises(TypeError, match=r"^relay\.odometry must hold Odometry, not Hazards\.$"):
-        eval_message(relay, context, 0, Odometry)
+        eval_message(relay.get_input_port(0), context, Odometry)
 
 
 def test_state_survives_a_clone():
