@@ -170,9 +170,10 @@ class TfgMap:
     the landmarks the piece is anchored to, -1 where there is none. facing: (n, 2) unit vectors in M, row for row
     with MapEstimate.ids: the side from which each landmark was seen. frontiers: (f, 2) points in M, a little inside
     the unknown, frontier_length: (f,) m of frontier each stands for, frontier_normal: (f, 2) unit vectors pointing
-    from the unknown back to where the frontier was seen from. star_offsets: (k + 1,) and star_vertices: (v, 2): star
-    j, the free polygon seen from goal j, has the vertices star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise
-    round star_centers[j]. star_centers: (k, 2).
+    from the unknown back to where the frontier was seen from; where it lies in front of a surface not seen well enough,
+    that surface's normal. Every piece of surface was seen from its left. star_offsets: (k + 1,) and star_vertices:
+    (v, 2): star j, the free polygon seen from goal j, has the vertices star_offsets[j]:star_offsets[j + 1] in M,
+    counter-clockwise round star_centers[j]. star_centers: (k, 2).
     """
 
     stage: int
