@@ -193,15 +193,16 @@ class TfgMap:
 class Roadmap:
     """The probabilistic roadmap of one stage, in the map frame.
 
-    stage. points: (n, 2) m. edges: (e, 2) node indices. reachable: (n,). travel_time: (n,) expected s from the
-    robot, turns included, inf where unreachable. path_clearance_ok is implied: edges that break the chance constraint
-    are not in it.
+    stage. points: (n, 2) m. edges: (e, 2) node indices, those within the chance constraint. reachable: (n,) from where
+    the robot stands, along edges. enterable: (n,) there is room enough for the robot all the way, though perhaps not
+    for its uncertainty. travel_time: (n,) expected s from the robot, turns included, inf where unreachable.
     """
 
     stage: int
     points: FloatArray
     edges: IntArray
     reachable: BoolArray
+    enterable: BoolArray
     travel_time: FloatArray
 
 

@@ -6,15 +6,14 @@ from tfg_drake.planning.goal_choice import decide, thin_candidates
 from tfg_drake.planning.information_gain import Gains
 
 
-def verdict(gain, value, sees, frontier=0.0, stop_gain=20.0):
+def verdict(gain, value, sees, frontier=0.0, barred=0.0, stop_gain=20.0):
     gain = np.asarray(gain, dtype=float)
     n = len(gain)
     gains = Gains(exploitation=gain, exploration=np.zeros(n), pose_price=np.zeros(n))
     points = np.stack([np.arange(n), np.zeros(n)], axis=1).astype(float)
     candidates = 10 + np.arange(n)
-    return decide(
-        5, candidates, points, gains, np.asarray(value, dtype=float), np.asarray(sees, dtype=bool), frontier, stop_gain
-    )
+    value, sees = np.asarray(value, dtype=float), np.asarray(sees, dtype=bool)
+    return decide(5, candidates, points, gains, value, sees, barred, frontier, stop_gain)
 
 
 def test_the_best_gain_per_time_wins_and_the_first_of_equals():
@@ -23,7 +22,8 @@ def test_the_best_gain_per_time_wins_and_the_first_of_equals():
 
 
 def test_a_visible_frontier_keeps_the_mission_going_whatever_the_gain():
-    assert verdict([5, 6], [1, 2], [1, 0], frontier=1.0).verdict == "goal"
+    goal = verdict([5, 6], [1, 2], [1, 0], frontier=1.0)
+    assert (goal.verdict, goal.node) == ("goal", 10)
 
 
 def test_without_a_frontier_a_goal_must_promise_more_than_the_stop_gain():
@@ -34,11 +34,19 @@ def test_without_a_frontier_a_goal_must_promise_more_than_the_stop_gain():
     assert done.reason == "No frontier is left and no place promises more than 20 nats."
 
 
-def test_a_frontier_nobody_can_see_is_stuck_once_nothing_else_is_worth_while():
-    assert verdict([25], [1], [0], frontier=3.25).verdict == "goal"
-    stuck = verdict([5], [1], [0], frontier=3.25)
+def test_a_frontier_behind_a_passage_too_narrow_for_the_uncertainty_is_stuck():
+    assert verdict([25], [1], [0], frontier=3.25, barred=1.25).verdict == "goal"
+    stuck = verdict([5], [1], [0], frontier=3.25, barred=1.25)
     assert stuck.verdict == "stuck"
-    assert stuck.reason == "3.2 m of frontier cannot be seen from anywhere the robot can reach."
+    assert stuck.reason == "1.2 m of frontier lie behind passages too narrow for the uncertainty of the map."
+
+
+def test_a_frontier_where_the_robot_does_not_fit_is_named_and_closed():
+    done = verdict([5], [1], [0], frontier=3.25)
+    assert done.verdict == "complete"
+    assert done.reason == (
+        "No frontier is left but 3.2 m that the robot cannot get to, and no place promises more than 20 nats."
+    )
 
 
 def test_nowhere_to_go_is_stuck():

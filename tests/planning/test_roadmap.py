@@ -151,9 +151,10 @@ def test_what_was_travelled_stays_open_at_the_radius():
 def test_routes_agree_with_their_own_path_and_prefer_room():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     ways = routes(state, tfg, estimate.X_MD, ROBOT)
-    message = roadmap_message(state, ways)
+    message = roadmap_message(state, ways, ROBOT.radius)
     assert message.stage == 2
     reachable = message.reachable
+    assert (message.enterable >= reachable).all()
     straight = np.hypot(*(state.points - estimate.X_MD[:2]).T)
     assert (ways.length[reachable] >= straight[reachable] - 1e-9).all()
     assert (ways.cost[reachable] >= ways.length[reachable] - 1e-9).all()

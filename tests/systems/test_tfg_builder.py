@@ -106,7 +106,8 @@ def test_a_tag_sighted_on_the_way_becomes_a_frontier(builder: Builder) -> None:
     builder.turn(start=0.2)
     builder.fix(map=estimate(1))
     builder.run_to(7.0)
-    np.testing.assert_allclose(builder.tfg().frontiers, [[5.0, 5.0]])
+    # 0.3 m in front of it, towards the origin, where it was seen from.
+    np.testing.assert_allclose(builder.tfg().frontiers, 5.0 - 0.3 / np.sqrt(2.0) * np.ones((1, 2)))
 
 
 def test_all_state_is_in_the_context(builder: Builder) -> None:

@@ -16,8 +16,8 @@ from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 SURFACE_TOLERANCE = 0.1
 # A frontier point lies a little inside the unknown: count it only well within range.
 FRONTIER_RANGE_SHARE = 0.9
-# Greatest angle between a frontier's normal and the direction to whoever is to look through it, rad.
-FRONTIER_INCIDENCE = math.radians(80.0)
+# A frontier must be looked at this much less slantwise than the sensor could, rad.
+FRONTIER_INCIDENCE_MARGIN = math.radians(5.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +124,7 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig)
             tfg.frontier_normal,
             tfg.segments,
             FRONTIER_RANGE_SHARE * sensor.range,
-            FRONTIER_INCIDENCE,
+            sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN,
             0.0,
         )
     )

@@ -83,9 +83,12 @@ def choose(
         explorer,
     )
     value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
+    # Frontiers that could be seen from where the robot would fit, were it surer of its place.
+    barred = roadmap.points[roadmap.enterable & ~roadmap.reachable]
+    barred_frontiers = np.unique(expected_frontiers(barred, tfg, sensor).index)
     return decide(
         estimate.stage, candidates, points, gains, value, frontiers.count > 0,
-        float(tfg.frontier_length.sum()), explorer.stop_gain,
+        float(tfg.frontier_length[barred_frontiers].sum()), float(tfg.frontier_length.sum()), explorer.stop_gain,
     )  # fmt: skip
 
 
@@ -96,12 +99,14 @@ def decide(
     gains: Gains,
     value: FloatArray,
     sees_frontier: BoolArray,
+    barred_length: float,
     frontier_length: float,
     stop_gain: float,
 ) -> GoalChoice:
     """The verdict on candidates (c,) at points (c, 2) with gains and value (c,); the first of equals wins.
 
-    frontier_length: m of live frontier, seen or not.
+    barred_length: m of live frontier that the robot could see from places it would fit into but may not try to reach.
+    frontier_length: m of live frontier, seen or not: what remains when nothing else does is closed to this robot.
     """
     gain = gains.gain
     worth = sees_frontier | (gain > stop_gain)
@@ -109,15 +114,15 @@ def decide(
     if worth.any():
         pick = int(np.argmax(np.where(worth, value, -np.inf)))
         reason = f"{gain[pick]:.1f} nats are expected at the rate of {value[pick]:.2f} nats per second."
-    elif frontier_length > 0.0:
-        verdict = "stuck"
-        reason = f"{frontier_length:.1f} m of frontier cannot be seen from anywhere the robot can reach."
     elif len(candidates) == 0:
+        verdict, reason = "stuck", "The robot cannot reach any other place."
+    elif barred_length > 0.0:
         verdict = "stuck"
-        reason = "The robot cannot reach any other place."
+        reason = f"{barred_length:.1f} m of frontier lie behind passages too narrow for the uncertainty of the map."
     else:
         verdict = "complete"
-        reason = f"No frontier is left and no place promises more than {stop_gain:g} nats."
+        but = f" but {frontier_length:.1f} m that the robot cannot get to," if frontier_length > 0.0 else ""
+        reason = f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."
     return GoalChoice(
         stage=stage,
         node=int(candidates[pick]) if pick >= 0 else -1,

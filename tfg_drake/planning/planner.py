@@ -56,7 +56,7 @@ def initial_state() -> PlannerState:
     none = np.zeros(0)
     return PlannerState(
         nodes=nodes,
-        roadmap=Roadmap(0, nodes.points, nodes.edges, np.zeros(0, dtype=np.bool_), none),
+        roadmap=Roadmap(0, nodes.points, nodes.edges, np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_), none),
         path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
         replans=0,
@@ -94,7 +94,9 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
         reached = nodes.points[np.isfinite(ways.cost)]
         if len(tfg.frontiers) == 0 or len(expected_frontiers(reached, tfg, parameters.sensor).index):
             break
-    return dataclasses.replace(state, nodes=nodes, roadmap=roadmap_message(nodes, ways), obstacles=np.zeros((0, 4)))
+    return dataclasses.replace(
+        state, nodes=nodes, roadmap=roadmap_message(nodes, ways, parameters.robot.radius), obstacles=np.zeros((0, 4))
+    )
 
 
 def _plan(

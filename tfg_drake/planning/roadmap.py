@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
@@ -419,13 +419,23 @@ def _connect(
     return near[chosen].astype(np.int64), has[chosen]
 
 
-def roadmap_message(state: RoadmapState, ways: Routes) -> Roadmap:
-    """What the goal selector and the pictures need of a roadmap and the routes through it."""
+def enterable(state: RoadmapState, ways: Routes, radius: float) -> BoolArray:
+    """Nodes (n,) that a robot of this radius (m) that knew its place and the map exactly could get to."""
+    n = len(state.points)
+    fits = state.free & (state.edge_clearance >= radius)
+    a, b = state.edges[fits].T
+    _, label = connected_components(csr_matrix((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
+    return np.isin(label, label[np.isfinite(ways.cost)])
+
+
+def roadmap_message(state: RoadmapState, ways: Routes, radius: float) -> Roadmap:
+    """What the goal selector and the pictures need of a roadmap and the routes through it; radius: the robot's, m."""
     return Roadmap(
         stage=state.stage,
         points=state.points,
         edges=state.edges[state.usable],
         reachable=np.isfinite(ways.cost),
+        enterable=enterable(state, ways, radius),
         travel_time=ways.time,
     )
 

@@ -24,6 +24,7 @@ from tfg_drake.tfg.frontier import (
     SIGHTED_LENGTH,
     UNINSPECTED_LIFT,
     UNINSPECTED_SPACING,
+    UNINSPECTED_STANDOFF,
     FrontierPoints,
     far_from,
     find_frontiers,
@@ -49,6 +50,8 @@ TRIED_DISTANCE = 0.5
 # Room between a line of sight and surfaces that makes it certain, m, but for this much of the line's end, m.
 LINE_ROOM = 0.15
 LINE_END = 0.45
+# What a look past surfaces with room to spare counts; one by a hair counts 1.
+FULL_LOOK = 2
 # Goals this close to each other are the same place, m.
 SAME_PLACE = 0.75
 
@@ -89,7 +92,8 @@ class TfgGraph:
     no star has covered yet. uninspected: points of surface on which a tag may have been missed.
     unseen_backs: points on the far faces of thin walls that no goal has seen.
     open_ends: points in front of other faces that none has seen. sighted: tags seen on
-    the way and not mapped. tried: places where goals have tried a frontier in vain, tried_count: (t,) how often.
+    the way and not mapped. tried: places where goals have tried a frontier in vain, tried_count: (t,) how often, a full
+    look counting FULL_LOOK.
     """
 
     stage: int
@@ -268,7 +272,7 @@ def live_frontiers(
     poorly_seen = join(graph.uninspected, graph.unseen_backs)
     points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
-    given_up = select(graph.tried, graph.tried_count >= explorer.frontier_attempts)
+    given_up = select(graph.tried, graph.tried_count >= FULL_LOOK * explorer.frontier_attempts)
     return select(points, far_from(points.p, place_points(given_up, estimate.X_MA).p, TRIED_DISTANCE))
 
 
@@ -348,7 +352,9 @@ def _update_sighted(sighted: FrontierPoints, sightings: Sightings, estimate: Map
     p, seen_from = transform(X_AM, sightings.p_MU), transform(X_AM, sightings.p_MS)
     normal = seen_from - p
     normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
-    new = points_of(goal, p, normal, np.full(len(p), SIGHTED_LENGTH), sightings.ids)
+    # In front of the surface: the tag's place is known roughly, and must not be taken to lie behind it.
+    front = p + UNINSPECTED_STANDOFF * normal
+    new = points_of(goal, front, normal, np.full(len(p), SIGHTED_LENGTH), sightings.ids)
     points = join(sighted, select(new, ~np.isin(new.id, sighted.id)))
     return select(points, ~np.isin(points.id, estimate.ids))
 
@@ -362,7 +368,7 @@ def _count_attempts(
     # A second look from the same place counts whatever the room.
     repeated = not far_from(center[None], estimate.X_MA[:-1, :2], SAME_PLACE)[0]
 
-    def in_view(graph: TfgGraph) -> FloatArray:
+    def in_view(graph: TfgGraph) -> tuple[FloatArray, FloatArray]:
         segments, _ = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
         points = live_frontiers(graph, estimate, segments, explorer)
         towards = center - points.p
@@ -373,23 +379,34 @@ def _count_attempts(
         last = np.minimum(LINE_END / np.maximum(distance, 1e-9), 1.0)[:, None]
         lines = np.concatenate([np.broadcast_to(center, points.p.shape), points.p + last * towards], axis=1)
         roomy = clearance(lines, segments, LINE_ROOM) >= LINE_ROOM
-        clear = line_of_sight(segments, center, points.p) & (roomy | repeated)
-        return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear])
+        clear = line_of_sight(segments, center, points.p)
+        seen = (distance <= tags.range) & ~(points.on_surface & slant) & clear
+        return np.asarray(points.p[seen & (roomy | repeated)]), np.asarray(points.p[seen])
 
-    # Seen from here by the old map, alive, and no surface found since that explains why.
-    failed = in_view(after)
-    failed = failed[~far_from(failed, in_view(before), TRIED_DISTANCE)]
+    # Seen from here by the old map, alive, and no surface found since that explains why. What was seen past a surface
+    # by a hair only may have been hidden after all: such a look counts half.
+    failed, barely = (
+        now[~far_from(now, then, TRIED_DISTANCE)] for now, then in zip(in_view(after), in_view(before), strict=True)
+    )
+    failed, weight = np.concatenate([failed, barely]), np.repeat([FULL_LOOK, 1], [len(failed), len(barely)])
 
     tried = place_points(after.tried, estimate.X_MA)
-    again = ~far_from(tried.p, failed, TRIED_DISTANCE)
+    again = np.where(
+        ~far_from(tried.p, failed[weight == FULL_LOOK], TRIED_DISTANCE),
+        FULL_LOOK,
+        ~far_from(tried.p, failed, TRIED_DISTANCE),
+    )
     first: list[FloatArray] = []
-    for p in failed[far_from(failed, tried.p, TRIED_DISTANCE)]:
+    looks: list[int] = []
+    new = far_from(failed, tried.p, TRIED_DISTANCE)
+    for p, look in zip(failed[new], weight[new], strict=True):
         if far_from(p[None], np.array(first).reshape(-1, 2), TRIED_DISTANCE)[0]:
             first.append(p)
+            looks.append(look)
     added = transform(inverse(estimate.X_MA[-1]), np.array(first).reshape(-1, 2))
     nothing = np.zeros(len(added))
     return dataclasses.replace(
         after,
         tried=join(after.tried, points_of(after.stage - 1, added, np.zeros_like(added), nothing)),
-        tried_count=np.concatenate([after.tried_count + again, np.ones(len(added), dtype=np.int64)]),
+        tried_count=np.concatenate([after.tried_count + again, np.array(looks, dtype=np.int64)]),
     )
