@@ -38,6 +38,8 @@ FRONTIER_DARTS = 5
 PASSAGE_WIDTH = 1.5
 # A node keeps this much more than the robot's radius from any surface, m.
 NODE_MARGIN = 0.05
+# The least margin of a way that the robot has driven before, m.
+TRAVELLED_MARGIN = 0.04
 # Edges are looked up in the free space at this interval, m.
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
@@ -288,8 +290,8 @@ def extend(
     need = required_clearance(
         parameters.robot.radius, sigma[edges].max(axis=1), parameters.explorer.collision_probability
     )
-    # Where the robot has been it can go again: its own radius is enough there.
-    need = np.where(was_travelled, parameters.robot.radius, need)
+    # Where the robot has been it can go again, but for the corners that chords of its path cut.
+    need = np.where(was_travelled, np.minimum(need, parameters.robot.radius + TRAVELLED_MARGIN), need)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
     wide = has >= need
