@@ -140,7 +140,7 @@ def test_more_effort_gives_more_nodes():
     assert len(more.points) > 1.5 * len(state.points)
 
 
-def test_what_was_travelled_stays_open_at_the_radius():
+def test_what_was_travelled_stays_open_with_little_to_spare():
     segments = two_rooms(0.42)
     driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
     state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)

@@ -39,7 +39,7 @@ PASSAGE_WIDTH = 1.5
 # A node keeps this much more than the robot's radius from any surface, m.
 NODE_MARGIN = 0.05
 # The least margin of a way that the robot has driven before, m.
-TRAVELLED_MARGIN = 0.04
+TRAVELLED_MARGIN = 0.02
 # Edges are looked up in the free space at this interval, m.
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
