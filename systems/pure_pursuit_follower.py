@@ -18,10 +18,16 @@ PERIOD = 1 / 32
 # Commands this long zero, s, before measured speeds are believed to be those of rest.
 SETTLING = 0.25
 
+# A robot that was told to move and has not for this long is held up, s.
+PATIENCE = 3.0
+
 # The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
 # began, s, how far it has turned and the last heading, rad; the path's id, the progress on it, m, and whether the robot
-# turns in place on it; whether it is finished; whether the robot is at rest, and since when the command is zero, s.
-SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, PATH, PROGRESS, TURNING, FINISHED, REST, ZERO_SINCE = range(12)
+# turns in place on it; whether it is finished; whether the robot is at rest, since when the command is zero, s, and when
+# the robot last did as it was told, s.
+(
+    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, PATH, PROGRESS, TURNING, FINISHED, REST, ZERO_SINCE, OBEYED,
+) = range(13)  # fmt: skip
 
 
 class PurePursuitFollower(LeafSystem):
@@ -47,7 +53,7 @@ class PurePursuitFollower(LeafSystem):
         self._pose = declare_message_input(self, "pose")
         self._path = declare_message_input(self, "path")
         self._mission = declare_message_input(self, "mission")
-        initial = np.zeros(12)
+        initial = np.zeros(13)
         initial[[TURN_SINCE, PATH]] = -1.0
         ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity, ticket)
@@ -65,6 +71,7 @@ class PurePursuitFollower(LeafSystem):
             arrived=bool(x[FINISHED] and x[REST]),
             turned=float(x[TURNED]),
             turn_done=bool(x[TURNED] >= 2.0 * math.pi and x[REST]),
+            stalled=bool(x[STAMP] - x[OBEYED] > PATIENCE),
         )
 
     @metered("follower")
@@ -80,6 +87,8 @@ class PurePursuitFollower(LeafSystem):
             self._Follow(x, eval_message(self._path, context, Path), pose)
         if x[SPEED] != 0.0 or x[TURN_RATE] != 0.0:
             x[ZERO_SINCE] = x[STAMP]
+        if x[ZERO_SINCE] != x[STAMP] or not at_rest(*pose.speed):
+            x[OBEYED] = x[STAMP]
         x[REST] = x[STAMP] - x[ZERO_SINCE] >= SETTLING and at_rest(*pose.speed)
         discrete.get_mutable_vector().SetFromVector(x)
         return EventStatus.Succeeded()
@@ -96,7 +105,7 @@ class PurePursuitFollower(LeafSystem):
 
     def _Follow(self, x: np.ndarray, path: Path, pose: PoseEstimate) -> None:
         if x[PATH] != path.id:
-            x[[PATH, PROGRESS, TURNING, FINISHED]] = path.id, 0.0, 1.0, 0.0
+            x[[PATH, PROGRESS, TURNING, FINISHED, OBEYED]] = path.id, 0.0, 1.0, 0.0, x[STAMP]
         if x[FINISHED]:
             return
         command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)

@@ -96,6 +96,12 @@ def test_a_bumper_hit_asks_for_a_new_path_once_the_reflex_is_over():
     assert step(status, inputs(12.5, bumper=True)).phase == "plan"
 
 
+def test_a_robot_that_is_held_up_gets_a_new_path():
+    status = following(10.0)
+    held = FollowerStatus(14.0, status.path_id, False, 0.0, False, stalled=True)
+    assert step(status, inputs(14.0, follower=held)).phase == "plan"
+
+
 def test_a_path_that_takes_far_too_long_is_planned_again():
     status = following(10.0)
     path = Path(7, 1, np.array([[0.0, 0.0], [0.5, 0.0]]))

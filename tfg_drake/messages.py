@@ -263,7 +263,8 @@ class MissionStatus:
 class FollowerStatus:
     """What the follower has done. stamp: s. path_id: the path it follows. arrived: it stands at that path's end.
 
-    turned: rad turned in the running observation. turn_done: that turn is complete and the robot is at rest.
+    turned: rad turned in the running observation. turn_done: that turn is complete and the robot is at rest. stalled:
+    it has been told to move for some time and has not: something holds it up.
     """
 
     stamp: float
@@ -271,6 +272,7 @@ class FollowerStatus:
     arrived: bool
     turned: float
     turn_done: bool
+    stalled: bool = False
 
 
 @message

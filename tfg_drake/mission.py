@@ -115,7 +115,8 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE
-    if not (blocked or late or bumped):
+    stalled = follower.path_id == status.path_id and follower.stalled
+    if not (blocked or late or bumped or stalled):
         return status
     if status.replans < MAX_REPLANS:
         return _begin(status, inputs, "plan", replans=status.replans + 1)

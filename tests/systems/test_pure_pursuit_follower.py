@@ -118,3 +118,14 @@ def test_a_cloned_context_goes_on_alike():
     port = rig.follower.GetOutputPort("velocity_commanded")
     assert (port.Eval(clone) == rig.command()).all()
     assert (clone.get_discrete_state_vector().value() == rig.context.get_discrete_state_vector().value()).all()
+
+
+def test_a_robot_that_does_not_move_when_told_to_is_held_up():
+    rig = Rig([[0.0, 0.0], [5.0, 0.0]])
+    rig.phase("follow")
+    assert not rig.run(1.0, lambda status: status.stalled)
+    rig.V = np.zeros(2)
+    for _ in range(round(4.0 / PERIOD)):
+        rig._fix()
+        rig.simulator.AdvanceTo(rig.context.get_time() + PERIOD)
+    assert rig.status().stalled
