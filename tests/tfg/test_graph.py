@@ -243,3 +243,17 @@ def test_the_graph_is_the_same_to_the_bit(two_rooms) -> None:
     for a, b in zip(first, second, strict=True):
         for field in dataclasses.fields(a):
             np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name))
+
+
+def test_an_edge_that_a_turn_sees_through_is_broken(simulate) -> None:
+    """A door opens in a wall whose two tags were joined: what is left are wall ends."""
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]], spacing=3.0)
+    before = world.observe(np.array([0.0, 0.0, 0.0]))
+    assert EDGE in before.segment_kind
+    world.walls = np.array([[-3.0, 2.0, -0.5, 2.0], [0.5, 2.0, 3.0, 2.0]])
+    after = world.observe(np.array([0.1, 0.0, 1.0]))
+    assert EDGE not in after.segment_kind
+    points, _ = _pieces(after.segments)
+    assert point_distance(points, world.walls).max() < 0.15
+    wall_points, _ = _pieces(world.walls)
+    assert (point_distance(wall_points, after.segments) < 0.15).all()

@@ -64,3 +64,11 @@ def test_corners_stay_within_tolerance_of_every_point(seed: int, count: int) -> 
     for a, b in pairwise(kept):
         chord = shapely.LineString([points[a], points[b]])
         assert shapely.distance(chord, shapely.points(points[a : b + 1])).max() <= 0.2 + 1e-9
+
+
+def test_a_near_wall_is_not_joined_to_the_one_behind_it(simulate) -> None:
+    """The end of one wall hides another half a metre behind."""
+    panorama = simulate([[-3.0, 5.0, 0.0, 5.0], [-3.0, 5.5, 3.0, 5.5]]).panorama(np.array([0.0, 0.0, 0.0]))
+    components = _segment(panorama)
+    assert len(components) == 2
+    assert all(np.ptp(c.polyline[:, 1]) < 0.1 for c in components)

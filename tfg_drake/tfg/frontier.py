@@ -218,6 +218,8 @@ def find_open_ends(
     points = at + UNINSPECTED_STANDOFF * along + END_GAP * behind
     segments, segment_owner = segments_of(offsets, vertices)
     is_open = ~joined(at, owner, segments, segment_owner, END_GAP) & inside_any(points, *stars)
+    # The other face of a thin wall is not round the corner but behind: see find_unseen_backs.
+    is_open &= ~inside_any(at - END_GAP * along + THIN_WALL * behind, *stars)
     points, along, at = points[is_open], along[is_open], at[is_open]
     is_open = _unexplained(at + 1e-3 * along, points, segments)
     return points[is_open], along[is_open]

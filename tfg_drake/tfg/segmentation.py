@@ -13,9 +13,13 @@ from tfg_drake.tfg.panorama import Panorama
 # Smallest angle between a ray and a surface at which neighbouring points are still joined (Borges and Aldon's
 # lambda), rad.
 JOIN_INCIDENCE = np.deg2rad(10.0)
-# The same where the two points lie on one straight line with their neighbours, rad, and then at most this far, m.
+# ... and at most this far, m: the robot does not fit through.
+JOIN_REACH = 0.3
+# The same where the two points lie on one straight line with their neighbours, rad and m. At grazing incidence these
+# are about as far apart as the two: at least this share of their gap.
 STRAIGHT_INCIDENCE = np.deg2rad(3.0)
 STRAIGHT_REACH = 0.8
+STRAIGHT_SHARE = 0.4
 # How far a point may lie off the straight line, m.
 CORNER_TOLERANCE = 0.03
 # Components of fewer points are noise or too small to say anything about their direction.
@@ -61,17 +65,23 @@ def find_links(points: FloatArray, ranges: FloatArray, angles: FloatArray, sigma
         step = (angles[j] - angles[i]) % (2.0 * np.pi)
         gap = np.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
         near = min(ranges[i], ranges[j])
-        if gap <= 3.0 * sigma + near * np.sin(step) / np.sin(JOIN_INCIDENCE - min(step, 0.5 * JOIN_INCIDENCE)):
+        join = 3.0 * sigma + near * np.sin(step) / np.sin(JOIN_INCIDENCE - min(step, 0.5 * JOIN_INCIDENCE))
+        if gap <= min(join, JOIN_REACH):
             links[i] = True
             continue
         # At grazing incidence the points of one wall lie far apart, but on one line.
         before, after = (i - 1) % n, (j + 1) % n
         if gap > STRAIGHT_REACH or not (np.isfinite(ranges[before]) and np.isfinite(ranges[after])):
             continue
-        if gap <= near * np.sin(step) / np.sin(STRAIGHT_INCIDENCE - min(step, 0.5 * STRAIGHT_INCIDENCE)):
-            links[i] = (
-                _off_line(points, before, after, i) <= tolerance and _off_line(points, before, after, j) <= tolerance
-            )
+        if gap > near * np.sin(step) / np.sin(STRAIGHT_INCIDENCE - min(step, 0.5 * STRAIGHT_INCIDENCE)):
+            continue
+        least = STRAIGHT_SHARE * gap
+        links[i] = (
+            np.hypot(points[i, 0] - points[before, 0], points[i, 1] - points[before, 1]) >= least
+            and np.hypot(points[after, 0] - points[j, 0], points[after, 1] - points[j, 1]) >= least
+            and _off_line(points, before, after, i) <= tolerance
+            and _off_line(points, before, after, j) <= tolerance
+        )
     return links
 
 

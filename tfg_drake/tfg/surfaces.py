@@ -37,6 +37,8 @@ LEAST_LENGTH = 0.04
 OVERLAP = 0.06
 # A wall end or loose surface this far inside what a turn saw to be free was an error or is gone, m.
 REFUTED_DEPTH = 0.15
+# An edge falls only where that much of it was, m.
+REFUTED_LENGTH = 0.15
 # Neighbouring bins that must agree to that.
 REFUTED_BINS = 2
 # Greatest angle between the line of sight and its normal, rad.
@@ -135,6 +137,7 @@ def add_observation(
     edges, pieces = _from_components(components, tags, goal)
 
     old = _unpack(surfaces, transform(X_AM, place(surfaces, estimate)))
+    old = _break_refuted(old, panorama)
     all_edges = {(min(s.first, s.second), max(s.first, s.second)): s for s in old if s.kind == EDGE}
     new_tag = ~np.isin(tags.ids, known_ids)
     _split_edges(all_edges, tags, new_tag)
@@ -263,6 +266,22 @@ def _split_edges(edges: dict[tuple[int, int], _Surface], tags: _SeenTags, new_ta
             polyline[0], polyline[-1] = places[i], places[i + 1]
             if _detour(polyline) <= LONGEST_DETOUR:
                 edges[key] = old._replace(first=ids[i], second=ids[i + 1], polyline=polyline)
+
+
+def _break_refuted(surfaces: Sequence[_Surface], panorama: Panorama) -> list[_Surface]:
+    """The surfaces, edges that the panorama saw past cut down to the wall ends that remain."""
+    edges = [s for s in surfaces if s.kind == EDGE]
+    points, normals, owner, start, stop = sample(*pack([s.polyline for s in edges]), SPACING)
+    refuted = _refuted(points, normals, panorama)
+    length = np.bincount(owner[refuted], (stop - start)[refuted], minlength=len(edges))
+    kept = [s for s, gone in zip(edges, length, strict=True) if gone < REFUTED_LENGTH]
+    for i in np.flatnonzero(length >= REFUTED_LENGTH):
+        edge, own = edges[i], owner == i
+        middle = 0.5 * float(stop[own][-1])
+        for a, b in uncovered_runs(refuted[own], start[own], stop[own], LEAST_LENGTH):
+            anchor = edge.first if a + b <= 2.0 * middle else edge.second
+            kept.append(edge._replace(kind=END, first=anchor, second=-1, polyline=cut(edge.polyline, a, b)))
+    return kept + [s for s in surfaces if s.kind != EDGE]
 
 
 def _trim(
