@@ -296,7 +296,7 @@ def extend(
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
     wide = has >= need
     free = was_free | was_travelled
-    ask = ~free & wide
+    ask = ~free & (has >= parameters.robot.radius)
     free[ask] = in_free_space(lines[ask], tfg)
     return RoadmapState(
         stage=estimate.stage,
