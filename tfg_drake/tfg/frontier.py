@@ -8,6 +8,9 @@ that saw them, so that they move with the map.
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
@@ -258,27 +261,15 @@ def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
 
 
 def _stretches(p: FloatArray, normal: FloatArray) -> list[IntArray]:
-    """Indices of points (n, 2) that hang together on one face, with normals (n, 2)."""
+    """Indices of points (n, 2) that hang together on one face, with normals (n, 2); the stretch of point 0 first."""
     if not len(p):
         return []
-    difference = p[:, None] - p[None]
-    close = np.hypot(difference[..., 0], difference[..., 1]) <= UNINSPECTED_GAP
-    close &= normal @ normal.T > 0.7
-    label = np.full(len(p), -1)
-    stretches = []
-    for seed in range(len(p)):
-        if label[seed] >= 0:
-            continue
-        label[seed] = seed
-        stack, members = [seed], []
-        while stack:
-            i = stack.pop()
-            members.append(i)
-            for j in np.flatnonzero(close[i] & (label < 0)).tolist():
-                label[j] = seed
-                stack.append(j)
-        stretches.append(np.sort(np.array(members)))
-    return stretches
+    a, b = cKDTree(p).query_pairs(UNINSPECTED_GAP, output_type="ndarray").T
+    same_face = np.sum(normal[a] * normal[b], axis=1) > 0.7
+    a, b = a[same_face], b[same_face]
+    count, label = connected_components(csr_matrix((np.ones(len(a)), (a, b)), shape=(len(p), len(p))), directed=False)
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
 
 
 def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
