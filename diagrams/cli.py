@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
 import sys
+import threading
 import time
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -19,6 +22,9 @@ if TYPE_CHECKING:
 EXIT_CODES = {"complete": 0, "budget": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
 # Wall time between two lines of progress where there is no terminal, s.
 LINE_INTERVAL = 10.0
+
+# Set by Ctrl-C.
+_interrupted = threading.Event()
 
 # What the parser raises for a command line it cannot read; typer has no name of its own for it.
 _UsageError: Any = typer.BadParameter.__base__
@@ -89,10 +95,14 @@ def explore(
                 max_time=max_time,
                 out_dir=out,
                 on_progress=show,
+                interrupted=_interrupted,
             )
         except OSError as error:
             _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
     _print_table(result.summary, result.folder)
+    if result.summary["outcome"] == "fault":
+        log = result.folder / "log.txt"
+        print(f"tfg-drake: {_one_line(result.summary['reason'])}; the traceback is in {log}", file=sys.stderr)
     if meshcat is not None and sys.stdin.isatty() and sys.stdout.isatty():
         _wait_for_enter()
     if as_json:
@@ -102,6 +112,9 @@ def explore(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
+    _interrupted.clear()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         code = app(arguments, prog_name="tfg-drake", standalone_mode=False)
     except BadInput as error:
@@ -112,14 +125,29 @@ def main(arguments: list[str] | None = None) -> None:
         command = error.ctx.command_path if error.ctx is not None else "tfg-drake"
         print(f"tfg-drake: {complaint[:1].lower()}{complaint[1:]}; see {command} --help", file=sys.stderr)
         code = 2
-    except (typer.Abort, KeyboardInterrupt):
-        print("tfg-drake: interrupted", file=sys.stderr)
-        code = 130
     except BrokenPipeError:
         # Whoever read our output has gone; nothing is left to say, at exit either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
+    except Exception as error:
+        # A mistake of ours outside the simulation, whose own end with outcome "fault".
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(last.filename).name}, line {last.lineno}"
+        print(f"tfg-drake: internal error: {type(error).__name__}: {_one_line(str(error))} ({place})", file=sys.stderr)
+        code = 3
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    """Ctrl-C is only noted, so that it may come at any time, during imports too; the mission ends when it sees that.
+
+    The second one leaves at once: an exception might be lost in a callback or end in a traceback.
+    """
+    if _interrupted.is_set():
+        os.write(2, b"\ntfg-drake: interrupted; nothing more is written\n")
+        os._exit(EXIT_CODES["interrupted"])
+    _interrupted.set()
+    os.write(2, b"\ntfg-drake: stopping; Ctrl-C again leaves at once\n")
 
 
 def _bad_input(message: str) -> NoReturn:
@@ -275,6 +303,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _wait_for_enter() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         input("The scene stays open; press Enter to close it. ")
     except (EOFError, KeyboardInterrupt):

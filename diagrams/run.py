@@ -86,6 +86,7 @@ def explore(
     max_time: float = 3600.0,
     out_dir: Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    interrupted: threading.Event | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 
@@ -97,9 +98,11 @@ def explore(
         max_time: simulated s after which the outcome is time_limit.
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
         on_progress: called about once a simulated second.
+        interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
 
     The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
-    the diagram ends it with outcome "fault"; its traceback goes to log.txt. Either way what there is gets written.
+    the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
+    there is gets written.
 
     Raises:
         OSError: the folder cannot be written.
@@ -110,9 +113,10 @@ def explore(
         write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, seed %d", __version__, name, scenario.seed)
         mission = Mission(scenario, meshcat, f"{name}, seed {scenario.seed}")
-        with _interrupts() as interrupted, (folder / "stages.jsonl").open("w") as stages_file:
-            mission.run(realtime_rate, max_time, interrupted, stages_file.write, on_progress)
-        summary = write_report(mission, scenario, folder, name, world_name or name)
+        with contextlib.nullcontext(interrupted) if interrupted is not None else _interrupts() as stop:
+            with (folder / "stages.jsonl").open("w", buffering=1) as stages_file:
+                mission.run(realtime_rate, max_time, stop, stages_file.write, on_progress)
+            summary = write_report(mission, scenario, folder, name, world_name or name)
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder)
 
@@ -123,13 +127,8 @@ class Mission:
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None, title: str) -> None:
         self._cpu_start, self._meters_start = time.process_time(), cpu_totals()
         self.world: World = MakeWorld(scenario.world)
-        self._prior_sigma = scenario.explorer.prior_sigma
-        self._diagram, self._truth_log, self._pose_log = MakeMissionDiagram(scenario, self.world, meshcat, title)
-        self._simulator = Simulator(self._diagram)
-        self._context: Context = self._simulator.get_mutable_context()
-        self._diagram.SetRandomContext(self._context, RandomGenerator(scenario.seed))
-        self._station = self._diagram.GetSubsystemByName("station")
-        self._explorer = self._diagram.GetSubsystemByName("explorer")
+        self._scenario, self._meshcat, self._title = scenario, meshcat, title
+        self._context: Context | None = None  # until the diagram is built
 
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
         self.pose: PoseEstimate | None = None
@@ -154,6 +153,7 @@ class Mission:
         """Simulate until the mission ends, for a reason."""
         wall_start = time.monotonic()
         try:
+            self._build()
             self._simulator.set_target_realtime_rate(realtime_rate)
             self._simulator.Initialize()
             self._observe(write, on_progress is not None)
@@ -165,7 +165,7 @@ class Mission:
                     on_progress(self._progress(time.monotonic() - wall_start))
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             self.outcome = "fault"
-            first_line = next(iter(str(error).splitlines()), "")
+            first_line = next(iter(str(error).strip().splitlines()), "no message")
             self.reason = f"{type(error).__name__} at {self.time:.2f} s: {first_line}"
             _log.exception("the mission failed at %.3f s", self.time)
         self.wall_time = time.monotonic() - wall_start
@@ -175,7 +175,7 @@ class Mission:
     @property
     def time(self) -> float:
         """Simulated time, s."""
-        return float(self._context.get_time())
+        return float(self._context.get_time()) if self._context is not None else 0.0
 
     @property
     def end_time(self) -> float:
@@ -184,6 +184,8 @@ class Mission:
 
     def true_poses(self) -> tuple[FloatArray, FloatArray]:
         """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, up to the end."""
+        if self._context is None:
+            return np.zeros(0), np.zeros((0, 3))
         log = self._truth_log.FindLog(self._context)
         stamps, data = log.sample_times(), log.data()
         lived = stamps <= self.end_time
@@ -191,11 +193,23 @@ class Mission:
 
     def estimated_poses(self) -> tuple[FloatArray, FloatArray]:
         """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period, to the end."""
+        if self._context is None:
+            return np.zeros(0), np.zeros((0, 3))
         data = self._pose_log.FindLog(self._context).data()
         stamps, first = np.unique(data[0], return_index=True)
         lived = stamps <= self.end_time
         stamps, X_MB = stamps[lived], data[1:, first[lived]].T
         return stamps, compose(self.world.start, X_MB) if len(X_MB) else X_MB
+
+    def _build(self) -> None:
+        diagram, self._truth_log, self._pose_log = MakeMissionDiagram(
+            self._scenario, self.world, self._meshcat, self._title
+        )
+        self._simulator = Simulator(diagram)
+        self._context = self._simulator.get_mutable_context()
+        diagram.SetRandomContext(self._context, RandomGenerator(self._scenario.seed))
+        self._station = diagram.GetSubsystemByName("station")
+        self._explorer = diagram.GetSubsystemByName("explorer")
 
     def _spent(self, names: tuple[str, ...]) -> float:
         """CPU seconds charged to some systems since the mission was made."""
@@ -247,7 +261,7 @@ class Mission:
         row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
         before = self.maps[-1] if self.maps else None
         known = len(before.ids) if before is not None else 0
-        prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self._prior_sigma**2)
+        prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self._scenario.explorer.prior_sigma**2)
         X_WA = compose(self.world.start, estimate.X_MA[-1])
         return {
             "stage": estimate.stage,
@@ -358,7 +372,7 @@ def _logging_to(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _interrupts() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C sets; the second one is a KeyboardInterrupt as usual."""
+    """An event that the first Ctrl-C sets; later ones are KeyboardInterrupts as usual."""
     event = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield event

@@ -19,8 +19,12 @@ world:
 
 def call(capsys, *arguments):
     """Exit code, standard output, standard error."""
-    with pytest.raises(SystemExit) as caught:
-        cli.main(list(arguments))
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        with pytest.raises(SystemExit) as caught:
+            cli.main(list(arguments))
+    finally:
+        signal.signal(signal.SIGINT, handler)
     return (caught.value.code, *capsys.readouterr())
 
 
@@ -109,18 +113,91 @@ def test_exit_codes(outcome, code):
     assert cli.EXIT_CODES[outcome] == code
 
 
-def test_ctrl_c_ends_with_130_and_a_summary(room, tmp_path):
-    command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", room, "--tag-spacing", "1", "--headless"]
-    command += ["--json", "--realtime-rate", "1", "--out", str(tmp_path / "run")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    stages = tmp_path / "run" / "stages.jsonl"
-    while not stages.exists():  # made as the simulation begins
+STOPPING = "\ntfg-drake: stopping; Ctrl-C again leaves at once\n"
+# A process that takes an instant of its own to be interrupted at, by what it is about to import or has written.
+INTERRUPTED = """
+import os, pathlib, signal, sys
+from tfg_drake.diagrams import cli
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+cli.main(sys.argv[2:])
+"""
+
+
+def start(program, *arguments):
+    return subprocess.Popen(
+        [sys.executable, *program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_for(process, path):
+    while not path.exists():
         assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("module", ["yaml", "pydrake.systems.framework", "numba", "tfg_drake.diagrams.station"])
+def test_ctrl_c_before_the_mission_begins_leaves_a_summary(room, tmp_path, module):
+    arguments = ["explore", room, "--headless", "--json", "--out", str(tmp_path / "run")]
+    out, err = (process := start(["-c", INTERRUPTED], module, *arguments)).communicate(timeout=120)
+    assert (process.returncode, err) == (130, STOPPING)
+    summary = json.loads(out.splitlines()[-1])
+    assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted at 0 s")
+
+
+def test_ctrl_c_while_driving_leaves_map_and_summary(tmp_path):
+    arguments = ["explore", "house", "--headless", "--json", "--realtime-rate", "8", "--out", str(tmp_path / "run")]
+    process = start(["-m", "tfg_drake.diagrams.cli"], *arguments)
+    stages = tmp_path / "run" / "stages.jsonl"
+    wait_for(process, stages)
+    while not stages.read_text():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (130, "")
-    assert json.loads(out.splitlines()[-1])["outcome"] == "interrupted"
+    assert (process.returncode, err) == (130, STOPPING)
+    summary = json.loads(out.splitlines()[-1])
+    assert summary["outcome"] == "interrupted"
+    assert summary["stages"] >= 1
+    assert summary["map_bytes"] == (tmp_path / "run" / "map.npz").stat().st_size
+
+
+def test_a_second_ctrl_c_leaves_at_once(room, tmp_path):
+    process = start(["-m", "tfg_drake.diagrams.cli"], "explore", room, "--headless", "--out", str(tmp_path / "run"))
+    wait_for(process, tmp_path / "run")
+    process.send_signal(signal.SIGINT)
+    assert process.stderr.readline() + process.stderr.readline() == STOPPING
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out.count("Traceback")) == (130, 0)
+    assert err == "\ntfg-drake: interrupted; nothing more is written\n"
+
+
+def test_a_fault_ends_with_one_line_and_exit_code_3(capsys, monkeypatch, room, tmp_path):
+    def fail(_scenario):
+        raise ValueError("no way\nmore")
+
+    monkeypatch.setattr("tfg_drake.diagrams.run.MakeTfgExplorer", fail)
+    code, out, err = call(capsys, "explore", room, "--headless", "--out", str(tmp_path))
+    assert (code, out.splitlines()[0]) == (3, "outcome     fault: ValueError at 0.00 s: no way")
+    assert err == f"tfg-drake: ValueError at 0.00 s: no way; the traceback is in {tmp_path}/log.txt\n"
+
+
+def test_a_mistake_outside_the_simulation_is_one_line_too(capsys, monkeypatch, room, tmp_path):
+    def fail(*_arguments):
+        raise ValueError("no way\nmore")
+
+    monkeypatch.setattr("tfg_drake.diagrams.run.write_report", fail)
+    code, _, err = call(capsys, "explore", room, "--headless", "--max-time", "1", "--out", str(tmp_path))
+    assert code == 3
+    assert err.startswith("tfg-drake: internal error: ValueError: no way more (test_cli.py, line ")
+    assert err.count("\n") == 1
 
 
 def test_the_progress_line():

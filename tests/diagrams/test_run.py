@@ -103,10 +103,10 @@ def test_the_same_seed_gives_the_same_run(finished, tmp_path):
 
 def test_the_time_limit_ends_a_mission(tmp_path):
     seen = []
-    result = run.explore(room(), max_time=8.5, out_dir=tmp_path, on_progress=seen.append)
-    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 8.5)
-    assert result.summary["reason"] == "the time limit of 8.5 s was reached"
-    assert [progress.time for progress in seen] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 8.5]
+    result = run.explore(room(), max_time=12.5, out_dir=tmp_path, on_progress=seen.append)
+    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 12.5)
+    assert result.summary["reason"] == "the time limit of 12.5 s was reached"
+    assert [progress.time for progress in seen] == [*np.arange(1.0, 13.0), 12.5]
     assert seen[-1].landmarks == result.summary["landmarks_mapped"] > 0
     assert 10.0 < seen[-1].area < 24.1
 
@@ -122,12 +122,12 @@ def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
 
 def test_ctrl_c_leaves_a_usable_result(tmp_path):
     def interrupt(progress):
-        if progress.time == 8.0:
+        if progress.time == 12.0:
             os.kill(os.getpid(), signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
     result = run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
-    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 8 s")
+    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 12 s")
     assert load_map(tmp_path / "map.npz").stage == 1
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -145,17 +145,37 @@ def test_a_second_ctrl_c_aborts(tmp_path):
 def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, monkeypatch, error):
     class Failing(run.PoseVector):
         def _CalcVector(self, context, output):
-            if context.get_time() > 7.5:
+            if context.get_time() > 12.0:
                 raise error
             super()._CalcVector(context, output)
 
     monkeypatch.setattr(run, "PoseVector", Failing)
     summary = run.explore(room(), out_dir=tmp_path).summary
     assert summary["outcome"] == "fault"
-    assert summary["reason"] == f"{type(error).__name__} at 7.53 s: no way"
+    assert summary["reason"] == f"{type(error).__name__} at 12.03 s: no way"
     assert summary["stages"] == 1
     assert list(summary) == FIELDS
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
+
+
+def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path, monkeypatch):
+    def fail(_scenario):
+        raise ValueError("\nno way\nmore")
+
+    monkeypatch.setattr(run, "MakeTfgExplorer", fail)
+    summary = run.explore(room(), out_dir=tmp_path).summary
+    assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
+    assert list(summary) == FIELDS
+    names = "figure.png log.txt scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
+    assert sorted(path.name for path in tmp_path.iterdir()) == names.split()
+    assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
+
+
+def test_a_caller_may_end_a_mission(tmp_path):
+    stop = threading.Event()
+    stop.set()
+    summary = run.explore(room(), out_dir=tmp_path, interrupted=stop).summary
+    assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted at 0 s")
 
 
 def test_default_folders_do_not_collide(tmp_path, monkeypatch):
