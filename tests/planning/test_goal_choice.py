@@ -6,14 +6,14 @@ from tfg_drake.planning.goal_choice import decide, thin_candidates
 from tfg_drake.planning.information_gain import Gains
 
 
-def verdict(gain, value, sees, frontier=0.0, barred=0.0, stop_gain=20.0):
+def verdict(gain, value, sees, frontier=0.0, barred=0.0, given_up=0.0, stop_gain=20.0):
     gain = np.asarray(gain, dtype=float)
     n = len(gain)
     gains = Gains(exploitation=gain, exploration=np.zeros(n), pose_price=np.zeros(n))
     points = np.stack([np.arange(n), np.zeros(n)], axis=1).astype(float)
     candidates = 10 + np.arange(n)
     value, sees = np.asarray(value, dtype=float), np.asarray(sees, dtype=bool)
-    return decide(5, candidates, points, gains, value, sees, barred, frontier, stop_gain)
+    return decide(5, candidates, points, gains, value, sees, barred, given_up, frontier, stop_gain)
 
 
 def test_the_best_gain_per_time_wins_and_the_first_of_equals():
@@ -39,6 +39,11 @@ def test_a_frontier_behind_a_passage_too_narrow_for_the_uncertainty_is_stuck():
     stuck = verdict([5], [1], [0], frontier=3.25, barred=1.25)
     assert stuck.verdict == "stuck"
     assert stuck.reason == "1.2 m of frontier lie behind passages too narrow for the uncertainty of the map."
+
+
+def test_an_open_frontier_that_was_given_up_is_stuck():
+    stuck = verdict([5], [1], [0], given_up=0.8)
+    assert (stuck.verdict, stuck.reason) == ("stuck", "0.8 m of open frontier were tried again and again in vain.")
 
 
 def test_a_frontier_where_the_robot_does_not_fit_is_named_and_closed():

@@ -88,7 +88,8 @@ def choose(
     barred_frontiers = np.unique(expected_frontiers(barred, tfg, sensor).index)
     return decide(
         estimate.stage, candidates, points, gains, value, frontiers.count > 0,
-        float(tfg.frontier_length[barred_frontiers].sum()), float(tfg.frontier_length.sum()), explorer.stop_gain,
+        float(tfg.frontier_length[barred_frontiers].sum()), tfg.given_up_length, float(tfg.frontier_length.sum()),
+        explorer.stop_gain,
     )  # fmt: skip
 
 
@@ -100,12 +101,14 @@ def decide(
     value: FloatArray,
     sees_frontier: BoolArray,
     barred_length: float,
+    given_up_length: float,
     frontier_length: float,
     stop_gain: float,
 ) -> GoalChoice:
     """The verdict on candidates (c,) at points (c, 2) with gains and value (c,); the first of equals wins.
 
     barred_length: m of live frontier that the robot could see from places it would fit into but may not try to reach.
+    given_up_length: m of open frontier that was tried too often.
     frontier_length: m of live frontier, seen or not: what remains when nothing else does is closed to this robot.
     """
     gain = gains.gain
@@ -119,6 +122,9 @@ def decide(
     elif barred_length > 0.0:
         verdict = "stuck"
         reason = f"{barred_length:.1f} m of frontier lie behind passages too narrow for the uncertainty of the map."
+    elif given_up_length > 0.0:
+        verdict = "stuck"
+        reason = f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
     else:
         verdict = "complete"
         but = f" but {frontier_length:.1f} m that the robot cannot get to," if frontier_length > 0.0 else ""

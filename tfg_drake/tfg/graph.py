@@ -226,6 +226,8 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, explorer: ExplorerConfig) ->
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     frontier = live_frontiers(graph, estimate, segments, explorer)
+    shadows = _open_shadows(graph, estimate, segments)
+    given_up = shadows.length[_given_up(graph, shadows, estimate, explorer)].sum()
     star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
     return TfgMap(
         stage=graph.stage,
@@ -239,6 +241,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, explorer: ExplorerConfig) ->
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         star_centers=star_centers,
+        given_up_length=float(given_up),
     )
 
 
@@ -267,13 +270,23 @@ def live_frontiers(
 
     Those that explorer.frontier_attempts goals have tried in vain are left out.
     """
-    shadows = place_points(graph.shadows, estimate.X_MA)
-    shadows = select(shadows, open_frontiers(shadows, segments))
+    shadows = _open_shadows(graph, estimate, segments)
     poorly_seen = join(graph.uninspected, graph.unseen_backs)
     points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
-    given_up = select(graph.tried, graph.tried_count >= FULL_LOOK * explorer.frontier_attempts)
-    return select(points, far_from(points.p, place_points(given_up, estimate.X_MA).p, TRIED_DISTANCE))
+    return select(points, ~_given_up(graph, points, estimate, explorer))
+
+
+def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
+    """Frontier points of free space, in the map frame, that no surface explains."""
+    shadows = place_points(graph.shadows, estimate.X_MA)
+    return select(shadows, open_frontiers(shadows, segments))
+
+
+def _given_up(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate, explorer: ExplorerConfig) -> BoolArray:
+    """Which points (f,), in the map frame, explorer.frontier_attempts goals have tried in vain."""
+    tried = select(graph.tried, graph.tried_count >= FULL_LOOK * explorer.frontier_attempts)
+    return ~far_from(points.p, place_points(tried, estimate.X_MA).p, TRIED_DISTANCE)
 
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
