@@ -207,7 +207,8 @@ def _start_meshcat() -> Any:
 
     from pydrake.geometry import Meshcat, MeshcatParams
 
-    logging.getLogger("drake").setLevel(logging.WARNING)  # its own line with the address
+    # Not its own line with the address, nor that a picture was replaced before the browser asked for it.
+    logging.getLogger("drake").setLevel(logging.ERROR)
     # Only this machine may look; the default would listen on every interface.
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     print(f"Meshcat: {meshcat.web_url()}", flush=True)

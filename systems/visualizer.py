@@ -37,8 +37,8 @@ T = TypeVar("T")
 
 # Pictures a simulated second.
 RATE = 8.0
-# Width over height of the window that the first view is made for.
-ASPECT = 1.6
+# Width over height of the narrowest window that shows the whole first view.
+ASPECT = 1.5
 
 WALL: Colour = (0.84, 0.85, 0.87)
 EDGE: Colour = (0.16, 0.18, 0.22)

@@ -1,0 +1,139 @@
+"""Worlds that leave little or nothing to do, and worlds that cannot be used: a clear end or one clear line."""
+
+import gzip
+import json
+import signal
+
+import pytest
+
+from tfg_drake.diagrams import cli
+
+BOX = "[[-0.5, -0.5, 0.5, -0.5], [0.5, -0.5, 0.5, 0.5], [0.5, 0.5, -0.5, 0.5], [-0.5, 0.5, -0.5, -0.5]]"
+ROOM = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]"
+
+
+@pytest.fixture
+def tool(capsys, tmp_path):
+    """Runs `tfg-drake explore` headless: exit code, standard output, standard error, the summary or None."""
+
+    def run(*arguments):
+        handler = signal.getsignal(signal.SIGINT)
+        try:
+            with pytest.raises(SystemExit) as caught:
+                cli.main(["explore", *map(str, arguments), "--headless", "--out", str(tmp_path / "run")])
+        finally:
+            signal.signal(signal.SIGINT, handler)
+        summary = tmp_path / "run" / "summary.json"
+        return caught.value.code, *capsys.readouterr(), json.loads(summary.read_text()) if summary.exists() else None
+
+    return run
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    """Writes a scenario and says where it is."""
+
+    def write(world, rest=""):
+        path = tmp_path / "odd.yaml"
+        path.write_text(f"seed: 1\n{rest}\nworld: {{{world}}}\n")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("spacing", [None, 0.5])
+def test_a_robot_boxed_in_says_so(tool, scenario, spacing):
+    tags = ["--tag-spacing", spacing] if spacing else []
+    code, out, err, summary = tool(scenario(f"start: [0, 0, 0], walls: {BOX}"), *tags)
+    assert (code, err, summary["outcome"]) == (1, "", "stuck")
+    assert summary["reason"] == "The robot cannot reach any other place."
+    assert summary["landmarks_mapped"] == summary["landmarks_reachable"] == (8 if spacing else 0)
+    assert summary["contacts"] == 0
+    assert "outcome     stuck: The robot cannot reach any other place." in out
+
+
+def test_walls_without_tags_are_a_map_too(tool, scenario):
+    code, _, err, summary = tool(scenario(f"start: [2, 1.5, 0.3], walls: {ROOM}"))
+    assert (code, err, summary["outcome"]) == (0, "", "complete")
+    assert summary["landmarks_mapped"] == summary["landmarks_present"] == 0
+    assert summary["landmark_rmse_m"] is summary["landmark_anees"] is None
+    assert summary["surface_coverage"] > 0.99
+
+
+def test_where_there_is_nothing_the_time_limit_ends_the_mission(tool, scenario):
+    code, _, err, summary = tool(scenario("start: [0, 0, 0], walls: []"), "--max-time", 60)
+    assert (code, err, summary["outcome"]) == (0, "", "time_limit")
+    assert summary["stages"] > 2
+    assert summary["surface_coverage"] is summary["min_clearance_m"] is None
+
+
+@pytest.mark.parametrize(
+    ("world", "rest", "complaint"),
+    [
+        (f"start: [0, 0.1, 0], walls: {ROOM}", "", "world.start: (0, 0.1) is inside a wall: "),
+        (f"start: [2, 2, 0], walls: {ROOM}, doors: []", "", "world.doors: unknown key; "),
+        (f"start: [2, 2, 0], walls: {ROOM}", "robot: {radius: wide}", "robot.radius: expected a number, found text"),
+        (f"start: [2, 2, 0], walls: {ROOM}", "robot: {radius: [0.2]}", "robot.radius: expected a number, found a list"),
+        (f"start: [2, 2, 0], walls: {ROOM}", "robot: {radius: .nan}", "robot.radius: must be finite, is nan"),
+        (f"start: [2, .nan, 0], walls: {ROOM}", "", "world.start[1]: must be finite, is nan"),
+        (f"start: [2, 2], walls: {ROOM}", "", "world.start: expected 3 numbers "),
+        ("start: [2, 2, 0], walls: [[0, 0, 6, 0], [1, 1, 1, 1]]", "", "world.walls[1]: "),
+        (
+            f"start: [2, 2, 0], walls: {ROOM}, tags: [{{id: 4, position: [1, 0.01], facing: 1.57}},"
+            " {id: 4, position: [2, 0.01], facing: 1.57}]",
+            "",
+            "world.tags[1]",
+        ),
+        ("start: [2, 2, 0], walls: [[0, 0", "", "line "),
+    ],
+)
+def test_a_malformed_scenario_is_one_line(tool, scenario, world, rest, complaint):
+    path = scenario(world, rest)
+    code, out, err, summary = tool(path)
+    assert (code, out, summary) == (2, "", None)
+    assert err.startswith(f"tfg-drake: {path}: {complaint}")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"P5\n4 4\n255\n123", b"P5\nfour 4\n255\n", b"nonsense", gzip.compress(b"P5\n4 4\n255\n")[:-9]]
+)
+@pytest.mark.parametrize("name", ["map.pgm", "map.pgm.gz", "map.png"])
+def test_a_broken_image_is_one_line(tool, tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    world = tmp_path / "map.yaml"
+    world.write_text(f"image: {name}\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    code, out, err, summary = tool("--world", world)
+    assert (code, out, summary) == (2, "", None)
+    assert err.startswith("tfg-drake: ")
+    assert name in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["nowhere.yaml", "nowhere.vectormap.txt", "nowhere.pgm"])
+def test_a_missing_file_is_one_line(tool, tmp_path, name):
+    for arguments in ([tmp_path / name], ["--world", tmp_path / name]):
+        code, out, err, summary = tool(*arguments)
+        assert (code, out, summary) == (2, "", None)
+        assert str(tmp_path / name) in err
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ("explorer.stop_gian=1", "explorer.stop_gian: unknown key; did you mean stop_gain?"),
+        ("explorer.stop_gain=much", "expected a number, found text ('much')"),
+        ("explorer.gain=best", "explorer.gain"),
+        ("robot.max_speed=-1", "robot.max_speed: must be greater than 0, is -1"),
+        ("tags.range=nan", "tags.range: must be finite, is nan"),
+        ("explorer=5", "explorer"),
+        ("=5", "expected KEY=VALUE"),
+    ],
+)
+def test_a_wrong_setting_is_one_line(tool, setting, complaint):
+    code, out, err, summary = tool("house", "--set", setting)
+    assert (code, out, summary) == (2, "", None)
+    assert err.startswith(f"tfg-drake: --set {setting}: ")
+    assert complaint in err
+    assert err.count("\n") == 1

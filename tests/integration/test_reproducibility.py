@@ -1,0 +1,69 @@
+"""One seed is one run: in another process, and from a copy of the context."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import InitializeParams, Simulator
+
+from tfg_drake.diagrams.run import MakeMissionDiagram
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario, MakeWorld
+
+ROOM = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
+"""
+# What a machine's speed and load may change.
+MACHINE = ("wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s")
+MACHINE += ("peak_rss_bytes", "stage_ms")
+
+
+def test_two_processes_give_the_same_run(tmp_path):
+    (tmp_path / "room.yaml").write_text(ROOM)
+    for name, hash_seed in (("one", "1"), ("two", "2")):
+        command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", str(tmp_path / "room.yaml")]
+        command += ["--tag-spacing", "1", "--headless", "--out", str(tmp_path / name)]
+        subprocess.run(command, check=True, capture_output=True, env=os.environ | {"PYTHONHASHSEED": hash_seed})
+    one, two = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("one", "two"))
+    assert one["outcome"] == "complete"
+    assert {k: v for k, v in one.items() if k not in MACHINE} == {k: v for k, v in two.items() if k not in MACHINE}
+    for name in ("stages.jsonl", "map.npz", "trajectory.tum", "truth.tum", "scenario.yaml"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+
+
+# In the first turn, and later; at no instant of an event, since a new Simulator publishes what is due at its beginning.
+@pytest.mark.parametrize("time", [4.7, 14.3])
+def test_a_copy_of_the_context_goes_on_as_the_original_does(time):
+    scenario = ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
+    diagram, truth_log, pose_log = MakeMissionDiagram(scenario, MakeWorld(scenario.world), None, "")
+    original = Simulator(diagram)
+    diagram.SetRandomContext(original.get_mutable_context(), RandomGenerator(scenario.seed))
+    original.Initialize()
+    original.AdvanceTo(time)
+
+    copy = Simulator(diagram, original.get_context().Clone())
+    # Initialisation belongs to a mission's beginning: the copy is past it.
+    copy.Initialize(InitializeParams(suppress_initialization_events=True))
+    for simulator in (original, copy):  # Each to its end, in turn: they must share nothing.
+        simulator.AdvanceTo(200.0)
+        assert simulator.get_context().get_time() < 200.0
+
+    explorer = diagram.GetSubsystemByName("explorer")
+    ends = [explorer.GetMyContextFromRoot(simulator.get_context()) for simulator in (original, copy)]
+    one, two = (explorer.GetOutputPort("mission").Eval(end) for end in ends)
+    assert one.outcome == "complete"
+    assert dataclasses.asdict(one) == dataclasses.asdict(two)
+    one, two = (explorer.GetOutputPort("map").Eval(end) for end in ends)
+    np.testing.assert_array_equal(one.p_ML, two.p_ML)
+    np.testing.assert_array_equal(one.covariance, two.covariance)
+    for log in (truth_log, pose_log):
+        one, two = (log.FindLog(simulator.get_context()) for simulator in (original, copy))
+        np.testing.assert_array_equal(one.sample_times(), two.sample_times())
+        np.testing.assert_array_equal(one.data(), two.data())
