@@ -186,7 +186,9 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
         source = f"--set {setting}"
         if not equals or not key or not text.strip():
             raise ScenarioError(f"{source}: expected KEY=VALUE, such as explorer.stop_gain=5")
-        owner, schema, names = result, Scenario, key.split(".")
+        owner: typing.Any = result
+        schema: typing.Any = Scenario
+        names = key.split(".")
         for depth, name in enumerate(names):
             keys = _Keys(schema) if dataclasses.is_dataclass(schema) else []
             if name not in keys:

@@ -23,8 +23,8 @@ PATIENCE = 3.0
 
 # The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
 # began, s, how far it has turned and the last heading, rad; the path's id, the progress on it, m, and whether the robot
-# turns in place on it; whether it is finished; whether the robot is at rest, since when the command is zero, s, and when
-# the robot last did as it was told, s.
+# turns in place on it; whether it is finished; whether the robot is at rest, since when the command is zero, s, and
+# when the robot last did as it was told, s.
 (
     SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, PATH, PROGRESS, TURNING, FINISHED, REST, ZERO_SINCE, OBEYED,
 ) = range(13)  # fmt: skip

@@ -65,7 +65,7 @@ def _whitened(dx: float, dy: float, noise: FloatArray) -> FloatArray:
 @njit(cache=True)
 def _share_seen(dx: float, dy: float, reach: FloatArray) -> float:
     """How much of what a frontier point stands for is seen from (dx, dy) away: the depth of view left behind it."""
-    return min(1.0, max(0.0, (reach[0] - math.sqrt(dx * dx + dy * dy)) / reach[1]))
+    return float(min(1.0, max(0.0, (reach[0] - math.sqrt(dx * dx + dy * dy)) / reach[1])))
 
 
 @njit(cache=True)
