@@ -317,12 +317,7 @@ def MakeMissionDiagram(
     truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
 
     if meshcat is not None:
-        visualizer = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, title)
-        builder.AddNamedSystem("visualizer", visualizer)
-        for name in ("pose", "map", "tfg", "roadmap", "goal", "path", "mission"):
-            builder.Connect(explorer.GetOutputPort(name), visualizer.GetInputPort(name))
-        builder.Connect(station.GetOutputPort("scan.ranges"), visualizer.GetInputPort("scan"))
-        builder.Connect(station.GetOutputPort("truth.pose"), visualizer.GetInputPort("truth"))
+        TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius, title)
 
     diagram = builder.Build()
     diagram.set_name("mission")

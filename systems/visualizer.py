@@ -10,7 +10,7 @@ from pydrake.common import MemoryFile
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
 from tfg_drake.caption import HEIGHT as CAPTION_HEIGHT
 from tfg_drake.caption import WIDTH as CAPTION_WIDTH
@@ -136,6 +136,25 @@ class TfgVisualizer(LeafSystem):
         self._ShowWalls(world)
         self._ShowRobots()
         self._ShowCamera()
+
+    @staticmethod
+    def AddToBuilder(
+        builder: DiagramBuilder,
+        station: System,
+        explorer: System,
+        meshcat: Meshcat,
+        world: World,
+        radius: float,
+        title: str = "mission",
+    ) -> TfgVisualizer:
+        """Adds a visualizer of a simulated mission, connected to its station and explorer by port name."""
+        visualizer = TfgVisualizer(meshcat, world, world.start, radius, title)
+        builder.AddNamedSystem("visualizer", visualizer)
+        for name in (*_SLOW_INPUTS, "pose", "mission"):
+            builder.Connect(explorer.GetOutputPort(name), visualizer.GetInputPort(name))
+        builder.Connect(station.GetOutputPort("scan.ranges"), visualizer.GetInputPort("scan"))
+        builder.Connect(station.GetOutputPort("truth.pose"), visualizer.GetInputPort("truth"))
+        return visualizer
 
     # Events
 

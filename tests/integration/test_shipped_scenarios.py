@@ -1,0 +1,25 @@
+"""Every shipped scenario runs: the house to its end, the large ones for a minute."""
+
+import pytest
+
+from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.scenario import LoadScenario
+
+
+def test_the_house_is_explored_to_its_end(tmp_path):
+    summary = explore(LoadScenario("house"), name="house", out_dir=tmp_path).summary
+    assert summary["outcome"] == "complete"
+    assert summary["landmarks_mapped"] >= 0.95 * summary["landmarks_reachable"]
+    assert summary["contacts"] == 0
+    assert summary["position_error_m"]["mean"] < 0.05
+    assert summary["landmark_rmse_m"] < 0.06
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_white", "corridor", "office"])
+def test_a_minute_of_a_large_world(tmp_path, name):
+    summary = explore(LoadScenario(name), name=name, out_dir=tmp_path, max_time=60.0).summary
+    assert (summary["outcome"], summary["sim_time_s"]) == ("time_limit", 60.0)
+    assert summary["stages"] > 1
+    assert summary["landmarks_mapped"] > 15
+    assert summary["contacts"] == 0
+    assert summary["position_error_m"]["max"] < 0.2
