@@ -66,13 +66,18 @@ def brute_force(x, P, considered, increment, dt, detections, rows):
     return x + K @ nu, joseph @ P @ joseph.T + K @ noise @ K.T
 
 
+def look(localizer, frame):
+    """One frame without motion."""
+    return step_localizer(localizer, MODEL, np.zeros(3), 0.0, frame)
+
+
 def test_equals_the_joint_gaussian_with_zero_gain_for_the_map():
     estimate, points, X_MB = make_map(6, 1)
     rng = np.random.default_rng(5)
     localizer = start_localizer(MODEL, estimate)
     extra = np.array([[2.0, 3.0], [-1.0, 4.0]])
     first = sight([40, 41], extra, X_MB, 0.0, rng)
-    localizer = pose_filter.update(localizer, first)
+    localizer = look(localizer, first)
     # The joint order here: pose, calibration, two local tags, map.
     core = len(localizer.mean)
     x = np.concatenate([localizer.mean, estimate.p_ML.ravel()])
@@ -93,7 +98,7 @@ def test_equals_the_joint_gaussian_with_zero_gain_for_the_map():
 
 def test_a_tag_joins_with_its_full_covariance():
     estimate, _, X_MB = make_map(3, 2)
-    localizer = pose_filter.update(start_localizer(MODEL, estimate), sight([9], np.array([[3.0, 1.0]]), X_MB, 0.0))
+    localizer = look(start_localizer(MODEL, estimate), sight([9], np.array([[3.0, 1.0]]), X_MB, 0.0))
 
     def place(pose, r, b):
         return pose[:2] + r * np.array([np.cos(pose[2] + b), np.sin(pose[2] + b)])
@@ -120,8 +125,8 @@ def test_a_gross_error_is_ignored():
     distance = frame.range.copy()
     distance[2] += 3.0
     others = np.array([0, 1, 3, 4])
-    spoilt = pose_filter.update(localizer, dataclasses.replace(frame, range=distance))
-    clean = pose_filter.update(localizer, sight(others, points[others], X_MB, 0.0))
+    spoilt = look(localizer, dataclasses.replace(frame, range=distance))
+    clean = look(localizer, sight(others, points[others], X_MB, 0.0))
     np.testing.assert_allclose(spoilt.mean, clean.mean, atol=1e-12)
     np.testing.assert_allclose(spoilt.covariance, clean.covariance, atol=1e-14)
 

@@ -112,10 +112,11 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
     if odometry.stamp <= state.newest.stamp:
         return state
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
-    state = _process_pending(dataclasses.replace(state, newest=odometry, odometry=(*state.odometry, reckoning)))
+    state = dataclasses.replace(state, newest=odometry, odometry=(*state.odometry, reckoning))
+    state = _process_pending(state)
     before = state.odometry[-2].stamp
     if before - state.stamp > LONGEST_STEP:
-        state = _step(state, no_detections(before))
+        state = _step(state, no_detections(before), state.pending)
     return state
 
 
@@ -184,15 +185,18 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         if stamp > state.stamp:
             increment = arc(state.X_OB, newest.X_OB)
             X_MB, covariance = pose_filter.predict_pose(localizer, state.model, increment, newest.clock - state.clock)
-    new = _absent(localizer.local_ids, state.graph.ids)
+    new_ids, p_MU = localizer.local_ids, localizer.mean[pose_filter.CORE :].reshape(-1, 2)
+    if len(new_ids) > 0:
+        new = _absent(new_ids, state.graph.ids)
+        new_ids, p_MU = new_ids[new], p_MU[new]
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,
         covariance=covariance,
         speed=speed,
         stage=len(state.graph.observations),
-        new_ids=localizer.local_ids[new],
-        p_MU=localizer.mean[pose_filter.CORE :].reshape(-1, 2)[new],
+        new_ids=new_ids,
+        p_MU=p_MU,
     )
 
 
@@ -212,22 +216,23 @@ def _absent(ids: IntArray, known: IntArray) -> BoolArray:
 def _process_pending(state: EstimatorState) -> EstimatorState:
     """The state after all waiting frames that odometry has passed."""
     while state.pending and state.odometry and state.pending[0].stamp < state.odometry[-1].stamp:
-        frame = state.pending[0]
-        state = dataclasses.replace(state, pending=state.pending[1:])
+        frame, pending = state.pending[0], state.pending[1:]
         if frame.stamp >= state.stamp:
-            state = _step(state, frame)
+            state = _step(state, frame, pending)
+        else:
+            state = dataclasses.replace(state, pending=pending)
     return state
 
 
 def _step_to(state: EstimatorState, stamp: float) -> EstimatorState:
     stamp = min(max(stamp, state.stamp), state.odometry[-1].stamp)
-    return _step(state, no_detections(stamp)) if stamp > state.stamp else state
+    return _step(state, no_detections(stamp), state.pending) if stamp > state.stamp else state
 
 
-def _step(state: EstimatorState, frame: TagDetections) -> EstimatorState:
+def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetections, ...]) -> EstimatorState:
     """Both filters, or the open turn and the localiser, brought to a frame's stamp and given the frame.
 
-    The stamp lies within the odometry at hand.
+    The stamp lies within the odometry at hand; `pending` are the frames that wait after it.
     """
     stamp = frame.stamp
     after = next(i for i, odometry in enumerate(state.odometry) if odometry.stamp >= stamp)
@@ -243,6 +248,7 @@ def _step(state: EstimatorState, frame: TagDetections) -> EstimatorState:
     return dataclasses.replace(
         state,
         odometry=state.odometry[before:],
+        pending=pending,
         stamp=stamp,
         clock=clock,
         X_OB=X_OB,

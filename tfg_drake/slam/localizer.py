@@ -42,7 +42,9 @@ def step_localizer(
     localizer: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
 ) -> PoseFilter:
     """The localiser after an odometry increment (3,) over dt seconds and the frame at its end."""
-    localizer = pose_filter.update(pose_filter.predict(localizer, model, increment, dt), detections)
+    localizer = pose_filter.step(localizer, model, increment, dt, detections)
+    if len(localizer.local_ids) <= MOST_LOCAL:
+        return localizer
     keep = np.ones(len(localizer.local_ids), dtype=bool)
     keep[np.argsort(-localizer.last_seen, kind="stable")[MOST_LOCAL:]] = False
     return pose_filter.keep_local(localizer, keep)

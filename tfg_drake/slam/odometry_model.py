@@ -46,13 +46,20 @@ def odometry_model(config: OdometryConfig) -> OdometryModel:
     )
 
 
+@njit(cache=True)
+def wrap(angle: float) -> float:
+    """The angle (rad) in [-pi, pi)."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True)
 def arc(X_OB0: FloatArray, X_OB1: FloatArray) -> FloatArray:
     """The increment (u, v, dtheta) between two poses: chord (m) seen from half the turn dtheta (rad).
 
     On the arc of a differential drive v is zero.
     """
-    dx, dy = float(X_OB1[0] - X_OB0[0]), float(X_OB1[1] - X_OB0[1])
-    dtheta = math.remainder(X_OB1[2] - X_OB0[2], 2.0 * math.pi)
+    dx, dy = X_OB1[0] - X_OB0[0], X_OB1[1] - X_OB0[1]
+    dtheta = wrap(X_OB1[2] - X_OB0[2])
     middle = X_OB0[2] + 0.5 * dtheta
     c, s = math.cos(middle), math.sin(middle)
     return np.array([c * dx + s * dy, -s * dx + c * dy, dtheta])
@@ -97,11 +104,19 @@ def interpolate(before: Odometry | DeadReckoning, after: Odometry | DeadReckonin
     """X_OB (3,) at a stamp between two messages, the twist constant in between."""
     span = after.stamp - before.stamp
     share = (stamp - before.stamp) / span if span > 0.0 else 1.0
-    u, v, dtheta = arc(before.X_OB, after.X_OB)
+    return np.asarray(_along(before.X_OB, after.X_OB, share))
+
+
+@njit(cache=True)
+def _along(X_OB0: FloatArray, X_OB1: FloatArray, share: float) -> FloatArray:
+    """The pose at a share of the arc between two."""
+    u, v, dtheta = arc(X_OB0, X_OB1)
     half = 0.5 * dtheta
     scale = math.sin(share * half) / math.sin(half) if abs(half) > 1e-9 else share
     c, s = math.cos(share * half) * scale, math.sin(share * half) * scale
-    return se2.compose(before.X_OB, np.array([c * u - s * v, s * u + c * v, share * dtheta]))
+    dx, dy = c * u - s * v, s * u + c * v
+    c, s = math.cos(X_OB0[2]), math.sin(X_OB0[2])
+    return np.array([X_OB0[0] + c * dx - s * dy, X_OB0[1] + s * dx + c * dy, wrap(X_OB0[2] + share * dtheta)])
 
 
 @njit(cache=True)

@@ -14,14 +14,14 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message
-from tfg_drake.slam.odometry_model import OdometryModel, predict_increment
+from tfg_drake.slam.odometry_model import OdometryModel, predict_increment, wrap
 
 POSE = 3
 CORE = 6
 # Mahalanobis gate of one sighting (2 degrees of freedom): 1 in 270 000 good ones fails it.
 GATE = 25.0
-_NOTHING_CONSIDERED = np.empty((CORE, 0))
-_NOTHING_CONSIDERED.flags.writeable = False
+# What `_index` says of a tag that is neither local (row, >= 0) nor considered (-1 - row).
+NEW = np.iinfo(np.int64).max
 
 
 @message
@@ -74,56 +74,46 @@ def start_at_origin(model: OdometryModel) -> PoseFilter:
     return start(model, np.zeros(3), np.zeros((3, 3)), none, np.empty((0, 2)), np.empty((0, 0)), np.empty((3, 0)))
 
 
-def predict(filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float) -> PoseFilter:
-    """The filter after an odometry increment (3,) of `odometry_model.arc` over dt seconds."""
-    mean, covariance, cross = _predict(filter_.mean, filter_.covariance, filter_.cross, increment, dt, model.noise)
-    return _replace(filter_, mean, covariance, cross)
-
-
 def predict_pose(
     filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
     """The pose (3,) and its covariance (3, 3) alone after an odometry increment."""
-    covariance = filter_.covariance[:CORE, :CORE].copy()
-    # Read-only like every message's array: the kernel is compiled for one kind.
-    covariance.flags.writeable = False
-    mean, covariance, _ = _predict(filter_.mean[:CORE], covariance, _NOTHING_CONSIDERED, increment, dt, model.noise)
-    return mean[:POSE], covariance[:POSE, :POSE]
+    return _predict_pose(filter_.mean, filter_.covariance, increment, dt, model.noise)
 
 
-def update(filter_: PoseFilter, detections: TagDetections) -> PoseFilter:
-    """The filter after one frame: known tags correct it, all at once, unknown ones join it.
+def step(
+    filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
+) -> PoseFilter:
+    """The filter after an odometry increment (3,) of `odometry_model.arc` over dt seconds and the frame at its end.
 
-    A tag is looked up among the considered landmarks, then among the local tags. A sighting outside its gate is
-    ignored.
+    Known tags correct it, all at once, unknown ones join it. A tag is looked up among the considered landmarks, then
+    among the local tags. A sighting outside its gate is ignored.
     """
-    if len(detections.ids) == 0:
-        return filter_
-    index = _index(detections.ids, filter_.map_ids, filter_.local_ids)
-    z = np.column_stack([detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing])
-    mean, covariance, cross, accepted = _update(
+    mean, covariance, cross, local_ids, last_seen = _step(
         filter_.mean,
         filter_.covariance,
         filter_.cross,
+        filter_.local_ids,
+        filter_.last_seen,
+        filter_.map_ids,
         filter_.p_ML,
         filter_.map_covariance,
-        index,
-        z,
-        GATE,
+        increment,
+        dt,
+        model.noise,
+        detections.stamp,
+        detections.ids,
+        detections.range,
+        detections.bearing,
+        detections.sigma_range,
+        detections.sigma_bearing,
     )
-    new = index == NEW
-    last_seen = filter_.last_seen.copy()
-    local = accepted & (index >= 0)
-    last_seen[index[local]] = detections.stamp
-    if np.any(new):
-        mean, covariance, cross = _initialise(mean, covariance, cross, z[new])
-    count = int(np.sum(new))
     return PoseFilter(
         mean=mean,
         covariance=covariance,
         cross=cross,
-        local_ids=np.concatenate([filter_.local_ids, detections.ids[new]]),
-        last_seen=np.concatenate([last_seen, np.full(count, detections.stamp)]),
+        local_ids=local_ids,
+        last_seen=last_seen,
         map_ids=filter_.map_ids,
         p_ML=filter_.p_ML,
         map_covariance=filter_.map_covariance,
@@ -147,26 +137,9 @@ def keep_local(filter_: PoseFilter, keep: BoolArray) -> PoseFilter:
     )
 
 
-def _replace(filter_: PoseFilter, mean: FloatArray, covariance: FloatArray, cross: FloatArray) -> PoseFilter:
-    return PoseFilter(
-        mean=mean,
-        covariance=covariance,
-        cross=cross,
-        local_ids=filter_.local_ids,
-        last_seen=filter_.last_seen,
-        map_ids=filter_.map_ids,
-        p_ML=filter_.p_ML,
-        map_covariance=filter_.map_covariance,
-    )
-
-
-# What `_index` says of a tag that is neither local (row, >= 0) nor considered (-1 - row).
-NEW = np.iinfo(np.int64).max
-
-
 @njit(cache=True)
 def _index(ids: IntArray, map_ids: IntArray, local_ids: IntArray) -> IntArray:
-    index = np.full(len(ids), np.iinfo(np.int64).max)
+    index = np.full(len(ids), NEW)
     row = np.searchsorted(map_ids, ids)
     for i in range(len(ids)):
         if row[i] < len(map_ids) and map_ids[row[i]] == ids[i]:
@@ -203,8 +176,52 @@ def _predict(
     cross[:3, :] = _apply(F, cross)
     mean[0] += motion[0]
     mean[1] += motion[1]
-    mean[2] = _wrap(mean[2] + X[2])
+    mean[2] = wrap(mean[2] + X[2])
     return mean, P, cross
+
+
+@njit(cache=True)
+def _predict_pose(
+    mean: FloatArray, covariance: FloatArray, increment: FloatArray, dt: float, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    X, P, _ = _predict(mean[:CORE], covariance[:CORE, :CORE], np.empty((CORE, 0)), increment, dt, noise)
+    return X[:POSE].copy(), P[:POSE, :POSE].copy()
+
+
+@njit(cache=True)
+def _step(
+    mean: FloatArray,
+    covariance: FloatArray,
+    cross: FloatArray,
+    local_ids: IntArray,
+    last_seen: FloatArray,
+    map_ids: IntArray,
+    p_ML: FloatArray,
+    map_covariance: FloatArray,
+    increment: FloatArray,
+    dt: float,
+    noise: FloatArray,
+    stamp: float,
+    ids: IntArray,
+    range_: FloatArray,
+    bearing: FloatArray,
+    sigma_range: FloatArray,
+    sigma_bearing: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
+    mean, P, cross = _predict(mean, covariance, cross, increment, dt, noise)
+    index = _index(ids, map_ids, local_ids)
+    z = np.empty((len(ids), 4))
+    z[:, 0], z[:, 1], z[:, 2], z[:, 3] = range_, bearing, sigma_range, sigma_bearing
+    accepted = _correct(mean, P, cross, p_ML, map_covariance, index, z, GATE)
+    new = np.flatnonzero(index == NEW)
+    seen = np.full(len(local_ids) + len(new), stamp)
+    seen[: len(local_ids)] = last_seen
+    for i in range(len(ids)):
+        if accepted[i] and index[i] >= 0:
+            seen[index[i]] = stamp
+    if len(new) > 0:
+        mean, P, cross = _initialise(mean, P, cross, z[new])
+    return mean, P, cross, np.concatenate((local_ids, ids[new])), seen
 
 
 @njit(cache=True)
@@ -220,23 +237,26 @@ def _apply(F: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def _update(
+def _correct(
     mean: FloatArray,
-    covariance: FloatArray,
+    P: FloatArray,
     cross: FloatArray,
     p_ML: FloatArray,
     map_covariance: FloatArray,
     index: IntArray,
     z: FloatArray,
     gate: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """One frame, all its tags linearised at the same state: gain S^-1 H (P, P_xy), landmarks left as they are."""
+) -> BoolArray:
+    """Correct mean, P and cross in place by one frame; which sightings were inside their gate.
+
+    All tags are linearised at the same state: gain S^-1 H (P, P_xy), landmarks left as they are.
+    """
     accepted = np.zeros(len(index), dtype=np.bool_)
     H_x = np.zeros((len(index), 2, 3))
     H_p = np.zeros((len(index), 2, 2))
     residual = np.zeros((len(index), 2))
     for i in range(len(index)):
-        if index[i] == np.iinfo(np.int64).max:
+        if index[i] == NEW:
             continue
         if index[i] >= 0:
             k = 6 + 2 * index[i]
@@ -246,12 +266,12 @@ def _update(
         r2 = max(dx * dx + dy * dy, 1e-6)
         r = math.sqrt(r2)
         residual[i, 0] = z[i, 0] - r
-        residual[i, 1] = _wrap(z[i, 1] - (math.atan2(dy, dx) - mean[2]))
+        residual[i, 1] = wrap(z[i, 1] - (math.atan2(dy, dx) - mean[2]))
         H_p[i, 0, 0], H_p[i, 0, 1] = dx / r, dy / r
         H_p[i, 1, 0], H_p[i, 1, 1] = -dy / r2, dx / r2
         H_x[i, :, :2] = -H_p[i]
         H_x[i, 1, 2] = -1.0
-        accepted[i] = _inside_gate(covariance, cross, map_covariance, index[i], H_x[i], H_p[i], residual[i], z[i], gate)
+        accepted[i] = _inside_gate(P, cross, map_covariance, index[i], H_x[i], H_p[i], residual[i], z[i], gate)
     used = np.flatnonzero(accepted)
     m = len(used)
     size = len(mean)
@@ -263,12 +283,12 @@ def _update(
         for e in range(2):
             row, row_c = HP[2 * a + e], HC[2 * a + e]
             for j in range(3):
-                _add(row, H_x[i, e, j], covariance[j])
+                _add(row, H_x[i, e, j], P[j])
                 _add(row_c, H_x[i, e, j], cross[j])
             for j in range(2):
                 if index[i] >= 0:
                     k = 6 + 2 * index[i] + j
-                    _add(row, H_p[i, e, j], covariance[k])
+                    _add(row, H_p[i, e, j], P[k])
                     _add(row_c, H_p[i, e, j], cross[k])
                 else:
                     k = 2 * (-1 - index[i]) + j
@@ -305,12 +325,11 @@ def _update(
             nu[a] -= S[a, b] * nu[b]
         HP[a] /= S[a, a]
         nu[a] /= S[a, a]
-    mean, P, cross = mean.copy(), covariance.copy(), cross.copy()
     for a in range(2 * m):
         _add(mean, nu[a], HP[a])
         for q in range(size):
             _add(P[q], -HP[a, q], HP[a])
-    mean[2] = _wrap(mean[2])
+    mean[2] = wrap(mean[2])
     if cross.shape[1] > 0:
         gain = HP.copy()
         for a in range(2 * m - 1, -1, -1):
@@ -320,12 +339,7 @@ def _update(
         for q in range(size):
             for a in range(2 * m):
                 _add(cross[q], -gain[a, q], HC[a])
-    return mean, P, cross, accepted
-
-
-@njit(cache=True)
-def _wrap(angle: float) -> float:
-    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+    return accepted
 
 
 @njit(cache=True)
