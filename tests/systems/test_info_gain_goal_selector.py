@@ -113,3 +113,14 @@ def test_an_empty_world_has_no_goal_but_a_verdict():
     selector.ready(map=dataclasses.replace(estimate, covariance=np.eye(3) * 1e-4, X_MA=np.zeros((1, 3))), tfg=tfg)
     goal = selector.goal()
     assert (goal.verdict, goal.gain.max()) == ("complete", 0.0)
+
+
+def test_where_nothing_was_ever_seen_the_mission_ends():
+    estimate, tfg = (dataclasses.replace(message, stage=5) for message in (empty_map(), empty_tfg()))
+    selector = Selector()
+    estimate = dataclasses.replace(estimate, covariance=np.eye(3) * 1e-4, X_MA=np.zeros((5, 3)))
+    mission = MissionStatus(phase="choose", stage=5, since=0.0)
+    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(5), mission=mission)
+    goal = selector.goal()
+    assert (goal.verdict, goal.node) == ("stuck", -1)
+    assert goal.reason == "Neither a landmark nor a surface was seen from 5 goals: there is nothing to map."

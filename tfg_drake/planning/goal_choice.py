@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -13,6 +14,8 @@ from tfg_drake.planning.information_gain import Gains, information_gain
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
+# After this many goals without a landmark or a surface there is no building here.
+NOTHING_AFTER = 5
 # The robot never goes back to within this of where it has just turned, m.
 APART = 0.3
 
@@ -64,6 +67,9 @@ def choose(
     just turned there. Worth going to is what sees a live
     frontier, whatever its gain, and what promises more than explorer.stop_gain.
     """
+    if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
+        reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
+        return dataclasses.replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     nodes = np.flatnonzero(roadmap.reachable & (np.hypot(*(roadmap.points - here).T) >= APART))
     sees = expected_frontiers(roadmap.points[nodes], tfg, sensor).count
     candidates = thin_candidates(nodes, sees, explorer.samples)
