@@ -31,6 +31,9 @@ class Simulation:
     tags: TagSensorConfig = field(default_factory=TagSensorConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     explorer: ExplorerConfig = field(default_factory=ExplorerConfig)
+    # What the map makes of the tags: their error (n, 2) and its standard deviation (n,), m.
+    error: np.ndarray | None = None
+    sigma: np.ndarray | None = None
 
     def turn(self, X_WA: np.ndarray) -> tuple[list[LaserScan], np.ndarray, np.ndarray]:
         """Scans, stamps and X_AB of a turn at 1 rad/s."""
@@ -56,13 +59,15 @@ class Simulation:
         return build_panorama(*self.turn(X_WA))
 
     def observe(self, X_WA: np.ndarray, sightings: Sightings | None = None) -> TfgMap:
-        """Adds a goal with an exact pose and exact landmarks."""
+        """Adds a goal with an exact pose and landmarks that are exact, but for `error`."""
         scans, stamps, X_AB = self.turn(X_WA)
         seen = self.visible(X_WA[:2])
         self.mapped |= set(seen.tolist())
         self.X_MA.append(X_WA)
         ids = np.array(sorted(self.mapped), dtype=np.int64)
         n = len(seen)
+        error = np.zeros_like(self.p_WT) if self.error is None else self.error
+        sigma = np.full(len(self.p_WT), 1e-3) if self.sigma is None else self.sigma
         observation = GoalObservation(
             seen, transform(inverse(X_WA), self.p_WT[seen]), np.zeros(3), np.eye(2 * n + 3), stamps, X_AB
         )
@@ -70,9 +75,9 @@ class Simulation:
             len(self.X_MA),
             0.0,
             ids,
-            self.p_WT[ids],
+            self.p_WT[ids] + error[ids],
             X_WA,
-            np.eye(2 * len(ids) + 3),
+            np.diag(np.concatenate([np.repeat(sigma[ids], 2), np.full(3, 1e-3)])) ** 2,
             np.array(self.X_MA),
             observation,
             0.0,

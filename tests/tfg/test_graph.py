@@ -257,3 +257,20 @@ def test_an_edge_that_a_turn_sees_through_is_broken(simulate) -> None:
     assert point_distance(points, world.walls).max() < 0.15
     wall_points, _ = _pieces(world.walls)
     assert (point_distance(wall_points, after.segments) < 0.15).all()
+
+
+def test_a_face_that_drifted_is_neither_refuted_nor_missed(simulate) -> None:
+    """A wall mapped from both sides, its far face 0.5 m too near: an error that the map holds possible."""
+    world = simulate([[-4.0, 2.0, 4.0, 2.0]], spacing=1.0)
+    world.observe(np.array([0.0, 5.0, 0.0]))
+    far = world.normal[:, 1] > 0.0
+    world.error = np.where(far, -0.5, 0.0)[:, None] * [[0.0, 1.0]]
+    for sigma, held in ((0.2, True), (1e-3, False)):
+        world.sigma = np.where(far, sigma, 1e-3)
+        graph, goals = world.graph, list(world.X_MA)
+        tfg = world.observe(np.array([0.0, 0.0, 0.0]))
+        world.graph, world.X_MA = graph, goals
+        far_face = np.abs(tfg.segments[:, [1, 3]] - 1.5).max(axis=1) < 0.1
+        assert (np.hypot(*(tfg.segments[far_face, 2:] - tfg.segments[far_face, :2]).T).sum() > 6.0) == held
+        missed = (np.abs(tfg.frontiers[:, 0]) < 3.0) & (np.abs(tfg.frontiers[:, 1] - 2.0) < 1.0)
+        assert missed.any() != held

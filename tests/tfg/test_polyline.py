@@ -71,7 +71,7 @@ def test_the_far_face_of_a_thin_wall_is_not_covered() -> None:
     wall = np.array([[0.0, 0.0, 2.0, 0.0]])
     points = np.array([[1.0, 0.05], [1.0, 0.05], [1.0, 0.2], [2.1, 0.0]])
     normals = np.array([[0.0, 1.0], [0.0, -1.0], [0.0, 1.0], [0.0, 1.0]])
-    assert covered(points, normals, wall, 0.1).tolist() == [True, False, False, False]
+    assert covered(points, normals, wall, np.full(4, 0.1)).tolist() == [True, False, False, False]
 
 
 def test_uncovered_runs() -> None:

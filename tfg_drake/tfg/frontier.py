@@ -7,6 +7,8 @@ that saw them, so that they move with the map.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
@@ -15,6 +17,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, TfgMap, message
+from tfg_drake.tfg.drift import DRIFT_SIGMAS
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import covered, joined, pack, sample, segments_of
 from tfg_drake.tfg.segmentation import Component
@@ -188,18 +191,25 @@ def find_uninspected(
 
 
 def find_unseen_backs(
-    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray, FloatArray]
+    offsets: IntArray,
+    vertices: FloatArray,
+    stars: tuple[IntArray, FloatArray, FloatArray],
+    drift: Callable[[FloatArray, FloatArray], FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Points (u, 2) and normals (u, 2) of the faces of thin walls that no turn has seen, only the other face.
 
     Free space begins right behind such a wall, but no surface faces it. offsets, vertices: all surfaces, packed, m.
-    stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
+    stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame. drift: of points and normals there, the
+    standard deviation of how far the two faces may have been mapped apart, m.
     """
     points, normals, _, _, _ = sample(offsets, vertices, UNINSPECTED_SPACING)
-    faced = covered(points, -normals, segments_of(offsets, vertices)[0], THIN_WALL)
+    segments, _ = segments_of(offsets, vertices)
+    faced = covered(points, -normals, segments, np.full(len(points), THIN_WALL))
     points, normals = points[~faced], -normals[~faced]
     free = inside_any(points + THIN_WALL * normals, *stars)
-    return points[free], normals[free]
+    points, normals = points[free], normals[free]
+    unseen = ~covered(points, normals, segments, THIN_WALL + DRIFT_SIGMAS * drift(points, normals))
+    return points[unseen], normals[unseen]
 
 
 def find_open_ends(

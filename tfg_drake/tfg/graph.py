@@ -18,6 +18,7 @@ from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message
+from tfg_drake.tfg.drift import drift_between
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     SAME_FRONTIER,
@@ -211,7 +212,10 @@ def update(
         star_vertices,
         shadows,
         uninspected,
-        unseen_faces(find_unseen_backs(surfaces.offsets, placed, stars), UNINSPECTED_SPACING),
+        unseen_faces(
+            find_unseen_backs(surfaces.offsets, placed, stars, lambda p, normal: drift_between(p, normal, estimate)),
+            UNINSPECTED_SPACING,
+        ),
         unseen_faces(find_open_ends(surfaces.offsets, placed, stars), END_LENGTH),
         _update_sighted(graph.sighted, sightings, estimate),
         graph.tried,

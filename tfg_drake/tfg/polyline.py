@@ -113,8 +113,10 @@ def sample(
 
 
 @njit(cache=True)
-def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, distance: float) -> BoolArray:
-    """Which points (n, 2) with unit normals (n, 2) lie within distance (m) of a segment (m, 4) seen from the same side.
+def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, distance: FloatArray) -> BoolArray:
+    """Which points (n, 2) with unit normals (n, 2) a segment (m, 4) seen from the same side passes at most so far from.
+
+    distance: (n,) m.
 
     Distance is measured across the segment; beyond its ends it covers next to nothing.
     The two faces of a thin wall never cover each other: a segment counts only where its left normal is within 60
@@ -125,7 +127,7 @@ def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, dista
         x, y = points[i, 0], points[i, 1]
         for j in range(segments.shape[0]):
             x0, y0, x1, y1 = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
-            reach = distance + END_REACH
+            reach = distance[i] + END_REACH
             if min(x0, x1) > x + reach or max(x0, x1) < x - reach:
                 continue
             if min(y0, y1) > y + reach or max(y0, y1) < y - reach:
@@ -135,7 +137,7 @@ def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, dista
             if length == 0.0 or dx * normals[i, 1] - dy * normals[i, 0] < 0.5 * length:
                 continue
             along = ((x - x0) * dx + (y - y0) * dy) / length
-            if -END_REACH <= along <= length + END_REACH and abs((x - x0) * dy - (y - y0) * dx) <= distance * length:
+            if -END_REACH <= along <= length + END_REACH and abs((x - x0) * dy - (y - y0) * dx) <= distance[i] * length:
                 result[i] = True
                 break
     return result

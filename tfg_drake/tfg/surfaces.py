@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tfg_drake.geometry.se2 import inverse, transform
+from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message
+from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import arc_length, covered, cut, nearest, pack, sample, segments_of, uncovered_runs
 from tfg_drake.tfg.segmentation import Component
@@ -71,6 +72,16 @@ class _Surface(NamedTuple):
     goal: int
     range: float
     polyline: FloatArray
+
+
+class _View(NamedTuple):
+    """What refutes surfaces: the newest panorama. ids: (n,) ascending, drift: (n, 2, 2) of `drift_from_robot`, R_MA:
+    (2, 2)."""
+
+    panorama: Panorama
+    ids: IntArray
+    drift: FloatArray
+    R_MA: FloatArray
 
 
 class _SeenTags(NamedTuple):
@@ -137,7 +148,8 @@ def add_observation(
     edges, pieces = _from_components(components, tags, goal)
 
     old = _unpack(surfaces, transform(X_AM, place(surfaces, estimate)))
-    old = _break_refuted(old, panorama)
+    view = _View(panorama, estimate.ids, drift_from_robot(estimate), rotation(float(X_MA[2])))
+    old = _break_refuted(old, view)
     all_edges = {(min(s.first, s.second), max(s.first, s.second)): s for s in old if s.kind == EDGE}
     new_tag = ~np.isin(tags.ids, known_ids)
     _split_edges(all_edges, tags, new_tag)
@@ -147,7 +159,7 @@ def add_observation(
     kept_edges = list(all_edges.values())
     edge_segments = _segments(kept_edges)
 
-    kept = _trim([s for s in old if s.kind != EDGE], edge_segments, EDGE_COVERS, panorama)
+    kept = _trim([s for s in old if s.kind != EDGE], edge_segments, EDGE_COVERS, view)
     pieces = _trim(pieces, edge_segments, EDGE_COVERS, None)
     pieces = _trim(pieces, _segments(kept), SURFACE_COVERS, None)
     merged = kept_edges + sorted(kept + pieces, key=lambda s: s.kind)
@@ -268,11 +280,11 @@ def _split_edges(edges: dict[tuple[int, int], _Surface], tags: _SeenTags, new_ta
                 edges[key] = old._replace(first=ids[i], second=ids[i + 1], polyline=polyline)
 
 
-def _break_refuted(surfaces: Sequence[_Surface], panorama: Panorama) -> list[_Surface]:
-    """The surfaces, edges that the panorama saw past cut down to the wall ends that remain."""
+def _break_refuted(surfaces: Sequence[_Surface], view: _View) -> list[_Surface]:
+    """The surfaces, edges that the newest view saw past cut down to the wall ends that remain."""
     edges = [s for s in surfaces if s.kind == EDGE]
     points, normals, owner, start, stop = sample(*pack([s.polyline for s in edges]), SPACING)
-    refuted = _refuted(points, normals, panorama)
+    refuted = _refuted(points, normals, _slack(edges, owner, normals, view), view.panorama)
     length = np.bincount(owner[refuted], (stop - start)[refuted], minlength=len(edges))
     kept = [s for s, gone in zip(edges, length, strict=True) if gone < REFUTED_LENGTH]
     for i in np.flatnonzero(length >= REFUTED_LENGTH):
@@ -285,14 +297,15 @@ def _break_refuted(surfaces: Sequence[_Surface], panorama: Panorama) -> list[_Su
 
 
 def _trim(
-    pieces: Sequence[_Surface], segments: FloatArray, distance: float, refuted_by: Panorama | None
+    pieces: Sequence[_Surface], segments: FloatArray, distance: float, refuted_by: _View | None
 ) -> list[_Surface]:
-    """The pieces without what segments (m, 4) cover, and without what a panorama saw to be free."""
+    """The pieces without what segments (m, 4) cover, and without what a view saw to be free."""
     offsets, vertices = pack([s.polyline for s in pieces])
     points, normals, owner, start, stop = sample(offsets, vertices, SPACING)
-    drop = covered(points, normals, segments, distance)
+    drop = covered(points, normals, segments, np.full(len(points), distance))
     if refuted_by is not None:
-        drop |= _refuted(points, normals, refuted_by)
+        slack = _slack(pieces, owner, normals, refuted_by)
+        drop |= _refuted(points, normals, slack, refuted_by.panorama)
     first = np.searchsorted(owner, np.arange(len(pieces) + 1))
     trimmed = []
     for i, piece in enumerate(pieces):
@@ -306,10 +319,25 @@ def _trim(
     return trimmed
 
 
-def _refuted(points: FloatArray, normals: FloatArray, panorama: Panorama) -> BoolArray:
+def _slack(surfaces: Sequence[_Surface], owner: IntArray, normals: FloatArray, view: _View) -> FloatArray:
+    """How far (n,), m along the normals, points on surfaces owner (n,), with normals (n, 2) in A, may have been mapped
+    from where they would be seen now; none for surfaces without a landmark."""
+    sigma = np.zeros(len(owner))
+    normal = normals @ view.R_MA.T
+    for side in ("first", "second"):
+        ids = np.array([getattr(s, side) for s in surfaces], dtype=np.int64)[owner]
+        anchored = ids >= 0
+        C = view.drift[np.searchsorted(view.ids, ids[anchored])]
+        variance = np.einsum("ni,nij,nj->n", normal[anchored], C, normal[anchored])
+        sigma[anchored] = np.maximum(sigma[anchored], np.sqrt(np.maximum(variance, 0.0)))
+    return np.asarray(DRIFT_SIGMAS * sigma)
+
+
+def _refuted(points: FloatArray, normals: FloatArray, slack: FloatArray, panorama: Panorama) -> BoolArray:
     """Which points (n, 2) with unit normals (n, 2) in A the panorama saw past, in their bin and its neighbours, (n,).
 
-    Surfaces nearly edge-on are let be: a thin wall shows nothing of itself there.
+    slack: (n,) m along the normals, by how much more than REFUTED_DEPTH. Surfaces nearly edge-on are let be: a thin
+    wall shows nothing of itself there.
     """
     bins = len(panorama.ranges)
     reach = np.where(np.isinf(panorama.ranges), panorama.range_max, np.nan_to_num(panorama.ranges, posinf=0.0))
@@ -317,8 +345,9 @@ def _refuted(points: FloatArray, normals: FloatArray, panorama: Panorama) -> Boo
     bearing = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi)
     index = np.minimum((bearing * bins / (2.0 * np.pi)).astype(np.int64), bins - 1)
     distance = np.hypot(points[:, 0], points[:, 1])
-    broadside = np.abs(np.sum(points * normals, axis=1)) >= np.cos(REFUTED_INCIDENCE) * distance
-    return np.asarray(broadside & (distance < least[index] - REFUTED_DEPTH))
+    cosine = np.abs(np.sum(points * normals, axis=1)) / np.maximum(distance, 1e-9)
+    broadside = cosine >= np.cos(REFUTED_INCIDENCE)
+    return np.asarray(broadside & (cosine * (least[index] - REFUTED_DEPTH - distance) > slack))
 
 
 def _segments(surfaces: Sequence[_Surface]) -> FloatArray:

@@ -1,0 +1,47 @@
+"""Relative uncertainty of what was mapped, against samples of the joint Gaussian."""
+
+import numpy as np
+
+from tfg_drake.geometry.se2 import inverse, rotation, transform
+from tfg_drake.messages import MapEstimate
+from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, drift_from_robot
+
+
+def _estimate(p_ML: np.ndarray, X_MD: np.ndarray, covariance: np.ndarray) -> MapEstimate:
+    empty = empty_map()
+    return MapEstimate(
+        1, 0.0, np.arange(len(p_ML)), p_ML, X_MD, covariance, np.zeros((1, 3)), empty.observation, empty.entropy
+    )
+
+
+def test_drift_from_the_robot_is_that_of_what_it_would_see() -> None:
+    rng = np.random.default_rng(0)
+    p_ML, X_MD = rng.uniform(-5.0, 5.0, (3, 2)), np.array([1.0, -2.0, 0.7])
+    root = 1e-3 * rng.standard_normal((9, 9))
+    covariance = root @ root.T
+    samples = np.concatenate([p_ML.ravel(), X_MD]) + rng.multivariate_normal(np.zeros(9), covariance, 100_000)
+    seen = np.array([transform(inverse(x[6:]), x[:6].reshape(3, 2)) for x in samples])
+    in_M = seen @ rotation(float(X_MD[2])).T
+    drift = drift_from_robot(_estimate(p_ML, X_MD, covariance))
+    for i in range(3):
+        np.testing.assert_allclose(drift[i], np.cov(in_M[:, i].T), rtol=0.03, atol=0.03 * drift[i].max())
+
+
+def test_an_error_that_all_share_is_no_drift() -> None:
+    p_ML = np.array([[0.0, 2.0], [1.0, 2.0], [9.0, 9.0]])
+    shared = np.concatenate([np.tile(np.eye(2), (3, 1)), [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]])
+    estimate = _estimate(p_ML, np.zeros(3), shared @ shared.T)
+    np.testing.assert_allclose(drift_from_robot(estimate), 0.0, atol=1e-12)
+    assert drift_between(np.array([[0.5, 2.0]]), np.array([[0.0, 1.0]]), estimate)[0] < 1e-6
+
+
+def test_drift_between_is_the_worst_pairs_along_the_normal_and_bounded() -> None:
+    p_ML = np.array([[0.0, 0.0], [0.0, 0.3], [0.0, 0.6], [30.0, 0.0]])
+    covariance = np.diag([1e-4, 0.01, 1e-4, 0.02, 1e-4, 0.03, 4.0, 4.0, 0.0, 0.0, 0.0])
+    estimate = _estimate(p_ML, np.zeros(3), covariance)
+    points, normals = np.zeros((2, 2)), np.array([[0.0, 1.0], [1.0, 0.0]])
+    np.testing.assert_allclose(drift_between(points, normals, estimate), np.sqrt([0.05, 2e-4]))
+    wide = _estimate(p_ML, np.zeros(3), 100.0 * covariance)
+    assert drift_between(points, normals, wide)[0] == MOST_DRIFT
+    assert drift_between(np.array([[30.0, 0.0], [60.0, 0.0]]), normals, estimate).tolist() == [0.0, 0.0]
