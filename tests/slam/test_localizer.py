@@ -8,8 +8,9 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections
 from tfg_drake.slam import localizer as localizer_module
 from tfg_drake.slam import pose_filter
+from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.goal_graph import empty_map
-from tfg_drake.slam.localizer import start_localizer, step_localizer
+from tfg_drake.slam.localizer import local_tags, localized_pose, start_localizer, step_localizer
 from tfg_drake.slam.odometry_model import odometry_model, predict_increment
 
 MODEL = odometry_model(OdometryConfig())
@@ -77,45 +78,50 @@ def test_equals_the_joint_gaussian_with_zero_gain_for_the_map():
     localizer = start_localizer(MODEL, estimate)
     extra = np.array([[2.0, 3.0], [-1.0, 4.0]])
     first = sight([40, 41], extra, X_MB, 0.0, rng)
-    localizer = look(localizer, first)
-    # The joint order here: pose, calibration, two local tags, map.
-    core = len(localizer.mean)
-    x = np.concatenate([localizer.mean, estimate.p_ML.ravel()])
-    P = np.block([[localizer.covariance, localizer.cross], [localizer.cross.T, localizer.map_covariance]])
-    assert np.linalg.eigvalsh(P).min() > 0.0
+    filter_ = look(localizer, first).filter
+    # The joint order here: pose, calibration, two local tags, map, X_MD.
+    core = len(filter_.mean)
+    x = np.concatenate([filter_.mean, filter_.p_DL.ravel(), localizer.X_MD])
+    P = np.block([[filter_.covariance, filter_.cross], [filter_.cross.T, filter_.considered]])
     increment, ids = np.array([0.05, 0.0, 0.03]), [0, 3, 40, 5, 41]
     for stamp in (0.1, 0.2, 0.3):
         X_MB = se2.compose(X_MB, predict_increment(increment, 0.1, np.zeros(3), np.zeros(3))[0])
         frame = sight(ids, np.vstack([points[[0, 3]], extra[:1], points[[5]], extra[1:]]), X_MB, stamp, rng)
         rows = [core, core + 6, 6, core + 10, 8]
         x, P = brute_force(x, P, slice(core, None), increment, 0.1, frame, rows)
-        localizer = step_localizer(localizer, MODEL, increment, 0.1, frame)
-        np.testing.assert_allclose(localizer.mean, x[:core], atol=1e-10)
-        np.testing.assert_allclose(localizer.covariance, P[:core, :core], atol=1e-11)
-        np.testing.assert_allclose(localizer.cross, P[:core, core:], atol=1e-11)
-        np.testing.assert_array_equal(localizer.map_covariance, estimate.covariance[:-3, :-3])
+        filter_ = pose_filter.step(filter_, MODEL, increment, 0.1, frame)
+        np.testing.assert_allclose(filter_.mean, x[:core], atol=1e-10)
+        np.testing.assert_allclose(filter_.covariance, P[:core, :core], atol=1e-11)
+        np.testing.assert_allclose(filter_.cross, P[:core, core:], atol=1e-11)
+    np.testing.assert_array_equal(filter_.considered, in_departure_frame(estimate, np.arange(6))[1])
 
 
 def test_a_tag_joins_with_its_full_covariance():
     estimate, _, X_MB = make_map(3, 2)
-    localizer = look(start_localizer(MODEL, estimate), sight([9], np.array([[3.0, 1.0]]), X_MB, 0.0))
+    filter_ = start_localizer(MODEL, estimate).filter
+    rng = np.random.default_rng(3)
+    root = 0.01 * rng.normal(size=(6, 6))
+    pose = np.array([0.4, -0.2, 0.3])
+    filter_ = dataclasses.replace(
+        filter_,
+        mean=np.concatenate([pose, np.zeros(3)]),
+        covariance=root @ root.T,
+        cross=1e-4 * rng.normal(size=filter_.cross.shape),
+    )
+    filter_ = pose_filter.step(filter_, MODEL, np.zeros(3), 0.0, sight([9], np.array([[3.0, 1.0]]), X_MB, 0.0))
 
     def place(pose, r, b):
         return pose[:2] + r * np.array([np.cos(pose[2] + b), np.sin(pose[2] + b)])
 
     p_BL = se2.transform(se2.inverse(X_MB), np.array([3.0, 1.0]))
     z = np.array([np.hypot(*p_BL), np.arctan2(p_BL[1], p_BL[0])])
-    J = np.column_stack(
-        [(place(estimate.X_MD + h, *z) - place(estimate.X_MD - h, *z)) / 2e-6 for h in 1e-6 * np.eye(3)]
-    )
-    J_z = np.column_stack(
-        [(place(estimate.X_MD, *(z + h)) - place(estimate.X_MD, *(z - h))) / 2e-6 for h in 1e-6 * np.eye(2)]
-    )
+    J = np.column_stack([(place(pose + h, *z) - place(pose - h, *z)) / 2e-6 for h in 1e-6 * np.eye(3)])
+    J_z = np.column_stack([(place(pose, *(z + h)) - place(pose, *(z - h))) / 2e-6 for h in 1e-6 * np.eye(2)])
     noise = np.diag([0.02 + 0.01 * z[0], 0.01]) ** 2
-    pose = localizer.covariance[:3, :3]
-    np.testing.assert_allclose(localizer.covariance[6:, 6:], J @ pose @ J.T + J_z @ noise @ J_z.T, atol=1e-9)
-    np.testing.assert_allclose(localizer.covariance[6:, :3], J @ pose, atol=1e-9)
-    np.testing.assert_allclose(localizer.cross[6:], J @ localizer.cross[:3], atol=1e-9)
+    P = filter_.covariance
+    np.testing.assert_allclose(P[6:, 6:], J @ P[:3, :3] @ J.T + J_z @ noise @ J_z.T, atol=1e-9)
+    np.testing.assert_allclose(P[6:, :3], J @ P[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(filter_.cross[6:], J @ filter_.cross[:3], atol=1e-9)
 
 
 def test_a_gross_error_is_ignored():
@@ -127,8 +133,8 @@ def test_a_gross_error_is_ignored():
     others = np.array([0, 1, 3, 4])
     spoilt = look(localizer, dataclasses.replace(frame, range=distance))
     clean = look(localizer, sight(others, points[others], X_MB, 0.0))
-    np.testing.assert_allclose(spoilt.mean, clean.mean, atol=1e-12)
-    np.testing.assert_allclose(spoilt.covariance, clean.covariance, atol=1e-14)
+    np.testing.assert_allclose(spoilt.filter.mean, clean.filter.mean, atol=1e-12)
+    np.testing.assert_allclose(spoilt.filter.covariance, clean.filter.covariance, atol=1e-14)
 
 
 def test_consistent_over_many_sightings_of_the_same_map(nees):
@@ -140,10 +146,57 @@ def test_consistent_over_many_sightings_of_the_same_map(nees):
         for i in range(60):
             frame = sight(np.arange(10), points, X_MB, 0.1 * i, rng)
             localizer = step_localizer(localizer, MODEL, np.zeros(3), 0.1, frame)
-        error = localizer.mean[:3] - X_MB
+        pose, covariance = localized_pose(localizer, MODEL, np.zeros(3), 0.0)
+        error = pose - X_MB
         error[2] = se2.wrap_angle(error[2])
-        values.append(nees(error, localizer.covariance[:3, :3]))
+        values.append(nees(error, covariance))
     assert 0.6 < np.mean(values) < 1.4
+
+
+def test_consistent_where_the_whole_map_is_uncertain_and_far_from_its_origin(nees):
+    """100 m from the origin, the map turned about it by 0.05 rad, a drive past sharply known neighbours."""
+    values = []
+    rng = np.random.default_rng(0)
+    for seed in range(20):
+        estimate, points, X_MB = make_map(12, seed, sigma=0.01)
+        X_WM = np.array([100.0, 0.0, 0.0])
+        turned = np.array([0.0, 0.0, 0.05 * rng.normal()])
+        X_MB, points = se2.compose(X_WM, X_MB), se2.transform(X_WM, points)
+        X_WD = X_MB
+        p_ML = se2.transform(turned, se2.transform(X_WM, estimate.p_ML))
+        X_MD = se2.compose(turned, se2.compose(X_WM, estimate.X_MD))
+        R = np.kron(np.eye(12), se2.rotation(turned[2]))
+        R = np.block([[R, np.zeros((24, 3))], [np.zeros((3, 24)), np.eye(3)]])
+        R[-3:-1, -3:-1] = se2.rotation(turned[2])
+        lever = np.concatenate([np.column_stack([-p_ML[:, 1], p_ML[:, 0]]).ravel(), [-X_MD[1], X_MD[0], 1.0]])
+        covariance = R @ estimate.covariance @ R.T + 0.05**2 * np.outer(lever, lever)
+        localizer = start_localizer(MODEL, dataclasses.replace(estimate, p_ML=p_ML, X_MD=X_MD, covariance=covariance))
+        increment = np.array([0.05, 0.0, 0.005])
+        for i in range(100):
+            X_MB = se2.compose(X_MB, predict_increment(increment, 0.1, np.zeros(3), np.zeros(3))[0])
+            frame = sight(np.arange(12), points, X_MB, 0.1 * i, rng)
+            noisy = increment + [0.0045, 0.0, 0.0016] * rng.normal(size=3)
+            localizer = step_localizer(localizer, MODEL, noisy, 0.1, frame)
+        # Turned as one, far from the origin, no error in M is Gaussian; what the filter holds in D is.
+        error = localizer.filter.mean[:3] - se2.between(X_WD, X_MB)
+        error[2] = se2.wrap_angle(error[2])
+        values.append(nees(error, localizer.filter.covariance[:3, :3]))
+    assert 0.6 < np.mean(values) < 1.5
+
+
+def test_the_map_seen_from_the_departure_pose():
+    estimate, _, _ = make_map(5, 7, sigma=0.003)
+    rng = np.random.default_rng(1)
+    mean = np.concatenate([estimate.p_ML.ravel(), estimate.X_MD])
+    samples = mean + rng.multivariate_normal(np.zeros(13), estimate.covariance, 20_000)
+    rows = np.array([1, 4])
+    seen = [
+        np.concatenate([se2.transform(se2.inverse(x[-3:]), x[:-3].reshape(5, 2)[rows]).ravel(), x[-3:]])
+        for x in samples
+    ]
+    p_DL, covariance = in_departure_frame(estimate, rows)
+    np.testing.assert_allclose(p_DL.ravel(), np.mean(seen, axis=0)[:4], atol=1e-3)
+    np.testing.assert_allclose(covariance, np.cov(np.transpose(seen)), atol=0.05 * np.abs(covariance).max())
 
 
 def test_only_the_nearest_landmarks_and_the_latest_local_tags_are_kept(monkeypatch):
@@ -152,19 +205,21 @@ def test_only_the_nearest_landmarks_and_the_latest_local_tags_are_kept(monkeypat
     estimate, _, X_MB = make_map(8, 4)
     localizer = start_localizer(MODEL, estimate)
     distance = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T)
-    assert set(localizer.map_ids) == set(np.argsort(distance)[:4])
-    rows = (2 * localizer.map_ids[:, None] + [0, 1]).ravel()
-    np.testing.assert_array_equal(localizer.cross[:3], estimate.covariance[-3:, rows])
+    assert set(localizer.filter.map_ids) == set(np.argsort(distance)[:4])
+    p_ML = se2.transform(estimate.X_MD, localizer.filter.p_DL)
+    np.testing.assert_allclose(p_ML, estimate.p_ML[localizer.filter.map_ids])
     for stamp, tag in ((0.0, 50), (0.1, 51), (0.2, 52)):
         frame = sight([tag], np.array([[2.0, tag - 50.0]]), X_MB, stamp)
         localizer = step_localizer(localizer, MODEL, np.zeros(3), 0.1, frame)
-    np.testing.assert_array_equal(localizer.local_ids, [51, 52])
+    np.testing.assert_array_equal(localizer.filter.local_ids, [51, 52])
+    np.testing.assert_allclose(local_tags(localizer)[:, 0], 2.0, atol=0.2)
 
 
 def test_before_the_first_map_it_stands_at_the_origin():
     localizer = start_localizer(MODEL, None)
-    np.testing.assert_array_equal(localizer.mean[:3], np.zeros(3))
-    np.testing.assert_array_equal(localizer.covariance[:3, :3], np.zeros((3, 3)))
-    mean, covariance = pose_filter.predict_pose(localizer, MODEL, np.array([1.0, 0.0, 0.0]), 2.0)
+    pose, covariance = localized_pose(localizer, MODEL, np.zeros(3), 0.0)
+    np.testing.assert_array_equal(pose, np.zeros(3))
+    np.testing.assert_array_equal(covariance, np.zeros((3, 3)))
+    mean, covariance = localized_pose(localizer, MODEL, np.array([1.0, 0.0, 0.0]), 2.0)
     np.testing.assert_allclose(mean, [1.0, 0.0, 0.0])
     assert np.sqrt(covariance[0, 0]) == pytest.approx(np.hypot(0.015, 0.02), rel=0.02)

@@ -23,9 +23,9 @@ from tfg_drake.messages import (
     TagDetections,
     message,
 )
-from tfg_drake.slam import goal_graph, pose_filter
+from tfg_drake.slam import goal_graph
 from tfg_drake.slam.goal_graph import GoalGraph
-from tfg_drake.slam.localizer import start_localizer, step_localizer
+from tfg_drake.slam.localizer import Localizer, local_tags, localized_pose, start_localizer, step_localizer
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     OdometryModel,
@@ -72,7 +72,7 @@ class EstimatorState:
     stamp: float
     clock: float
     X_OB: FloatArray
-    localizer: PoseFilter
+    localizer: Localizer
     segment: PoseFilter
     turn: OpenTurn | None
     graph: GoalGraph
@@ -176,16 +176,15 @@ def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
     """The pose at the newest odometry message; at the origin, stamp 0, before the first."""
-    localizer = state.localizer
-    X_MB, covariance = localizer.mean[:3], localizer.covariance[:3, :3]
     stamp, speed = 0.0, np.zeros(2)
+    increment, dt = np.zeros(3), 0.0
     if state.odometry:
         newest = state.odometry[-1]
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
-            increment = arc(state.X_OB, newest.X_OB)
-            X_MB, covariance = pose_filter.predict_pose(localizer, state.model, increment, newest.clock - state.clock)
-    new_ids, p_MU = localizer.local_ids, localizer.mean[pose_filter.CORE :].reshape(-1, 2)
+            increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
+    X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
+    new_ids, p_MU = state.localizer.filter.local_ids, local_tags(state.localizer)
     if len(new_ids) > 0:
         new = _absent(new_ids, state.graph.ids)
         new_ids, p_MU = new_ids[new], p_MU[new]

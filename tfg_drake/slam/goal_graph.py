@@ -18,6 +18,7 @@ from gtsam.symbol_shorthand import A, D, L
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, message
+from tfg_drake.slam.departure_frame import in_departure_frame
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out.
 REJECTED = 49.0
@@ -303,55 +304,50 @@ def _arrival(
 ) -> tuple[FloatArray, IntArray]:
     """X_MA (3,) of a new goal as map, segment and its known tags have it, and the ids of tags that contradict them.
 
-    Iterated updates of (known tags, A) by the observation; each tag is then compared with what all others predict of
-    it, and the worst leaves until none is too far off. The pose serves as an initial value only.
+    Iterated updates of (known tags, A), in the last departure frame D, by the observation; each tag is then compared
+    with what all others predict of it, and the worst leaves until none is too far off. The pose serves as an initial
+    value only.
     """
-    X_MA = se2.compose(map_estimate.X_MD, X_DA)
     common, in_map, in_goal = np.intersect1d(map_estimate.ids, observation.ids, return_indices=True)
+    p_DL, prior = in_departure_frame(map_estimate, in_map)
     kept = np.arange(len(common))
     while len(kept) > 0:
-        pose, distance = _align(map_estimate, observation, X_DA, segment_covariance, in_map[kept], in_goal[kept])
+        rows = np.repeat(2 * kept, 2) + np.tile([0, 1], len(kept))
+        aligned, distance = _align(
+            p_DL[kept], prior[np.ix_(rows, rows)], X_DA, segment_covariance, observation, in_goal[kept]
+        )
         if np.max(distance) <= REJECTED:
-            X_MA = pose
+            X_DA = aligned
             break
         kept = np.delete(kept, np.argmax(distance))
-    return X_MA, np.setdiff1d(common, common[kept])
+    return se2.compose(map_estimate.X_MD, X_DA), np.setdiff1d(common, common[kept])
 
 
 def _align(
-    map_estimate: MapEstimate,
-    observation: GoalObservation,
+    p_DL: FloatArray,
+    tag_covariance: FloatArray,
     X_DA: FloatArray,
     segment_covariance: FloatArray,
-    in_map: IntArray,
+    observation: GoalObservation,
     in_goal: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """X_MA (3,) by an iterated Kalman update, and (m,) squared Mahalanobis distance of each tag from the others."""
-    m = len(in_map)
-    rows = np.repeat(2 * in_map, 2) + np.tile([0, 1], m)
-    rows = np.concatenate([rows, np.arange(3) + len(map_estimate.covariance) - 3])
-    prior = map_estimate.covariance[np.ix_(rows, rows)]
-    X_MD = map_estimate.X_MD
-    X_0 = se2.compose(X_MD, X_DA)
-    R_MD = se2.rotation(float(X_MD[2]))
-    # From (tags, D) to (tags, A).
-    T = np.eye(2 * m + 3)
-    T[-3, -1], T[-2, -1] = -(X_0[1] - X_MD[1]), X_0[0] - X_MD[0]
-    G = np.eye(3)
-    G[:2, :2] = R_MD
-    prior = T @ prior @ T.T
-    prior[-3:, -3:] += G @ segment_covariance @ G.T
+    """X_DA (3,) by an iterated Kalman update, and (m,) squared Mahalanobis distance of each tag from the others.
+
+    p_DL (m, 2) with covariance (2m, 2m): the known tags in D. in_goal: (m,) their rows in the observation.
+    """
+    m = len(in_goal)
+    prior = scipy.linalg.block_diag(tag_covariance, segment_covariance)
     rows = np.repeat(2 * in_goal, 2) + np.tile([0, 1], m)
     noise = observation.covariance[np.ix_(rows, rows)]
-    x_0 = np.concatenate([map_estimate.p_ML[in_map].ravel(), X_0])
+    x_0 = np.concatenate([p_DL.ravel(), X_DA])
     x = x_0
     for _ in range(4):
-        R_MA = se2.rotation(float(x[-1]))
-        in_A = (x[:-3].reshape(-1, 2) - x[-3:-1]) @ R_MA
+        R_DA = se2.rotation(float(x[-1]))
+        in_A = (x[:-3].reshape(-1, 2) - x[-3:-1]) @ R_DA
         H = np.zeros((2 * m, 2 * m + 3))
         for i in range(m):
-            H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = R_MA.T
-            H[2 * i : 2 * i + 2, -3:-1] = -R_MA.T
+            H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = R_DA.T
+            H[2 * i : 2 * i + 2, -3:-1] = -R_DA.T
         H[0::2, -1], H[1::2, -1] = in_A[:, 1], -in_A[:, 0]
         step = x_0 - x
         step[-1] = math.remainder(step[-1], 2.0 * math.pi)
@@ -366,9 +362,9 @@ def _align(
             for i in range(m)
         ]
     )
-    X_MA = x[-3:].copy()
-    X_MA[2] = math.remainder(X_MA[2], 2.0 * math.pi)
-    return X_MA, distance
+    aligned = x[-3:].copy()
+    aligned[2] = math.remainder(aligned[2], 2.0 * math.pi)
+    return aligned, distance
 
 
 def _without(observation: GoalObservation, ids: IntArray) -> GoalObservation:

@@ -1,17 +1,20 @@
 """The online pose in the map: mapped landmarks considered, never updated, and tags met on the way as own states.
 
 Path sightings localise only; the map learns from goals. Correlations between pose and map are kept, so the pose's
-covariance stays honest over any number of frames.
+covariance stays honest over any number of frames. The filter works in the frame of the last departure pose D and
+carries X_MD along, so that the pose in M has its full covariance too.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray, MapEstimate, TagDetections
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message
 from tfg_drake.slam import pose_filter
+from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.odometry_model import OdometryModel
-from tfg_drake.slam.pose_filter import PoseFilter
+from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter
 
 # Landmarks considered: the nearest to the departure pose.
 WINDOW = 300
@@ -19,32 +22,51 @@ WINDOW = 300
 MOST_LOCAL = 30
 
 
-def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> PoseFilter:
+@message
+class Localizer:
+    """The filter in D, and X_MD (3,)."""
+
+    X_MD: FloatArray
+    filter: PoseFilter
+
+
+def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> Localizer:
     """The localiser at the departure pose of the newest map, or at the origin of an empty one."""
     if map_estimate is None:
-        return pose_filter.start_at_origin(model)
+        nothing = np.empty(0, dtype=np.int64)
+        return Localizer(np.zeros(3), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE))))
     distance = np.hypot(*(map_estimate.p_ML - map_estimate.X_MD[:2]).T)
     near = np.sort(np.argsort(distance, kind="stable")[:WINDOW])
-    rows = np.repeat(2 * near, 2) + np.tile([0, 1], len(near))
-    covariance = map_estimate.covariance
-    return pose_filter.start(
-        model,
-        map_estimate.X_MD,
-        covariance[-3:, -3:],
-        map_estimate.ids[near],
-        map_estimate.p_ML[near],
-        covariance[np.ix_(rows, rows)],
-        covariance[-3:, rows],
-    )
+    p_DL, covariance = in_departure_frame(map_estimate, near)
+    return Localizer(map_estimate.X_MD, pose_filter.start(model, map_estimate.ids[near], p_DL, covariance))
 
 
 def step_localizer(
-    localizer: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
-) -> PoseFilter:
+    localizer: Localizer, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
+) -> Localizer:
     """The localiser after an odometry increment (3,) over dt seconds and the frame at its end."""
-    localizer = pose_filter.step(localizer, model, increment, dt, detections)
-    if len(localizer.local_ids) <= MOST_LOCAL:
-        return localizer
-    keep = np.ones(len(localizer.local_ids), dtype=bool)
-    keep[np.argsort(-localizer.last_seen, kind="stable")[MOST_LOCAL:]] = False
-    return pose_filter.keep_local(localizer, keep)
+    filter_ = pose_filter.step(localizer.filter, model, increment, dt, detections)
+    if len(filter_.local_ids) > MOST_LOCAL:
+        keep = np.ones(len(filter_.local_ids), dtype=bool)
+        keep[np.argsort(-filter_.last_seen, kind="stable")[MOST_LOCAL:]] = False
+        filter_ = pose_filter.keep_local(filter_, keep)
+    return Localizer(localizer.X_MD, filter_)
+
+
+def localized_pose(
+    localizer: Localizer, model: OdometryModel, increment: FloatArray, dt: float
+) -> tuple[FloatArray, FloatArray]:
+    """X_MB (3,) and its covariance (3, 3), an odometry increment (3,) over dt seconds past the localiser's instant."""
+    X_DB, P_BB, P_BD = pose_filter.predict_pose(localizer.filter, model, increment, dt, POSE)
+    X_MB = se2.compose(localizer.X_MD, X_DB)
+    by_D, by_B = np.eye(3), np.eye(3)
+    by_D[:2, 2] = -(X_MB[1] - localizer.X_MD[1]), X_MB[0] - localizer.X_MD[0]
+    by_B[:2, :2] = se2.rotation(float(localizer.X_MD[2]))
+    mixed = by_B @ P_BD @ by_D.T
+    P_DD = localizer.filter.considered[-POSE:, -POSE:]
+    return X_MB, by_D @ P_DD @ by_D.T + by_B @ P_BB @ by_B.T + mixed + mixed.T
+
+
+def local_tags(localizer: Localizer) -> FloatArray:
+    """p_MU (u, 2) of the tags met on the way, row for row with localizer.filter.local_ids."""
+    return se2.transform(localizer.X_MD, localizer.filter.mean[CORE:].reshape(-1, 2))

@@ -3,7 +3,8 @@
 State x: pose (3) in the frame the filter started in, calibration (3) of the odometry model, local tags (2 each) that
 enter under flat priors at their first sighting. Considered: landmarks y of the map with their joint covariance P_yy
 and the cross covariance P_xy (Schmidt's consider filter): they inform the pose, with their uncertainty, and are never
-updated themselves. Without considered landmarks it is plain EKF SLAM.
+updated themselves. Further quantities that no sighting depends on may be carried along behind them. Without considered
+landmarks it is plain EKF SLAM.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ NEW = np.iinfo(np.int64).max
 
 @message
 class PoseFilter:
-    """The filter's Gaussian, in the frame M it started in.
+    """The filter's Gaussian, in the frame D it started in.
 
     mean: (6 + 2k,) x, y, theta, distance scale, gyro bias, gyro scale, then the local tags' positions. covariance:
-    (6 + 2k, 6 + 2k). cross: (6 + 2k, 2n) covariance with the considered landmarks. local_ids, last_seen: (k,) ids and
-    stamps (s). map_ids: (n,) ascending, p_ML: (n, 2), map_covariance: (2n, 2n) of the considered landmarks.
+    (6 + 2k, 6 + 2k). cross: (6 + 2k, 2n + e) covariance with what is considered. local_ids, last_seen: (k,) ids and
+    stamps (s). map_ids: (n,) ascending and p_DL: (n, 2) of the considered landmarks. considered: (2n + e, 2n + e)
+    covariance of those, row by row, and of e further quantities.
     """
 
     mean: FloatArray
@@ -39,46 +41,38 @@ class PoseFilter:
     local_ids: IntArray
     last_seen: FloatArray
     map_ids: IntArray
-    p_ML: FloatArray
-    map_covariance: FloatArray
+    p_DL: FloatArray
+    considered: FloatArray
 
 
-def start(
-    model: OdometryModel,
-    X_MB: FloatArray,
-    pose_covariance: FloatArray,
-    map_ids: IntArray,
-    p_ML: FloatArray,
-    map_covariance: FloatArray,
-    pose_cross: FloatArray,
-) -> PoseFilter:
-    """A filter at pose X_MB (3,) with covariance (3, 3), considering n landmarks (pose_cross: (3, 2n))."""
+def start(model: OdometryModel, map_ids: IntArray, p_DL: FloatArray, considered: FloatArray) -> PoseFilter:
+    """A filter at the origin of its frame, known exactly, that considers n landmarks (see PoseFilter)."""
     covariance = np.zeros((CORE, CORE))
-    covariance[:POSE, :POSE] = pose_covariance
     covariance[POSE:, POSE:] = np.diag(model.calibration_sigma**2)
     return PoseFilter(
-        mean=np.concatenate([X_MB, np.zeros(POSE)]),
+        mean=np.zeros(CORE),
         covariance=covariance,
-        cross=np.vstack([pose_cross, np.zeros((POSE, 2 * len(map_ids)))]),
+        cross=np.zeros((CORE, len(considered))),
         local_ids=np.empty(0, dtype=np.int64),
         last_seen=np.empty(0),
         map_ids=map_ids,
-        p_ML=p_ML,
-        map_covariance=map_covariance,
+        p_DL=p_DL,
+        considered=considered,
     )
 
 
-def start_at_origin(model: OdometryModel) -> PoseFilter:
-    """A filter that starts at its own origin, known exactly, and considers nothing."""
-    none = np.empty(0, dtype=np.int64)
-    return start(model, np.zeros(3), np.zeros((3, 3)), none, np.empty((0, 2)), np.empty((0, 0)), np.empty((3, 0)))
+def start_alone(model: OdometryModel) -> PoseFilter:
+    """A filter at the origin of its frame, known exactly, that considers nothing."""
+    return start(model, np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 0)))
 
 
 def predict_pose(
-    filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float
-) -> tuple[FloatArray, FloatArray]:
-    """The pose (3,) and its covariance (3, 3) alone after an odometry increment."""
-    return _predict_pose(filter_.mean, filter_.covariance, increment, dt, model.noise)
+    filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, extra: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The pose (3,) alone after an odometry increment, its covariance (3, 3), and that with the last `extra` considered
+    quantities (3, extra)."""
+    cross = filter_.cross[:CORE, filter_.cross.shape[1] - extra :]
+    return _predict_pose(filter_.mean, filter_.covariance, cross, increment, dt, model.noise)
 
 
 def step(
@@ -96,8 +90,8 @@ def step(
         filter_.local_ids,
         filter_.last_seen,
         filter_.map_ids,
-        filter_.p_ML,
-        filter_.map_covariance,
+        filter_.p_DL,
+        filter_.considered,
         increment,
         dt,
         model.noise,
@@ -115,8 +109,8 @@ def step(
         local_ids=local_ids,
         last_seen=last_seen,
         map_ids=filter_.map_ids,
-        p_ML=filter_.p_ML,
-        map_covariance=filter_.map_covariance,
+        p_DL=filter_.p_DL,
+        considered=filter_.considered,
     )
 
 
@@ -132,8 +126,8 @@ def keep_local(filter_: PoseFilter, keep: BoolArray) -> PoseFilter:
         local_ids=filter_.local_ids[keep],
         last_seen=filter_.last_seen[keep],
         map_ids=filter_.map_ids,
-        p_ML=filter_.p_ML,
-        map_covariance=filter_.map_covariance,
+        p_DL=filter_.p_DL,
+        considered=filter_.considered,
     )
 
 
@@ -182,10 +176,10 @@ def _predict(
 
 @njit(cache=True)
 def _predict_pose(
-    mean: FloatArray, covariance: FloatArray, increment: FloatArray, dt: float, noise: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    X, P, _ = _predict(mean[:CORE], covariance[:CORE, :CORE], np.empty((CORE, 0)), increment, dt, noise)
-    return X[:POSE].copy(), P[:POSE, :POSE].copy()
+    mean: FloatArray, covariance: FloatArray, cross: FloatArray, increment: FloatArray, dt: float, noise: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    X, P, C = _predict(mean[:CORE], covariance[:CORE, :CORE], cross, increment, dt, noise)
+    return X[:POSE].copy(), P[:POSE, :POSE].copy(), C[:POSE].copy()
 
 
 @njit(cache=True)
@@ -196,8 +190,8 @@ def _step(
     local_ids: IntArray,
     last_seen: FloatArray,
     map_ids: IntArray,
-    p_ML: FloatArray,
-    map_covariance: FloatArray,
+    p_DL: FloatArray,
+    considered: FloatArray,
     increment: FloatArray,
     dt: float,
     noise: FloatArray,
@@ -212,7 +206,7 @@ def _step(
     index = _index(ids, map_ids, local_ids)
     z = np.empty((len(ids), 4))
     z[:, 0], z[:, 1], z[:, 2], z[:, 3] = range_, bearing, sigma_range, sigma_bearing
-    accepted = _correct(mean, P, cross, p_ML, map_covariance, index, z, GATE)
+    accepted = _correct(mean, P, cross, p_DL, considered, index, z, GATE)
     new = np.flatnonzero(index == NEW)
     seen = np.full(len(local_ids) + len(new), stamp)
     seen[: len(local_ids)] = last_seen
@@ -241,8 +235,8 @@ def _correct(
     mean: FloatArray,
     P: FloatArray,
     cross: FloatArray,
-    p_ML: FloatArray,
-    map_covariance: FloatArray,
+    p_DL: FloatArray,
+    considered: FloatArray,
     index: IntArray,
     z: FloatArray,
     gate: float,
@@ -262,7 +256,7 @@ def _correct(
             k = 6 + 2 * index[i]
             dx, dy = mean[k] - mean[0], mean[k + 1] - mean[1]
         else:
-            dx, dy = p_ML[-1 - index[i], 0] - mean[0], p_ML[-1 - index[i], 1] - mean[1]
+            dx, dy = p_DL[-1 - index[i], 0] - mean[0], p_DL[-1 - index[i], 1] - mean[1]
         r2 = max(dx * dx + dy * dy, 1e-6)
         r = math.sqrt(r2)
         residual[i, 0] = z[i, 0] - r
@@ -271,7 +265,7 @@ def _correct(
         H_p[i, 1, 0], H_p[i, 1, 1] = -dy / r2, dx / r2
         H_x[i, :, :2] = -H_p[i]
         H_x[i, 1, 2] = -1.0
-        accepted[i] = _inside_gate(P, cross, map_covariance, index[i], H_x[i], H_p[i], residual[i], z[i], gate)
+        accepted[i] = _inside_gate(P, cross, considered, index[i], H_x[i], H_p[i], residual[i], z[i], gate)
     used = np.flatnonzero(accepted)
     m = len(used)
     size = len(mean)
@@ -294,7 +288,7 @@ def _correct(
                     k = 2 * (-1 - index[i]) + j
                     for q in range(size):
                         row[q] += H_p[i, e, j] * cross[q, k]
-                    _add(row_c, H_p[i, e, j], map_covariance[k])
+                    _add(row_c, H_p[i, e, j], considered[k])
     S = np.zeros((2 * m, 2 * m))
     nu = np.zeros(2 * m)
     for a in range(m):
@@ -352,7 +346,7 @@ def _add(target: FloatArray, factor: float, source: FloatArray) -> None:
 def _inside_gate(
     covariance: FloatArray,
     cross: FloatArray,
-    map_covariance: FloatArray,
+    considered: FloatArray,
     index: int,
     H_x: FloatArray,
     H_p: FloatArray,
@@ -370,7 +364,7 @@ def _inside_gate(
     else:
         k = 2 * (-1 - index)
         joint[:3, 3:] = cross[:3, k : k + 2]
-        joint[3:, 3:] = map_covariance[k : k + 2, k : k + 2]
+        joint[3:, 3:] = considered[k : k + 2, k : k + 2]
     joint[3:, :3] = joint[:3, 3:].T
     H = np.empty((2, 5))
     H[:, :3] = H_x

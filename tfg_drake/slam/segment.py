@@ -17,7 +17,7 @@ MEMORY = 2.0
 
 def start_segment(model: OdometryModel) -> PoseFilter:
     """The filter of a new segment: at its origin, the departure pose D of the last goal."""
-    return pose_filter.start_at_origin(model)
+    return pose_filter.start_alone(model)
 
 
 def step_segment(
