@@ -43,7 +43,7 @@ def MakeTfgExplorer(scenario: Scenario) -> Diagram:
         for system, port in targets:
             builder.Connect(source.GetOutputPort(output), system.GetInputPort(port))
 
-    connect(estimator, "pose", (tfg_builder, "pose"), (selector, "pose"), (planner, "pose"), (follower, "pose"))
+    connect(estimator, "pose", (tfg_builder, "pose"), (planner, "pose"), (follower, "pose"))
     connect(estimator, "map", (tfg_builder, "map"), (selector, "map"), (planner, "map"), (sequencer, "map"))
     connect(tfg_builder, "tfg", (selector, "tfg"), (planner, "tfg"), (sequencer, "tfg"))
     connect(planner, "roadmap", (selector, "roadmap"))

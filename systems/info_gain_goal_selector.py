@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.cpu_meter import metered
-from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, PoseEstimate, Roadmap, TfgMap
+from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap
 from tfg_drake.planning.goal_choice import choose, empty_choice
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -30,7 +30,6 @@ class InfoGainGoalSelector(LeafSystem):
         - map
         - tfg
         - roadmap
-        - pose
         - mission
         output_ports:
         - goal
@@ -42,7 +41,6 @@ class InfoGainGoalSelector(LeafSystem):
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
         self._roadmap = declare_message_input(self, "roadmap")
-        self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
         self._goal = self.DeclareAbstractState(AbstractValue.Make(empty_choice()))
         declare_message_output(
@@ -63,7 +61,6 @@ class InfoGainGoalSelector(LeafSystem):
         roadmap = eval_message(self._roadmap, context, Roadmap)
         if not mission.stage == estimate.stage == tfg.stage == roadmap.stage:
             return EventStatus.DidNothing()
-        here = eval_message(self._pose, context, PoseEstimate).X_MB[:2]
-        goal = choose(estimate, tfg, roadmap, here, self._sensor, self._odometry, self._robot, self._explorer)
+        goal = choose(estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer)
         set_state_message(state, self._goal, goal)
         return EventStatus.Succeeded()

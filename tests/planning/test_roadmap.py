@@ -5,12 +5,16 @@ import pytest
 import shapely
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
+    CHORD,
+    SPACING,
     RoadmapParameters,
+    _chords,
     empty_roadmap,
     extend,
     in_free_space,
@@ -257,3 +261,29 @@ def test_an_empty_map_has_a_roadmap_of_open_space():
     )  # fmt: skip
     state = extend(empty_roadmap(), tfg, estimate, PARAMETERS)
     assert np.isfinite(routes(state, tfg, np.zeros(3), ROBOT).cost).mean() > 0.9
+
+
+def test_the_way_driven_is_kept_by_chords_that_do_not_cut_its_corners():
+    quarter = np.linspace(0.0, np.pi / 2, 40)
+    way = np.vstack([np.stack([np.linspace(-2.0, 0.0, 21), np.full(21, -0.5)], axis=1),
+                     0.5 * np.stack([np.sin(quarter), -np.cos(quarter)], axis=1)])  # fmt: skip
+    picks = _chords(way)
+    assert picks[[0, -1]].tolist() == [0, len(way) - 1]
+    ends = way[picks]
+    assert point_distance(way, np.hstack([ends[:-1], ends[1:]])).max() <= CHORD + 1e-9
+    length = np.hypot(*np.diff(ends, axis=0).T)
+    assert length.max() <= SPACING + 1e-9
+    assert len(picks) < 12
+    assert _chords(way[:1]).tolist() == [0, 0]
+
+
+def test_a_tight_bend_once_driven_can_be_driven_back():
+    """A dog-leg with 2 cm to spare: only the way as it was driven fits."""
+    walls = np.array(
+        [[-4.0, 0.21, -0.21, 0.21], [-0.21, 0.21, -0.21, 3.0], [-4.0, -0.21, 0.21, -0.21], [0.21, -0.21, 0.21, 3.0]]
+    )
+    corner = np.array([[-3.0, 0.0], [0.0, 0.0], [0.0, 2.5]])
+    way = np.vstack([resample(corner[:2], 0.1), resample(corner[1:], 0.1)])
+    state, estimate, tfg = build(walls, [(-3.0, 0.0, 0.0), (0.0, 2.5, 1.57)], way)
+    ways = routes(state, tfg, estimate.X_MD, ROBOT)
+    assert np.isfinite(ways.cost[nearest(state, (-3.0, 0.0))])

@@ -5,7 +5,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import GoalObservation, MapEstimate, MissionStatus, PoseEstimate, Roadmap, TfgMap
+from tfg_drake.messages import GoalObservation, MapEstimate, MissionStatus, Roadmap, TfgMap
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
 NONE = np.zeros((0, 2))
@@ -54,8 +54,7 @@ class Selector:
         self.system = InfoGainGoalSelector(RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig())
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
-        pose = PoseEstimate(0.0, np.zeros(3), np.eye(3), np.zeros(2), 0, IDS, NONE)
-        self.set(map=empty_map(), tfg=empty_tfg(), roadmap=roadmap(0), pose=pose,
+        self.set(map=empty_map(), tfg=empty_tfg(), roadmap=roadmap(0),
                  mission=MissionStatus("observe", 0, 0.0))  # fmt: skip
 
     def set(self, **messages):
@@ -124,3 +123,15 @@ def test_where_nothing_was_ever_seen_the_mission_ends():
     goal = selector.goal()
     assert (goal.verdict, goal.node) == ("stuck", -1)
     assert goal.reason == "Neither a landmark nor a surface was seen from 5 goals: there is nothing to map."
+
+
+def test_no_goal_is_chosen_where_the_robot_has_turned_before():
+    estimate, tfg = half_known_room()
+    first = Selector()
+    first.ready()
+    best = first.goal()
+    X_MA = np.vstack([np.zeros((1, 3)), np.append(best.p_MG, 0.0)])
+    again = Selector()
+    again.ready(map=dataclasses.replace(estimate, X_MA=X_MA), tfg=tfg)
+    assert best.node in best.candidates
+    assert best.node not in again.goal().candidates

@@ -6,6 +6,7 @@ import dataclasses
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
@@ -16,7 +17,7 @@ from tfg_drake.planning.information_gain import Gains, information_gain
 OVERHEAD = 1.0
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
-# The robot never goes back to within this of where it has just turned, m.
+# The robot never turns again within this of where it has turned before, m: it would see the same once more.
 APART = 0.3
 
 
@@ -55,7 +56,6 @@ def choose(
     estimate: MapEstimate,
     tfg: TfgMap,
     roadmap: Roadmap,
-    here: FloatArray,
     sensor: TagSensorConfig,
     odometry: OdometryConfig,
     robot: RobotConfig,
@@ -63,14 +63,14 @@ def choose(
 ) -> GoalChoice:
     """The choice at one stage: estimate, tfg and roadmap are of the same stage.
 
-    Candidates are the roadmap's reachable nodes, but for those next to where the robot stands, here (2,) m in M: it has
-    just turned there. Worth going to is what sees a live
+    Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees a live
     frontier, whatever its gain, and what promises more than explorer.stop_gain.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return dataclasses.replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
-    nodes = np.flatnonzero(roadmap.reachable & (np.hypot(*(roadmap.points - here).T) >= APART))
+    from_goal, _ = cKDTree(estimate.X_MA[:, :2]).query(roadmap.points)
+    nodes = np.flatnonzero(roadmap.reachable & (from_goal >= APART))
     sees = expected_frontiers(roadmap.points[nodes], tfg, sensor).count
     candidates = thin_candidates(nodes, sees, explorer.samples)
     points = roadmap.points[candidates]

@@ -31,6 +31,9 @@ from tfg_drake.planning.roadmap import (
     routes,
 )
 
+# Interval at which the robot's way is noted, m.
+DRIVEN_STEP = 0.1
+
 
 @message
 class PlannerState:
@@ -38,7 +41,7 @@ class PlannerState:
 
     nodes: the roadmap itself. roadmap, path, status: what it says of it. replans: the mission's count when the path
     was planned. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. scan_stamp: s, of the
-    newest scan the path was checked against.
+    newest scan the path was checked against. driven: (d, 2) where the robot has been at this stage, m in M.
     """
 
     nodes: RoadmapState
@@ -48,6 +51,7 @@ class PlannerState:
     replans: int
     obstacles: FloatArray
     scan_stamp: float
+    driven: FloatArray
 
 
 def initial_state() -> PlannerState:
@@ -62,6 +66,7 @@ def initial_state() -> PlannerState:
         replans=0,
         obstacles=np.zeros((0, 4)),
         scan_stamp=-np.inf,
+        driven=np.zeros((0, 2)),
     )
 
 
@@ -82,20 +87,31 @@ def step(
     if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
         return _plan(state, estimate, tfg, pose, goal, mission, parameters)
     if mission.phase == "follow" and state.status.free and scan.stamp > state.scan_stamp:
-        return _watch(state, tfg, pose, scan, parameters.robot.radius)
+        state = _watch(state, tfg, pose, scan, parameters.robot.radius)
+    if pose.stage == state.nodes.stage and _moved(state, pose):
+        state = dataclasses.replace(state, driven=np.vstack([state.driven, pose.X_MB[:2]]))
     return state
+
+
+def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
+    """Whether the robot is a step away from where it was last noted."""
+    return len(state.driven) > 0 and bool(np.hypot(*(pose.X_MB[:2] - state.driven[-1])) >= DRIVEN_STEP)
 
 
 def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
     nodes = state.nodes
     for effort in (1, 2):
-        nodes = extend(nodes, tfg, estimate, parameters, driven=state.path.points, effort=effort)
+        nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
         ways = routes(nodes, tfg, estimate.X_MD, parameters.robot)
         reached = nodes.points[np.isfinite(ways.cost)]
         if len(tfg.frontiers) == 0 or len(expected_frontiers(reached, tfg, parameters.sensor).index):
             break
     return dataclasses.replace(
-        state, nodes=nodes, roadmap=roadmap_message(nodes, ways, parameters.robot.radius), obstacles=np.zeros((0, 4))
+        state,
+        nodes=nodes,
+        roadmap=roadmap_message(nodes, ways, parameters.robot.radius),
+        obstacles=np.zeros((0, 4)),
+        driven=estimate.X_MD[None, :2],
     )
 
 

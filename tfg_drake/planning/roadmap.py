@@ -39,7 +39,10 @@ PASSAGE_WIDTH = 1.5
 # A node keeps this much more than the robot's radius from any surface, m.
 NODE_MARGIN = 0.05
 # The least margin of a way that the robot has driven before, m.
-TRAVELLED_MARGIN = 0.02
+TRAVELLED_MARGIN = 0.0
+# How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
+CHORD = 0.02
+SAME_NODE = 0.15
 # Edges are looked up in the free space at this interval, m.
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
@@ -204,25 +207,40 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, effort: int
     return points[ok], spacing[ok]
 
 
+def _chords(way: FloatArray) -> IntArray:
+    """Points of a way (d, 2), m, whose chords stray from it by CHORD at most and are SPACING long at most; its last."""
+    picks = [0]
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
+    for i in range(1, len(way)):
+        a, b = way[picks[-1]], way[i]
+        x, y = (b - a) / max(float(np.hypot(*(b - a))), 1e-9)
+        between = way[picks[-1] + 1 : i] - a
+        strays = np.abs(between[:, 0] * y - between[:, 1] * x).max(initial=0.0)
+        if i - 1 > picks[-1] and (strays > CHORD or along[i] - along[picks[-1]] > SPACING):
+            picks.append(i - 1)
+    return np.array([*picks, len(way) - 1])
+
+
 def _travelled_nodes(
-    nodes: FloatArray, driven: FloatArray, estimate: MapEstimate
+    nodes: FloatArray, driven: FloatArray, estimate: MapEstimate, segments: FloatArray, radius: float
 ) -> tuple[FloatArray, list[tuple[int, int]]]:
-    """New nodes along the path driven to the last goal, and the chain of edges between them and existing nodes."""
+    """New nodes along the way driven (d, 2) to the last goal, and the chain of edges between them and existing nodes.
+
+    An old node nearby stands for a new one where there is room for that.
+    """
     goal = estimate.X_MA[-1, :2]
-    chain = [goal]
-    if len(driven):
-        reached = int(np.argmin(np.hypot(*(driven - goal).T)))
-        if np.hypot(*(driven[reached] - goal)) < 0.5:
-            along = np.append(0.0, np.cumsum(np.hypot(*np.diff(driven[: reached + 1], axis=0).T)))
-            picks = np.searchsorted(along, np.arange(0.0, along[-1], SPACING))
-            chain = [*driven[picks], goal]
+    chain = goal[None]
+    if len(driven) and np.hypot(*(driven[-1] - goal)) < 0.5:
+        chain = np.vstack([driven, goal])
+        chain = chain[_chords(chain)]
+    room = clearance(np.hstack([chain, chain]), segments, 1.0)
     added: list[FloatArray] = []
     index: list[int] = []
-    for point in chain:
+    for point, gap in zip(chain, room, strict=True):
         everything = np.vstack([nodes, *added])
         distance = np.hypot(*(everything - point).T)
         nearest = int(np.argmin(distance)) if len(distance) else -1
-        if nearest >= 0 and distance[nearest] < 0.15:
+        if nearest >= 0 and distance[nearest] < np.clip(gap - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE):
             index.append(nearest)
         else:
             index.append(len(everything))
@@ -254,13 +272,13 @@ def extend(
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
-    driven: (d, 2) m in M, the path the robot followed to the last goal. effort: 1, or 2 to sample again, more and
+    driven: (d, 2) m in M, the way of the robot to the last goal. effort: 1, or 2 to sample again, more and
     more densely, before the mission is declared done. The same arguments give the same roadmap.
     """
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
     nodes = _resolve(state.anchor, state.p_AN, estimate.X_MA)
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
-    travelled, chain = _travelled_nodes(nodes, path, estimate)
+    travelled, chain = _travelled_nodes(nodes, path, estimate, tfg.segments, parameters.robot.radius)
     nodes = np.vstack([nodes, travelled])
     proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, effort)
     points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes)]])
