@@ -22,7 +22,7 @@ from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reach
 from tfg_drake.world.world import World
 
 if TYPE_CHECKING:
-    from tfg_drake.diagrams.run import Mission
+    from tfg_drake.diagrams.run import Departure, Mission
 
 SCHEMA = 1
 
@@ -34,7 +34,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         OSError: a file cannot be written.
     """
     world, tfg = mission.world, mission.tfg
-    estimate = mission.maps[-1] if mission.maps else None
+    estimate = mission.map
     map_bytes = 0
     if estimate is not None and tfg is not None:
         save_map(folder / "map.npz", saved_map(world.start, estimate, tfg))
@@ -47,7 +47,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     grid = make_grid(world)
     cells = reachable_cells(grid, world, scenario.robot.radius)
     reachable = reachable_tags(world, grid, cells, scenario.tags.range, scenario.tags.max_incidence)
-    X_WD_true = _at(np.array([one.stamp for one in mission.maps]), true_stamps, X_WB_true)
+    X_WD_true = _at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
     summary: dict[str, Any] = {
         "schema": SCHEMA,
         "version": __version__,
@@ -62,16 +62,16 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         "cpu_time_s": mission.cpu_time,
         "real_time_factor": mission.end_time / mission.wall_time,
         "distance_m": float(np.linalg.norm(np.diff(X_WB_true[:, :2], axis=0), axis=1).sum()),
-        "stages": len(mission.maps),
+        "stages": len(mission.departures),
         **_landmarks(world, reachable, estimate),
-        **_consistency(mission.maps, compose(inverse(world.start), X_WD_true)),
+        **_consistency(mission.departures, compose(inverse(world.start), X_WD_true)),
         **_pose_errors(X_WB, _at(stamps, true_stamps, X_WB_true)),
         **_coverage(scenario, world, grid, cells, tfg, X_WD_true[:, :2]),
         "contacts": mission.contacts,
         "min_clearance_m": mission.clearance,
         "map_variables": {
             "landmarks": len(estimate.ids) if estimate is not None else 0,
-            "poses": 2 * len(mission.maps),  # arrival and departure
+            "poses": 2 * len(mission.departures),  # arrival and departure
             "calibration": 0,
         },
         "map_bytes": map_bytes,
@@ -127,9 +127,9 @@ def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None)
     }
 
 
-def _consistency(maps: list[MapEstimate], X_MD_true: FloatArray) -> dict[str, Any]:
-    X_MD = np.array([one.X_MD for one in maps]).reshape(-1, 3)
-    covariance = np.array([one.covariance[-3:, -3:] for one in maps]).reshape(-1, 3, 3)
+def _consistency(departures: list[Departure], X_MD_true: FloatArray) -> dict[str, Any]:
+    X_MD = np.array([one.X_MD for one in departures]).reshape(-1, 3)
+    covariance = np.array([one.covariance for one in departures]).reshape(-1, 3, 3)
     return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
 
 

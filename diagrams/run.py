@@ -121,6 +121,15 @@ def explore(
     return RunResult(summary, mission.stages, folder)
 
 
+@dataclasses.dataclass(frozen=True)
+class Departure:
+    """The pose at the end of one goal's turn as it was estimated then: stamp (s), X_MD (3,), covariance (3, 3)."""
+
+    stamp: float
+    X_MD: FloatArray
+    covariance: FloatArray
+
+
 class Mission:
     """One simulated mission and what is observed of it from outside."""
 
@@ -133,7 +142,8 @@ class Mission:
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
         self.pose: PoseEstimate | None = None
         self.tfg: TfgMap | None = None
-        self.maps: list[MapEstimate] = []  # one a stage
+        self.map: MapEstimate | None = None
+        self.departures: list[Departure] = []  # one a stage
         self.stages: list[dict[str, Any]] = []
         self.outcome, self.reason = "", ""
         self.stage_cpu: dict[int, float] = {}
@@ -234,9 +244,12 @@ class Mission:
             self._area = _area_of_stars(tfg)
         self.tfg = tfg
         estimate = self._eval(self._explorer, "map", MapEstimate)
-        if estimate.stage > len(self.maps):
+        if estimate.stage > len(self.departures):
             record = self._stage_record(estimate)
-            self.maps.append(estimate)
+            self.map = estimate
+            # Copies: a view would keep the whole joint covariance of every stage.
+            covariance = estimate.covariance[-3:, -3:].copy()
+            self.departures.append(Departure(estimate.stamp, estimate.X_MD, covariance))
             self.stages.append(record)
             write(json.dumps(record) + "\n")
             _log.info("stage %d: %d landmarks at %.1f s", estimate.stage, len(estimate.ids), estimate.stamp)
@@ -259,7 +272,7 @@ class Mission:
         if choice is not None and (choice.node < 0 or self.status.failures > 0):
             choice = None
         row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
-        before = self.maps[-1] if self.maps else None
+        before = self.map
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self._scenario.explorer.prior_sigma**2)
         X_WA = compose(self.world.start, estimate.X_MA[-1])
@@ -281,7 +294,7 @@ class Mission:
         if self.pose is not None:
             X_WB = compose(self.world.start, self.pose.X_MB)
             error = float(np.linalg.norm(X_WB[:2] - self._station_output("truth.pose")[:2]))
-        landmarks = len(self.maps[-1].ids) if self.maps else 0
+        landmarks = len(self.map.ids) if self.map is not None else 0
         return Progress(self.time, wall_time, self.status.phase, self.status.stage, landmarks, self._area, error)
 
     def _eval(self, system: System, port: str, kind: type) -> Any:

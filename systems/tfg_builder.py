@@ -107,5 +107,5 @@ class TfgBuilder(LeafSystem):
         panorama = build_panorama(buffer.scans, estimate.observation.stamps, estimate.observation.X_AB)
         graph = update(graph, estimate, panorama, buffer.sightings, self._tags, self._robot, self._explorer)
         set_state_message(state, self._graph, graph)
-        set_state_message(state, self._tfg, resolve(graph, estimate, self._explorer))
+        set_state_message(state, self._tfg, resolve(graph, estimate, self._robot, self._explorer))
         set_state_message(state, self._buffer, _Buffer((), no_sightings()))

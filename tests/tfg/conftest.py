@@ -91,7 +91,7 @@ class Simulation:
             self.robot,
             self.explorer,
         )
-        return resolve(self.graph, self.estimate, self.explorer)
+        return resolve(self.graph, self.estimate, self.robot, self.explorer)
 
     def moved(self, X_NM: np.ndarray) -> MapEstimate:
         """The estimate with the whole map moved rigidly."""

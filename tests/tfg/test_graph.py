@@ -110,7 +110,7 @@ def test_everything_moves_with_the_map(two_rooms) -> None:
     for X_WA in TOUR[:3]:
         tfg = two_rooms.observe(X_WA)
     X_NM = np.array([3.0, -2.0, 2.5])
-    moved = resolve(two_rooms.graph, two_rooms.moved(X_NM), two_rooms.explorer)
+    moved = resolve(two_rooms.graph, two_rooms.moved(X_NM), two_rooms.robot, two_rooms.explorer)
     np.testing.assert_allclose(moved.segments[:, :2], transform(X_NM, tfg.segments[:, :2]), atol=1e-9)
     np.testing.assert_allclose(moved.segments[:, 2:], transform(X_NM, tfg.segments[:, 2:]), atol=1e-9)
     np.testing.assert_allclose(moved.star_vertices, transform(X_NM, tfg.star_vertices), atol=1e-9)
@@ -127,7 +127,7 @@ def test_an_edge_follows_its_two_landmarks(two_rooms) -> None:
     a, b = tfg.segment_ids[0]
     p_ML = e.p_ML.copy()
     p_ML[np.isin(e.ids, [a, b])] += shift
-    moved = resolve(two_rooms.graph, dataclasses.replace(e, p_ML=p_ML), two_rooms.explorer)
+    moved = resolve(two_rooms.graph, dataclasses.replace(e, p_ML=p_ML), two_rooms.robot, two_rooms.explorer)
     own = (tfg.segment_ids == [a, b]).all(axis=1)
     np.testing.assert_allclose(moved.segments[own], tfg.segments[own] + np.tile(shift, 2), atol=1e-9)
 

@@ -11,9 +11,10 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
@@ -48,13 +49,8 @@ from tfg_drake.tfg.surfaces import Surfaces, add_observation, no_surfaces, place
 
 # Goals tried within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
-# Room between a line of sight and surfaces that makes it certain, m, but for this much of the line's end, m.
-LINE_ROOM = 0.15
-LINE_END = 0.45
-# What a look past surfaces with room to spare counts; one by a hair counts 1.
-FULL_LOOK = 2
-# Goals this close to each other are the same place, m.
-SAME_PLACE = 0.75
+# An opening must be this much wider than the robot on either side, m, to be held against the mission.
+PASSABLE_MARGIN = 0.05
 
 
 @message
@@ -93,8 +89,7 @@ class TfgGraph:
     no star has covered yet. uninspected: points of surface on which a tag may have been missed.
     unseen_backs: points on the far faces of thin walls that no goal has seen.
     open_ends: points in front of other faces that none has seen. sighted: tags seen on
-    the way and not mapped. tried: places where goals have tried a frontier in vain, tried_count: (t,) how often, a full
-    look counting FULL_LOOK.
+    the way and not mapped. tried: places where goals have tried a frontier in vain, tried_count: (t,) how often.
     """
 
     stage: int
@@ -224,14 +219,14 @@ def update(
     return _count_attempts(graph, updated, estimate, tags, explorer)
 
 
-def resolve(graph: TfgGraph, estimate: MapEstimate, explorer: ExplorerConfig) -> TfgMap:
+def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's."""
     segments, owner = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     frontier = live_frontiers(graph, estimate, segments, explorer)
     shadows = _open_shadows(graph, estimate, segments)
-    given_up = shadows.length[_given_up(graph, shadows, estimate, explorer)].sum()
+    given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
     return TfgMap(
         stage=graph.stage,
@@ -245,7 +240,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, explorer: ExplorerConfig) ->
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         star_centers=star_centers,
-        given_up_length=float(given_up),
+        given_up_length=given_up,
     )
 
 
@@ -272,13 +267,14 @@ def live_frontiers(
 ) -> FrontierPoints:
     """The frontier points in the map frame that are still worth a visit. segments: (m, 4) all surfaces there, m.
 
-    Those that explorer.frontier_attempts goals have tried in vain are left out.
+    Those that explorer.frontier_attempts goals have tried in vain are left out; what fewer have tried counts for less.
     """
     shadows = _open_shadows(graph, estimate, segments)
     poorly_seen = join(graph.uninspected, graph.unseen_backs)
     points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
-    return select(points, ~_given_up(graph, points, estimate, explorer))
+    left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
+    return select(dataclasses.replace(points, length=points.length * np.maximum(left, 0.0)), left > 0.0)
 
 
 def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
@@ -287,10 +283,21 @@ def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) 
     return select(shadows, open_frontiers(shadows, segments))
 
 
-def _given_up(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate, explorer: ExplorerConfig) -> BoolArray:
-    """Which points (f,), in the map frame, explorer.frontier_attempts goals have tried in vain."""
-    tried = select(graph.tried, graph.tried_count >= FULL_LOOK * explorer.frontier_attempts)
-    return ~far_from(points.p, place_points(tried, estimate.X_MA).p, TRIED_DISTANCE)
+def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
+    """How many goals have tried each of the points (f,), in the map frame, in vain."""
+    tried = place_points(graph.tried, estimate.X_MA).p
+    near = cKDTree(tried).query_ball_point(points.p, TRIED_DISTANCE) if len(tried) else [[]] * len(points.p)
+    return np.array([graph.tried_count[rows].max(initial=0) for rows in near], dtype=np.int64)
+
+
+def _openings(points: FrontierPoints, robot: RobotConfig) -> float:
+    """Length of the frontier points that hang together widely enough for the robot to pass, m."""
+    if not len(points.p):
+        return 0.0
+    neighbours = cKDTree(points.p).sparse_distance_matrix(cKDTree(points.p), TRIED_DISTANCE)
+    _, label = connected_components(neighbours, directed=False)
+    length = np.bincount(label, points.length)
+    return float(length[length >= 2.0 * (robot.radius + PASSABLE_MARGIN)].sum())
 
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
@@ -382,48 +389,30 @@ def _count_attempts(
     """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on."""
     center = estimate.X_MA[-1, :2]
 
-    # A second look from the same place counts whatever the room.
-    repeated = not far_from(center[None], estimate.X_MA[:-1, :2], SAME_PLACE)[0]
-
-    def in_view(graph: TfgGraph) -> tuple[FloatArray, FloatArray]:
+    def in_view(graph: TfgGraph) -> FloatArray:
         segments, _ = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
         points = live_frontiers(graph, estimate, segments, explorer)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
-        # Past surfaces with room to spare: their ends are known to a ray's width, and so are shadows.
-        last = np.minimum(LINE_END / np.maximum(distance, 1e-9), 1.0)[:, None]
-        lines = np.concatenate([np.broadcast_to(center, points.p.shape), points.p + last * towards], axis=1)
-        roomy = clearance(lines, segments, LINE_ROOM) >= LINE_ROOM
         clear = line_of_sight(segments, center, points.p)
-        seen = (distance <= tags.range) & ~(points.on_surface & slant) & clear
-        return np.asarray(points.p[seen & (roomy | repeated)]), np.asarray(points.p[seen])
+        return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear])
 
-    # Seen from here by the old map, alive, and no surface found since that explains why. What was seen past a surface
-    # by a hair only may have been hidden after all: such a look counts half.
-    failed, barely = (
-        now[~far_from(now, then, TRIED_DISTANCE)] for now, then in zip(in_view(after), in_view(before), strict=True)
-    )
-    failed, weight = np.concatenate([failed, barely]), np.repeat([FULL_LOOK, 1], [len(failed), len(barely)])
+    # Seen from here by the old map, alive, and no surface found since that explains why.
+    failed, then = in_view(after), in_view(before)
+    failed = failed[~far_from(failed, then, TRIED_DISTANCE)]
 
     tried = place_points(after.tried, estimate.X_MA)
-    again = np.where(
-        ~far_from(tried.p, failed[weight == FULL_LOOK], TRIED_DISTANCE),
-        FULL_LOOK,
-        ~far_from(tried.p, failed, TRIED_DISTANCE),
-    )
+    again = ~far_from(tried.p, failed, TRIED_DISTANCE)
     first: list[FloatArray] = []
-    looks: list[int] = []
-    new = far_from(failed, tried.p, TRIED_DISTANCE)
-    for p, look in zip(failed[new], weight[new], strict=True):
+    for p in failed[far_from(failed, tried.p, TRIED_DISTANCE)]:
         if far_from(p[None], np.array(first).reshape(-1, 2), TRIED_DISTANCE)[0]:
             first.append(p)
-            looks.append(look)
     added = transform(inverse(estimate.X_MA[-1]), np.array(first).reshape(-1, 2))
     nothing = np.zeros(len(added))
     return dataclasses.replace(
         after,
         tried=join(after.tried, points_of(after.stage - 1, added, np.zeros_like(added), nothing)),
-        tried_count=np.concatenate([after.tried_count + again, np.array(looks, dtype=np.int64)]),
+        tried_count=np.concatenate([after.tried_count + again, np.ones(len(added), dtype=np.int64)]),
     )
