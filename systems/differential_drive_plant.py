@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.cpu_meter import metered
+from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.systems.ports import declare_message_output
@@ -46,7 +46,7 @@ class DifferentialDrivePlant(LeafSystem):
         self.DeclareVectorOutputPort("contacts", 1, self._CalcContacts, {state})
         self.DeclareVectorOutputPort("clearance", 1, self._CalcClearance, {state})
 
-    @metered("differential_drive_plant")
+    @metered_in_detail("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
         command = self._command.Eval(context)
         update.set_value(drive.step(self._State(context), command, self._walls, self._robot, PERIOD))
@@ -55,7 +55,7 @@ class DifferentialDrivePlant(LeafSystem):
         state: FloatArray = context.get_discrete_state_vector().value()
         return state
 
-    @metered("differential_drive_plant")
+    @metered_in_detail("differential_drive_plant")
     def _CalcPose(self, context: Context, output: BasicVector) -> None:
         # The state holds at the end of the running step; sensors whose periods are no multiple of ours look inside it.
         state = self._State(context)

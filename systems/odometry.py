@@ -6,7 +6,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.cpu_meter import metered
+from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.odometry import initial_state, integrate, message, run_errors
 from tfg_drake.systems.ports import declare_message_output
@@ -46,7 +46,7 @@ class Odometry(LeafSystem):
             {self.xd_ticket()},
         )
 
-    @metered("odometry")
+    @metered_in_detail("odometry")
     def _Integrate(self, context: Context, update: DiscreteValues) -> None:
         state = context.get_discrete_state_vector().value()
         errors = run_errors(self._run_errors.Eval(context), self._config)

@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import RobotConfig, SafetyConfig
-from tfg_drake.cpu_meter import metered
+from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import Hazards, LaserScan
 from tfg_drake.simulation.safety import STATE_SIZE, filter_command
 from tfg_drake.systems.ports import declare_message_input, eval_message
@@ -41,7 +41,7 @@ class SafetyFilter(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
         self.DeclareVectorOutputPort("velocity", 2, self._CalcVelocity, {self.xd_ticket()})
 
-    @metered("safety_filter")
+    @metered_in_detail("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)

@@ -1,7 +1,7 @@
 import pytest
 
 from tfg_drake import cpu_meter
-from tfg_drake.cpu_meter import cpu_totals, metered
+from tfg_drake.cpu_meter import charge_details, cpu_totals, metered, metered_in_detail
 
 
 @pytest.fixture
@@ -43,3 +43,18 @@ def test_open_blocks_count(burn):
     with metered("open"):
         burn(2.0)
         assert cpu_totals() == {"open": 2.0}
+
+
+def test_details_are_charged_on_request_only(burn, monkeypatch):
+    monkeypatch.setattr(cpu_meter, "_details", False)
+
+    @metered_in_detail("detail")
+    def work():
+        burn(1.0)
+        return 7
+
+    with metered("outer"):
+        assert work() == 7
+        charge_details()
+        assert work() == 7
+    assert cpu_totals() == {"outer": 1.0, "detail": 1.0}

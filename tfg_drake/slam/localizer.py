@@ -7,13 +7,16 @@ carries X_MD along, so that the pose in M has its full covariance too.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
-from tfg_drake.slam.odometry_model import OdometryModel
+from tfg_drake.slam.odometry_model import OdometryModel, wrap
 from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter
 
 # Landmarks considered: the nearest to the departure pose.
@@ -58,13 +61,22 @@ def localized_pose(
 ) -> tuple[FloatArray, FloatArray]:
     """X_MB (3,) and its covariance (3, 3), an odometry increment (3,) over dt seconds past the localiser's instant."""
     X_DB, P_BB, P_BD = pose_filter.predict_pose(localizer.filter, model, increment, dt, POSE)
-    X_MB = se2.compose(localizer.X_MD, X_DB)
+    return _in_map(localizer.X_MD, localizer.filter.considered[-POSE:, -POSE:], X_DB, P_BB, P_BD)
+
+
+@njit(cache=True)
+def _in_map(
+    X_MD: FloatArray, P_DD: FloatArray, X_DB: FloatArray, P_BB: FloatArray, P_BD: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """X_MB (3,) = X_MD X_DB and its covariance (3, 3), from those of the two and the cross covariance P_BD (3, 3)."""
+    c, s = math.cos(X_MD[2]), math.sin(X_MD[2])
+    x, y = c * X_DB[0] - s * X_DB[1], s * X_DB[0] + c * X_DB[1]
     by_D, by_B = np.eye(3), np.eye(3)
-    by_D[:2, 2] = -(X_MB[1] - localizer.X_MD[1]), X_MB[0] - localizer.X_MD[0]
-    by_B[:2, :2] = se2.rotation(float(localizer.X_MD[2]))
+    by_D[0, 2], by_D[1, 2] = -y, x
+    by_B[0, 0], by_B[0, 1], by_B[1, 0], by_B[1, 1] = c, -s, s, c
     mixed = by_B @ P_BD @ by_D.T
-    P_DD = localizer.filter.considered[-POSE:, -POSE:]
-    return X_MB, by_D @ P_DD @ by_D.T + by_B @ P_BB @ by_B.T + mixed + mixed.T
+    X_MB = np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + X_DB[2])])
+    return X_MB, by_D @ np.ascontiguousarray(P_DD) @ by_D.T + by_B @ P_BB @ by_B.T + mixed + mixed.T
 
 
 def local_tags(localizer: Localizer) -> FloatArray:
