@@ -173,7 +173,8 @@ class TfgMap:
     enough, that surface's normal. Every piece of surface was seen from its left. star_offsets: (k + 1,) and
     star_vertices: (v, 2): star j, the free polygon seen from goal j, has the vertices star_offsets[j]:star_offsets[j
     + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up_length: m of open frontier,
-    room for the robot, that was tried in vain as often as the explorer tries.
+    room for the robot, that was tried in vain as often as the explorer tries. viewpoints: (v, 2) places in M, m, from
+    where tags that the map lacks were seen on the way.
     """
 
     stage: int
@@ -188,6 +189,7 @@ class TfgMap:
     star_vertices: FloatArray
     star_centers: FloatArray
     given_up_length: float = 0.0
+    viewpoints: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
 
 
 @message

@@ -197,11 +197,13 @@ def test_a_sighted_tag_is_a_frontier_until_it_is_mapped_or_given_up(two_rooms) -
     assert tfg.frontier_length[np.argmin(at)] == 1.0
     np.testing.assert_allclose(tfg.frontier_normal[np.argmin(at)], [-1.0, 0.0], atol=1e-9)
     assert np.hypot(*(tfg.frontiers - [2.7, 3.0]).T).min() < 1e-9
+    np.testing.assert_allclose(tfg.viewpoints, p - [1.0, 0.0], atol=1e-9)
     for n, X_WA in enumerate(TOUR[1:]):
         tfg = two_rooms.observe(X_WA)
         if n == 0:
             assert np.hypot(*(tfg.frontiers - [2.7, 3.0]).T).min() < 1e-9
     assert behind in two_rooms.mapped
+    np.testing.assert_allclose(tfg.viewpoints, [[2.0, 3.0]], atol=1e-9)
     two_rooms.observe(TOUR[0])
     tfg = two_rooms.observe(TOUR[0])
     assert len(tfg.frontiers) == 0

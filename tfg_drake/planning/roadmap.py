@@ -195,6 +195,7 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, effort: int
     newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * effort)
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * effort**2)
     groups = [
+        (tfg.viewpoints, SAME_NODE),
         (gaps, PASSAGE_SPACING),
         (fringe, FRONTIER_SPACING / effort),
         (newest, SPACING / effort),

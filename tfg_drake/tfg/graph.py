@@ -88,8 +88,9 @@ class TfgGraph:
     star_offsets: (k + 1,), star_vertices: (v, 2) in each goal's frame, m. shadows: frontier points of free space that
     no star has covered yet. uninspected: points of surface on which a tag may have been missed.
     unseen_backs: points on the far faces of thin walls that no goal has seen.
-    open_ends: points in front of other faces that none has seen. sighted: tags seen on
-    the way and not mapped. tried: places where goals have tried a frontier in vain, tried_count: (t,) how often.
+    open_ends: points in front of other faces that none has seen. sighted: tags seen on the way and not mapped,
+    viewpoints: row for row the place of the robot then. tried: places where goals have tried a frontier in vain,
+    tried_count: (t,) how often.
     """
 
     stage: int
@@ -105,6 +106,7 @@ class TfgGraph:
     unseen_backs: FrontierPoints
     open_ends: FrontierPoints
     sighted: FrontierPoints
+    viewpoints: FrontierPoints
     tried: FrontierPoints
     tried_count: IntArray
 
@@ -122,6 +124,7 @@ def empty_graph() -> TfgGraph:
         np.zeros(0),
         zero,
         pairs,
+        points,
         points,
         points,
         points,
@@ -212,7 +215,7 @@ def update(
             UNINSPECTED_SPACING,
         ),
         unseen_faces(find_open_ends(surfaces.offsets, placed, stars), END_LENGTH),
-        _update_sighted(graph.sighted, sightings, estimate),
+        *_update_sighted(graph.sighted, graph.viewpoints, sightings, estimate),
         graph.tried,
         graph.tried_count,
     )
@@ -241,6 +244,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
         star_vertices=star_vertices,
         star_centers=star_centers,
         given_up_length=given_up,
+        viewpoints=place_points(graph.viewpoints, estimate.X_MA).p,
     )
 
 
@@ -369,8 +373,10 @@ def _merge(
     return join(old, select(new, fresh & keep_new(new_placed)))
 
 
-def _update_sighted(sighted: FrontierPoints, sightings: Sightings, estimate: MapEstimate) -> FrontierPoints:
-    """The tags sighted so far that the map still lacks, in goals' frames; the first sighting of a tag counts."""
+def _update_sighted(
+    sighted: FrontierPoints, viewpoints: FrontierPoints, sightings: Sightings, estimate: MapEstimate
+) -> tuple[FrontierPoints, FrontierPoints]:
+    """The tags sighted so far that the map still lacks, and from where, in goals' frames; the first sighting counts."""
     goal = estimate.stage - 1
     X_AM = inverse(estimate.X_MA[goal])
     p, seen_from = transform(X_AM, sightings.p_MU), transform(X_AM, sightings.p_MS)
@@ -378,9 +384,12 @@ def _update_sighted(sighted: FrontierPoints, sightings: Sightings, estimate: Map
     normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
     # In front of the surface: the tag's place is known roughly, and must not be taken to lie behind it.
     front = p + UNINSPECTED_STANDOFF * normal
-    new = points_of(goal, front, normal, np.full(len(p), SIGHTED_LENGTH), sightings.ids)
-    points = join(sighted, select(new, ~np.isin(new.id, sighted.id)))
-    return select(points, ~np.isin(points.id, estimate.ids))
+    length = np.full(len(p), SIGHTED_LENGTH)
+    new = ~np.isin(sightings.ids, sighted.id)
+    points = join(sighted, select(points_of(goal, front, normal, length, sightings.ids), new))
+    places = join(viewpoints, select(points_of(goal, seen_from, normal, length, sightings.ids), new))
+    missing = ~np.isin(points.id, estimate.ids)
+    return select(points, missing), select(places, missing)
 
 
 def _count_attempts(
