@@ -7,9 +7,11 @@ velocity_commanded  <- follower  <-----------------------  path
 
 from __future__ import annotations
 
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.mapfile.saved_map import SavedMap, saved_map
+from tfg_drake.messages import FloatArray
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.prm_planner import PrmPlanner
@@ -80,3 +82,22 @@ def MakeTfgExplorer(scenario: Scenario) -> Diagram:
     diagram = builder.Build()
     diagram.set_name("explorer")
     return diagram
+
+
+def MapOfExplorer(explorer: Diagram, context: Context, X_WM: FloatArray) -> SavedMap | None:
+    """The map of a running explorer, to be kept with `tfg_drake.mapfile.saved_map.save_map`.
+
+    Args:
+        explorer: of MakeTfgExplorer, context: its own.
+        X_WM: (3,) pose of the map frame in the world, m and rad: the true start pose, zeros where none is known.
+
+    Returns None before the first goal is in the map and its surfaces are.
+    """
+    estimator, builder = explorer.GetSubsystemByName("slam_estimator"), explorer.GetSubsystemByName("tfg_builder")
+    state = estimator.estimator(explorer.GetSubsystemContext(estimator, context))
+    builder_context = explorer.GetSubsystemContext(builder, context)
+    tfg_graph = builder.graph(builder_context)
+    if state.map is None or tfg_graph.stage == 0:
+        return None
+    tfg = builder.GetOutputPort("tfg").Eval(builder_context)
+    return saved_map(X_WM, state.graph, state.map, tfg_graph, tfg)

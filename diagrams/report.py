@@ -15,7 +15,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.figure import draw_run
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose, inverse, transform
-from tfg_drake.map_file import save_map, saved_map
+from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
 from tfg_drake.trajectory import write_tum
 from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
@@ -36,8 +36,9 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     world, tfg = mission.world, mission.tfg
     estimate = mission.map
     map_bytes = 0
-    if estimate is not None and tfg is not None:
-        save_map(folder / "map.npz", saved_map(world.start, estimate, tfg))
+    saved = mission.saved_map()
+    if saved is not None:
+        save_map(folder / "map.npz", saved)
         map_bytes = (folder / "map.npz").stat().st_size
     true_stamps, X_WB_true = mission.true_poses()
     stamps, X_WB = mission.estimated_poses()

@@ -29,13 +29,14 @@ from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
 from tfg_drake.cpu_meter import cpu_totals
-from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
 from tfg_drake.diagrams.report import write_report
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import inside_any
+from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.pose_vector import PoseVector
@@ -210,6 +211,12 @@ class Mission:
         lived = stamps <= self.end_time
         stamps, X_MB = stamps[lived], data[1:, first[lived]].T
         return stamps, compose(self.world.start, X_MB) if len(X_MB) else X_MB
+
+    def saved_map(self) -> SavedMap | None:
+        """The map as it is now, to be kept; None before the first goal."""
+        if self._context is None:
+            return None
+        return MapOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context), self.world.start)
 
     def _build(self) -> None:
         diagram, self._truth_log, self._pose_log = MakeMissionDiagram(

@@ -65,6 +65,10 @@ class SlamEstimator(LeafSystem):
         declare_message_output(self, "map", self._CalcMap, depends)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
+    def estimator(self, context: Context) -> EstimatorState:
+        """All it knows, in its own context; for whoever keeps the map."""
+        return state_message(context, self._state, EstimatorState)
+
     @metered("slam_estimator")
     def _CalcPose(self, context: Context) -> PoseEstimate:
         return pose_estimate(state_message(context, self._state, EstimatorState))

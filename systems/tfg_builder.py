@@ -77,6 +77,10 @@ class TfgBuilder(LeafSystem):
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
 
+    def graph(self, context: Context) -> TfgGraph:
+        """The graph, in the builder's own context, in the coordinates of its landmarks and goals."""
+        return state_message(context, self._graph, TfgGraph)
+
     @metered("tfg_builder")
     def _Update(self, context: Context, state: State) -> EventStatus:
         graph = state_message(context, self._graph, TfgGraph)

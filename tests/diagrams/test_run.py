@@ -9,7 +9,7 @@ import pytest
 
 from tfg_drake.diagrams import run
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
-from tfg_drake.map_file import load_map
+from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.trajectory import read_tum
 
 ROOM = """

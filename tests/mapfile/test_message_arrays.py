@@ -1,0 +1,170 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tfg_drake.mapfile.message_arrays import ArraysError, array_names, from_arrays, to_arrays
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
+
+
+@message
+class Leaf:
+    ids: IntArray
+    p: FloatArray
+    covariance: FloatArray
+    weight: float
+    name: str
+
+
+@message
+class Tree:
+    X: FloatArray
+    flags: BoolArray
+    count: int
+    ready: bool
+    leaf: Leaf
+    leaves: tuple[Leaf, ...]
+    spare: Leaf | None
+    prior_covariance: FloatArray
+    limit: float | None = None
+
+
+REGISTRY = {
+    Leaf: {"ids": ("n",), "p": ("n", 2), "covariance": ("2n+3", "2n+3")},
+    Tree: {"X": (3,), "flags": ("b",), "prior_covariance": ("j", 3, 3)},
+}
+
+
+def leaf(n, seed=0, symmetric=True):
+    random = np.random.default_rng(seed)
+    covariance = random.normal(size=(2 * n + 3, 2 * n + 3))
+    covariance = covariance + covariance.T if symmetric else covariance
+    return Leaf(np.arange(n), random.normal(size=(n, 2)), covariance, float(random.normal()), f"leaf {n} \u03c3")
+
+
+def tree(leaves=(), spare=None, limit=None, j=2):
+    return Tree(
+        X=np.array([-0.0, np.inf, 1e-310]),
+        flags=np.array([True, False]),
+        count=-7,
+        ready=True,
+        leaf=leaf(2),
+        leaves=tuple(leaves),
+        spare=spare,
+        prior_covariance=np.array([np.eye(3)] * j).reshape(j, 3, 3),
+        limit=limit,
+    )
+
+
+def assert_same(one, other):
+    assert type(one) is type(other)
+    if isinstance(one, tuple):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    elif isinstance(one, np.ndarray):
+        assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes())
+    elif hasattr(one, "__dataclass_fields__"):
+        for name in one.__dataclass_fields__:
+            assert_same(getattr(one, name), getattr(other, name))
+    else:
+        assert one == other
+
+
+@given(st.lists(st.integers(0, 4), max_size=4), st.booleans(), st.booleans(), st.none() | st.floats(-1, 1))
+def test_a_tree_comes_back_to_the_bit(sizes, with_spare, symmetric, limit):
+    leaves = [leaf(n, seed, symmetric) for seed, n in enumerate(sizes)]
+    before = tree(leaves, leaf(1) if with_spare else None, limit, j=len(sizes))
+    arrays = to_arrays(before, REGISTRY)
+    assert not any(array.dtype.hasobject for array in arrays.values())
+    assert_same(from_arrays(Tree, arrays, REGISTRY), before)
+
+
+def test_the_names_say_what_is_where():
+    arrays = to_arrays(tree([leaf(1), leaf(2)]), REGISTRY)
+    np.testing.assert_array_equal(arrays["X"], [0.0, np.inf, 1e-310])
+    assert arrays["leaves@count"] == 2
+    np.testing.assert_array_equal(arrays["leaves.p@shape"], [[1, 2], [2, 2]])
+    np.testing.assert_array_equal(arrays["leaves.p"], np.concatenate([leaf(1).p.ravel(), leaf(2).p.ravel()]))
+    assert arrays["leaf.covariance@lower"].shape == (7 * 8 // 2,)
+    assert arrays["prior_covariance@lower"].shape == (2, 6)
+    assert not arrays["spare@present"]
+    assert not any(name.startswith("spare.") for name in arrays)
+    plain = {name.split("@")[0] for name in arrays} | {"limit", "spare"}
+    assert {name.split("@")[0] for name in array_names(Tree, REGISTRY)} - plain == {
+        f"spare.{field}" for field in ("ids", "p", "covariance", "weight", "name")
+    }
+    assert array_names(Tree, REGISTRY)["leaf.covariance"] == "float64 (2n+3, 2n+3)"
+
+
+def test_a_matrix_that_is_not_quite_symmetric_is_stored_whole():
+    one = leaf(0)
+    skewed = one.covariance.copy()
+    skewed[0, 1] = np.nextafter(skewed[0, 1], 9.0)
+    arrays = to_arrays(Leaf(one.ids, one.p, skewed, 0.0, ""), REGISTRY)
+    np.testing.assert_array_equal(arrays["covariance"], skewed)
+    zero = np.zeros((3, 3))
+    zero[0, 1] = -0.0
+    assert "covariance" in to_arrays(Leaf(one.ids, one.p, zero, 0.0, ""), REGISTRY)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "complaint"),
+    [
+        ("X", None, "X is missing"),
+        ("X", np.zeros(2), "X has the wrong shape"),
+        ("X", np.zeros(3, dtype=np.float32), "X must be float64, not float32"),
+        ("X", np.zeros(3, dtype=np.int64), "X holds no numbers"),
+        ("X", np.full(3, np.nan), "X holds NaN"),
+        ("flags", np.zeros(2), "flags holds no truth values"),
+        ("count", np.zeros(1, dtype=np.int64), "count has the wrong shape"),
+        ("count", np.float64(1.0), "count holds no integers"),
+        ("leaf.name", np.int64(3), "leaf.name holds no text"),
+        ("leaf.ids", np.arange(5), "leaf.p has the wrong shape"),
+        ("leaf.covariance@lower", np.zeros(27), "leaf.covariance@lower has the wrong shape"),
+        ("leaf.covariance@lower", np.zeros(36), "leaf.covariance has the wrong shape"),
+        ("leaf.covariance@lower", None, "leaf.covariance is missing"),
+        ("leaves@count", np.int64(1), "leaves.ids@shape has the wrong shape"),
+        ("leaves@count", np.int64(-1), "leaves@count is negative"),
+        ("leaves.p", np.zeros(5), "leaves.p@shape does not fit leaves.p"),
+        ("leaves.p@shape", np.array([[2, 2], [1, 2]]), "leaves.p has the wrong shape"),
+        ("leaves.p@shape", np.array([[-1, 2], [-1, 2]]), "leaves.p@shape has the wrong shape"),
+        ("leaves.covariance@shape", np.array([[5, 4], [7, 8]]), "leaves.covariance@shape does not fit "
+         "leaves.covariance@lower"),
+        ("leaves.weight", np.zeros(3), "leaves.weight has the wrong shape"),
+        ("spare@present", np.True_, "spare.ids is missing"),
+        ("more", np.zeros(1), "more is unknown"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_named(name, change, complaint):
+    arrays = to_arrays(tree([leaf(1), leaf(2)]), REGISTRY)
+    assert change is None or name == "more" or name in arrays
+    arrays[name] = change
+    if change is None:
+        del arrays[name]
+    with pytest.raises(ArraysError) as caught:
+        from_arrays(Tree, arrays, REGISTRY)
+    assert str(caught.value) == complaint
+
+
+def test_what_cannot_be_stored_is_a_mistake_of_ours():
+    @message
+    class Other:
+        x: float
+
+    @message
+    class Loose:
+        x: float | str | None
+
+    with pytest.raises(TypeError, match="the tree: Other is not registered"):
+        to_arrays(Other(1.0), REGISTRY)
+    with pytest.raises(TypeError, match=r"float \| str \| None cannot be stored"):
+        to_arrays(Loose(1.0), {Loose: {}})
+    with pytest.raises(TypeError, match="X must be an array of float64, not int64"):
+        to_arrays(Tree(**{**vars(tree()), "X": np.arange(3)}), REGISTRY)
+    with pytest.raises(TypeError, match="count must be a int, not float"):
+        to_arrays(Tree(**{**vars(tree()), "count": 1.0}), REGISTRY)
+    with pytest.raises(TypeError, match="leaf must be a Leaf, not Tree"):
+        to_arrays(Tree(**{**vars(tree()), "leaf": tree()}), REGISTRY)
+    with pytest.raises(TypeError, match="leaves must be a tuple, not list"):
+        to_arrays(Tree(**{**vars(tree()), "leaves": [leaf(1)]}), REGISTRY)

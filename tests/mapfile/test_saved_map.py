@@ -1,0 +1,233 @@
+import contextlib
+import dataclasses
+import re
+import subprocess
+import sys
+import typing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tfg_drake.mapfile.message_arrays import array_names, to_arrays
+from tfg_drake.mapfile.saved_map import (
+    REGISTRY,
+    SCHEMA,
+    MapFileError,
+    SavedMap,
+    load_map,
+    restored_estimate,
+    save_map,
+)
+from tfg_drake.slam import goal_graph
+
+DAMAGED = "FILE is damaged or not a map of tfg-drake"
+FORMAT = Path(__file__).parents[2] / "docs" / "map_format.md"
+
+
+def error_of(path):
+    with pytest.raises(MapFileError) as caught:
+        load_map(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message.replace(str(path), "FILE")
+
+
+@pytest.fixture
+def path(tmp_path, small_map):
+    save_map(tmp_path / "map.npz", small_map)
+    return tmp_path / "map.npz"
+
+
+def same(one, other):
+    one, other = to_arrays(one, REGISTRY), to_arrays(other, REGISTRY)
+    assert list(one) == list(other)
+    return all(one[name].tobytes() == other[name].tobytes() for name in one)
+
+
+def test_round_trip_is_exact(path, small_map):
+    loaded = load_map(path)
+    assert same(loaded, small_map)
+    assert [file.name for file in path.parent.iterdir()] == ["map.npz"]
+    first = path.read_bytes()
+    save_map(path, loaded)
+    assert path.read_bytes() == first
+
+
+def test_a_map_without_landmarks_can_be_kept(tmp_path, small_map):
+    observation = goal_graph.empty_map().observation
+    observation = dataclasses.replace(observation, covariance=1e-4 * np.eye(3))
+    graph, _ = goal_graph.add_goal(goal_graph.empty_graph(), None, observation, np.zeros(3), np.zeros((3, 3)))
+    bare = dataclasses.replace(
+        small_map, stage=1, graph=graph, landmark_covariance=np.zeros((0, 2, 2)), **no_surfaces(small_map, 1)
+    )
+    save_map(tmp_path / "bare.npz", bare)
+    assert same(load_map(tmp_path / "bare.npz"), bare)
+    assert restored_estimate(bare).covariance.shape == (3, 3)
+
+
+def no_surfaces(saved, stage):
+    from tfg_drake.tfg.graph import empty_graph, empty_map
+
+    offsets = np.zeros(stage + 1, dtype=np.int64)
+    return {
+        "tfg_graph": dataclasses.replace(empty_graph(), stage=stage, star_offsets=offsets),
+        "tfg": dataclasses.replace(empty_map(), stage=stage, star_offsets=offsets, star_centers=np.zeros((stage, 2))),
+    }
+
+
+def test_the_covariance_follows_from_the_factors(small_map):
+    estimate = restored_estimate(small_map)
+    _, solved = goal_graph.solve(small_map.graph, small_map.stamp, small_map.graph.observations[-1])
+    np.testing.assert_allclose(estimate.covariance, solved.covariance, rtol=1e-6, atol=1e-12)
+    n = len(estimate.ids)
+    for row in range(n):
+        block = estimate.covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
+        np.testing.assert_allclose(small_map.landmark_covariance[row], block, rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(small_map.departure_covariance, estimate.covariance[2 * n :, 2 * n :], rtol=1e-2)
+    assert (estimate.stage, estimate.stamp, estimate.entropy) == (2, 20.25, small_map.entropy)
+
+
+def test_a_tfg_one_stage_behind_is_a_map_too(tmp_path, small_map):
+    behind = dataclasses.replace(small_map, **no_surfaces(small_map, 1))
+    save_map(tmp_path / "map.npz", behind)
+    loaded = load_map(tmp_path / "map.npz")
+    assert same(loaded, behind)
+    np.testing.assert_array_equal(loaded.facing, np.zeros((4, 2)))
+
+
+def test_every_truncation_is_an_error_never_a_crash(path):
+    whole = path.read_bytes()
+    for length in range(0, len(whole), 97):
+        path.write_bytes(whole[:length])
+        assert error_of(path) == DAMAGED
+
+
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_byte_is_found_or_harmless(path, small_map, data):
+    save_map(path, small_map)
+    whole = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(whole)
+    with contextlib.suppress(MapFileError):
+        assert same(load_map(path), small_map)
+
+
+def test_missing_and_foreign_files(tmp_path):
+    assert error_of(tmp_path / "none.npz") == "no such map: FILE"
+    foreign = tmp_path / "other.npz"
+    np.savez(foreign, a=np.zeros(3))
+    assert error_of(foreign) == "FILE is not a map of tfg-drake"
+    np.savez(foreign, schema=np.array("2"))
+    assert error_of(foreign) == "FILE is not a map of tfg-drake"
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    assert error_of(tmp_path / "array.npy") == DAMAGED
+    text = tmp_path / "text.npz"
+    text.write_text("a map\n")
+    assert error_of(text) == DAMAGED
+    assert error_of(tmp_path) == DAMAGED
+
+
+def test_pickled_objects_are_refused(tmp_path):
+    path = tmp_path / "map.npz"
+    np.savez(path, schema=np.array([{"a": 1}], dtype=object))
+    assert error_of(path) == DAMAGED
+
+
+def rewrite(path, **changes):
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    assert all(name.replace("__", "@") in arrays for name in changes)
+    arrays.update({name.replace("__", "@"): change for name, change in changes.items()})
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"schema": np.int64(7)}, "FILE has map schema 7; this version reads schema 2: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 2: make the map anew"),
+        ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
+        ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
+        ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),
+        ({"X_WM": np.full(3, np.nan)}, "FILE is not a whole map: X_WM holds NaN"),
+        ({"X_WM": np.zeros(3, np.float32)}, "FILE is not a whole map: X_WM must be float64, not float32"),
+        ({"stage": np.int64(3)}, "FILE is not a whole map: stage does not fit graph"),
+        ({"graph.ids": np.array([10, 11, 11, 13])}, "FILE is not a whole map: graph.ids is not ascending"),
+        (
+            {"graph.ids": np.array([10, 11, 12, 14])},
+            "FILE is not a whole map: graph.observations.ids does not fit graph.ids",
+        ),
+        (
+            {"landmark_covariance__lower": np.zeros((3, 3))},
+            "FILE is not a whole map: landmark_covariance does not fit graph.ids",
+        ),
+        ({"tfg_graph.stage": np.int64(3)}, "FILE is not a whole map: tfg_graph.stage does not fit stage"),
+        ({"tfg.facing": np.zeros((3, 2))}, "FILE is not a whole map: tfg.facing does not fit graph.ids"),
+        (
+            {"tfg_graph.tried_count": np.array([1])},
+            "FILE is not a whole map: tfg_graph.tried_count does not fit tfg_graph.tried",
+        ),
+        (
+            {"tfg_graph.surfaces.goal": np.array([0, 0, 2])},
+            "FILE is not a whole map: tfg_graph.surfaces.goal does not fit tfg_graph.stage",
+        ),
+        (
+            {"tfg_graph.shadows.goal": np.array([-1])},
+            "FILE is not a whole map: tfg_graph.shadows.goal does not fit tfg_graph.stage",
+        ),
+        ({"tfg.segment_ids": np.full((4, 2), 9)}, "FILE is not a whole map: tfg.segment_ids does not fit graph.ids"),
+        (
+            {"tfg_graph.surfaces.offsets": np.array([0, 2, 4, 8])},
+            "FILE is not a whole map: tfg_graph.surfaces.offsets does not fit its vertices",
+        ),
+        (
+            {"tfg.star_offsets": np.array([0, 9, 8])},
+            "FILE is not a whole map: tfg.star_offsets does not fit its vertices",
+        ),
+        (
+            {"tfg_graph.star_offsets": np.array([0, 8])},
+            "FILE is not a whole map: tfg_graph.star_offsets does not fit tfg.stage",
+        ),
+    ],
+)
+def test_other_schemas_and_contradictions(path, changes, complaint):
+    rewrite(path, **changes)
+    assert error_of(path) == complaint
+
+
+def test_the_registry_has_every_class_and_array_of_a_map():
+    for kind, shapes in REGISTRY.items():
+        hints = typing.get_type_hints(kind)
+        arrays = {name for name, hint in hints.items() if typing.get_origin(hint) is np.ndarray}
+        assert set(shapes) == arrays, kind
+    array_names(SavedMap, REGISTRY)
+
+
+def test_the_format_is_described(small_map):
+    table = FORMAT.read_text().split("## The arrays")[1]
+    documented = dict(re.findall(r"^\| `([^`]+)` \| (.+?) \|", table, re.MULTILINE))
+    assert documented.pop("schema") == f"int64, {SCHEMA}"
+    assert documented == array_names(SavedMap, REGISTRY)
+
+
+NO_DRAKE = """
+import sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "pydrake":
+            raise ImportError("no Drake here")
+sys.meta_path.insert(0, Finder())
+from pathlib import Path
+from tfg_drake.mapfile.saved_map import load_map, restored_estimate
+print(restored_estimate(load_map(Path(sys.argv[1]))).covariance.shape)
+"""
+
+
+def test_a_map_is_loaded_without_drake(path):
+    done = subprocess.run([sys.executable, "-c", NO_DRAKE, path], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("(11, 11)\n", "")

@@ -1,0 +1,1 @@
+"""Maps on disk: saved, loaded and continued, looked at, and in other formats."""

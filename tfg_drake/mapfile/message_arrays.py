@@ -1,0 +1,348 @@
+"""Trees of messages as plain named arrays, and back, to the bit.
+
+A message's fields become arrays named by their path, `graph.X_MA`. What a field may hold is what its annotation says:
+an array of one of the aliases in `tfg_drake.messages`, float, int, bool, str, another message, a tuple of messages, or
+one of these or None. Marks behind the name tell what a plain array cannot:
+
+| array | meaning |
+|---|---|
+| `name@count` | elements of a tuple; their fields are columns, one array a field for all elements |
+| `name@shape` | (k, dimensions): shapes of the k arrays that stand one after the other, flattened, in a column |
+| `name@present` | false where an optional field is None |
+| `name@lower` | a symmetric matrix or stack of them by its lower triangle, row by row |
+
+Only fields named `covariance` or `..._covariance` are stored by the lower triangle, and only where every one of them
+is symmetric to the bit. Classes are never named in the file: which class stands where follows from the annotations,
+and all of them must be in the registry that the caller gives. Nothing that is read is ever run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import re
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.messages import BoolArray
+
+Array = NDArray[Any]
+# A length: a number, a letter that means the same number throughout one message, or such as "2n+3".
+Shape = tuple[int | str, ...]
+# The classes that a tree may hold, each with the shapes of its array fields.
+Registry = Mapping[type, Mapping[str, Shape]]
+
+T = TypeVar("T")
+
+_SCALARS: dict[Any, Any] = {float: np.float64, int: np.int64, bool: np.bool_}
+_NAMES = {"f": "numbers", "i": "integers", "b": "truth values", "U": "text"}
+
+
+class ArraysError(ValueError):
+    """The arrays do not hold the tree they should; the message names the array."""
+
+
+def to_arrays(message: object, registry: Registry) -> dict[str, Array]:
+    """The arrays of a message and of everything in it.
+
+    Raises:
+        TypeError: something in the tree is not what its annotation says, or of a class that is not registered.
+    """
+    writer = _Writer(registry)
+    writer.fields(type(message), [message], "", single=True)
+    return writer.arrays
+
+
+def from_arrays(kind: type[T], arrays: Mapping[str, Array], registry: Registry) -> T:
+    """The message of a class that arrays hold.
+
+    Raises:
+        ArraysError: an array is missing, unknown, of the wrong type or shape, or holds NaN.
+    """
+    reader = _Reader(arrays, registry)
+    (message,) = reader.fields(kind, 1, "", single=True)
+    unknown = sorted(set(arrays) - reader.used)
+    if unknown:
+        raise ArraysError(f"{unknown[0]} is unknown")
+    return typing.cast(T, message)
+
+
+def array_names(kind: type, registry: Registry) -> dict[str, str]:
+    """Every array that a message of a class is stored in, symmetric matrices whole, and its type and shape in words."""
+    names: dict[str, str] = {}
+    _describe(kind, "", registry, names)
+    return names
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    hints = typing.get_type_hints(kind)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+def _optional(hint: Any) -> Any | None:
+    """X of X | None, None for any other annotation."""
+    if typing.get_origin(hint) not in (types.UnionType, typing.Union):
+        return None
+    inner = [part for part in typing.get_args(hint) if part is not type(None)]
+    if len(inner) != 1 or len(typing.get_args(hint)) != 2:
+        raise TypeError(f"{hint} cannot be stored")
+    return inner[0]
+
+
+def _element(hint: Any) -> Any | None:
+    """X of tuple[X, ...], None for any other annotation."""
+    arguments = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
+        return arguments[0]
+    return None
+
+
+def _dtype(hint: Any) -> np.dtype[Any] | None:
+    """The type of an array's entries, None for an annotation of anything else."""
+    if typing.get_origin(hint) is not np.ndarray:
+        return None
+    entry: type[np.generic] = typing.get_args(typing.get_args(hint)[1])[0]
+    return np.dtype(entry)
+
+
+def _check_class(kind: Any, registry: Registry, name: str) -> None:
+    if not dataclasses.is_dataclass(kind) or kind not in registry:
+        raise TypeError(f"{name or 'the tree'}: {getattr(kind, '__name__', kind)} is not registered")
+
+
+def _may_be_symmetric(name: str) -> bool:
+    field = name.rsplit(".", 1)[-1]
+    return field == "covariance" or field.endswith("_covariance")
+
+
+def _is_symmetric(array: Array) -> bool:
+    """Whether a stack of matrices is symmetric to the bit."""
+    if array.ndim < 2 or array.shape[-1] != array.shape[-2]:
+        return False
+    bits = np.ascontiguousarray(array).view(np.int64)
+    return bool(np.array_equal(bits, np.swapaxes(bits, -1, -2)))
+
+
+def _lower(array: Array) -> Array:
+    rows, columns = np.tril_indices(array.shape[-1])
+    return np.asarray(array[..., rows, columns])
+
+
+def _whole(lower: Array, size: int) -> Array:
+    rows, columns = np.tril_indices(size)
+    array = np.empty((*lower.shape[:-1], size, size), lower.dtype)
+    array[..., rows, columns] = lower
+    array[..., columns, rows] = lower
+    return array
+
+
+def _stored_size(shape: Sequence[int], lower: bool) -> int:
+    if not lower:
+        return math.prod(shape)
+    return math.prod(shape[:-2]) * _triangle_length(shape[-1])
+
+
+class _Writer:
+    """Collects the arrays of a tree."""
+
+    def __init__(self, registry: Registry) -> None:
+        self.arrays: dict[str, Array] = {}
+        self._registry = registry
+
+    def fields(self, kind: type, messages: Sequence[Any], path: str, single: bool) -> None:
+        _check_class(kind, self._registry, path)
+        for message in messages:
+            if type(message) is not kind:
+                raise TypeError(f"{path or 'the tree'} must be a {kind.__name__}, not {type(message).__name__}")
+        for name, hint in _hints(kind).items():
+            self._values(hint, [getattr(one, name) for one in messages], f"{path}.{name}" if path else name, single)
+
+    def _values(self, hint: Any, values: Sequence[Any], path: str, single: bool) -> None:
+        inner, element = _optional(hint), _element(hint)
+        if inner is not None:
+            present = np.array([value is not None for value in values], dtype=np.bool_)
+            self._put(f"{path}@present", present, single)
+            if present.any() or not single:
+                self._values(inner, [value for value in values if value is not None], path, single)
+        elif element is not None:
+            for value in values:
+                if not isinstance(value, tuple):
+                    raise TypeError(f"{path} must be a tuple, not {type(value).__name__}")
+            self._put(f"{path}@count", np.array([len(value) for value in values], dtype=np.int64), single)
+            self.fields(element, [one for value in values for one in value], path, single=False)
+        elif (dtype := _dtype(hint)) is not None:
+            self._arrays(dtype, values, path, single)
+        elif hint in _SCALARS or hint is str:
+            allowed: Any = {float: (float, int), int: int, bool: bool, str: str}[hint]
+            for value in values:
+                if not isinstance(value.item() if isinstance(value, np.generic) else value, allowed):
+                    raise TypeError(f"{path} must be a {hint.__name__}, not {type(value).__name__}")
+            self._put(path, np.array(values, dtype=_SCALARS.get(hint, np.str_)), single)
+        else:
+            self.fields(hint, values, path, single)
+
+    def _put(self, name: str, column: Array, single: bool) -> None:
+        self.arrays[name] = column[0] if single else column
+        self.arrays[name] = np.asarray(self.arrays[name])
+
+    def _arrays(self, dtype: np.dtype[Any], values: Sequence[Any], path: str, single: bool) -> None:
+        for value in values:
+            if not isinstance(value, np.ndarray) or value.dtype != dtype:
+                found = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
+                raise TypeError(f"{path} must be an array of {dtype}, not {found}")
+        lower = _may_be_symmetric(path) and len(values) > 0 and all(_is_symmetric(value) for value in values)
+        name = f"{path}@lower" if lower else path
+        stored = [_lower(value) if lower else value for value in values]
+        if single:
+            self.arrays[name] = stored[0]
+            return
+        if len({value.ndim for value in values}) > 1:
+            raise TypeError(f"{path} must have as many dimensions everywhere")
+        dimensions = values[0].ndim if values else 1
+        shapes = np.array([value.shape for value in values], dtype=np.int64).reshape(len(values), dimensions)
+        self.arrays[f"{path}@shape"] = shapes
+        self.arrays[name] = np.concatenate([np.zeros(0, dtype), *(value.ravel() for value in stored)])
+
+
+class _Reader:
+    """Takes a tree out of its arrays; used: the names of those that were."""
+
+    def __init__(self, arrays: Mapping[str, Array], registry: Registry) -> None:
+        self.used: set[str] = set()
+        self._arrays_by_name, self._registry = arrays, registry
+
+    def fields(self, kind: type, count: int, path: str, single: bool) -> list[Any]:
+        _check_class(kind, self._registry, path)
+        columns: dict[str, list[Any]] = {}
+        for name, hint in _hints(kind).items():
+            columns[name] = self._values(hint, count, f"{path}.{name}" if path else name, single)
+        shapes = self._registry[kind]
+        for row in range(count):
+            lengths: dict[str, int] = {}
+            for name, shape in shapes.items():
+                value = columns[name][row]
+                if isinstance(value, np.ndarray) and not _fits(value.shape, shape, lengths):
+                    where = f"{path}.{name}" if path else name
+                    raise ArraysError(f"{where} has the wrong shape")
+        return [kind(**{name: column[row] for name, column in columns.items()}) for row in range(count)]
+
+    def _values(self, hint: Any, count: int, path: str, single: bool) -> list[Any]:
+        inner, element = _optional(hint), _element(hint)
+        if inner is not None:
+            present: BoolArray = self._column(f"{path}@present", np.dtype(np.bool_), count, single)
+            if single and not present[0]:
+                return [None]
+            values = iter(self._values(inner, int(np.count_nonzero(present)), path, single))
+            return [next(values) if here else None for here in present]
+        if element is not None:
+            counts = self._column(f"{path}@count", np.dtype(np.int64), count, single)
+            if np.any(counts < 0):
+                raise ArraysError(f"{path}@count is negative")
+            elements = self.fields(element, int(counts.sum()), path, single=False)
+            ends = np.cumsum(counts)
+            return [tuple(elements[end - size : end]) for size, end in zip(counts, ends, strict=True)]
+        if (dtype := _dtype(hint)) is not None:
+            return self._arrays(dtype, count, path, single)
+        if hint in _SCALARS or hint is str:
+            column = self._column(path, np.dtype(_SCALARS.get(hint, np.str_)), count, single)
+            return list(column.tolist())
+        return self.fields(hint, count, path, single)
+
+    def _take(self, name: str, dtype: np.dtype[Any]) -> Array:
+        self.used.add(name)
+        if name not in self._arrays_by_name:
+            raise ArraysError(f"{name} is missing")
+        array = self._arrays_by_name[name]
+        if array.dtype.kind != dtype.kind:
+            raise ArraysError(f"{name} holds no {_NAMES[dtype.kind]}")
+        if dtype.kind != "U" and array.dtype.itemsize != dtype.itemsize:
+            raise ArraysError(f"{name} must be {dtype}, not {array.dtype}")
+        if dtype.kind == "f" and np.isnan(array).any():
+            raise ArraysError(f"{name} holds NaN")
+        return array if dtype.kind == "U" else array.astype(dtype, copy=False)
+
+    def _column(self, name: str, dtype: np.dtype[Any], count: int, single: bool) -> Array:
+        array = self._take(name, dtype)
+        if array.shape != (() if single else (count,)):
+            raise ArraysError(f"{name} has the wrong shape")
+        return array.reshape(count)
+
+    def _arrays(self, dtype: np.dtype[Any], count: int, path: str, single: bool) -> list[Array]:
+        lower = path not in self._arrays_by_name and _may_be_symmetric(path) and f"{path}@lower" in self._arrays_by_name
+        name = f"{path}@lower" if lower else path
+        stored = self._take(name, dtype)
+        if single:
+            if not lower:
+                return [stored]
+            size = _triangle_size(stored.shape[-1]) if stored.ndim else None
+            if size is None:
+                raise ArraysError(f"{name} has the wrong shape")
+            return [_whole(stored, size)]
+        shapes = self._take(f"{path}@shape", np.dtype(np.int64))
+        if shapes.ndim != 2 or len(shapes) != count or np.any(shapes < 0):
+            raise ArraysError(f"{path}@shape has the wrong shape")
+        if lower and (shapes.shape[1] < 2 or np.any(shapes[:, -1] != shapes[:, -2])):
+            raise ArraysError(f"{path}@shape does not fit {name}")
+        sizes = [_stored_size(shape, lower) for shape in shapes.tolist()]
+        if stored.ndim != 1 or sum(sizes) != len(stored):
+            raise ArraysError(f"{path}@shape does not fit {name}")
+        values, start = [], 0
+        for shape, size in zip(shapes.tolist(), sizes, strict=True):
+            part = stored[start : start + size]
+            start += size
+            if lower:
+                values.append(_whole(part.reshape(*shape[:-2], _triangle_length(shape[-1])), shape[-1]))
+            else:
+                values.append(part.reshape(shape))
+        return values
+
+
+def _triangle_length(size: int) -> int:
+    return size * (size + 1) // 2
+
+
+def _triangle_size(length: int) -> int | None:
+    """The size of a matrix whose lower triangle has a length; None where there is none."""
+    size = (math.isqrt(8 * length + 1) - 1) // 2
+    return size if _triangle_length(size) == length else None
+
+
+def _fits(found: tuple[int, ...], wanted: Shape, lengths: dict[str, int]) -> bool:
+    """Whether a shape is as wanted; letters met for the first time get their lengths."""
+    if len(found) != len(wanted):
+        return False
+    for size, length in zip(found, wanted, strict=True):
+        if isinstance(length, int):
+            if size != length:
+                return False
+            continue
+        match = re.fullmatch(r"(\d*)([a-z])(?:\+(\d+))?", length)
+        assert match is not None, length
+        factor, letter, offset = int(match[1] or 1), match[2], int(match[3] or 0)
+        if letter not in lengths:
+            lengths[letter] = (size - offset) // factor
+        if lengths[letter] < 0 or size != factor * lengths[letter] + offset:
+            return False
+    return True
+
+
+def _describe(kind: type, path: str, registry: Registry, names: dict[str, str]) -> None:
+    for field, hint in _hints(kind).items():
+        name = f"{path}.{field}" if path else field
+        while (inner := _optional(hint) or _element(hint)) is not None:
+            names[f"{name}@count" if _element(hint) else f"{name}@present"] = "int64" if _element(hint) else "bool"
+            hint = inner
+        dtype = _dtype(hint)
+        if dtype is not None:
+            names[name] = f"{dtype} ({', '.join(map(str, registry[kind].get(field, ('...',))))})"
+        elif hint in _SCALARS or hint is str:
+            names[name] = np.dtype(_SCALARS.get(hint, np.str_)).name
+        else:
+            _describe(hint, name, registry, names)

@@ -1,0 +1,270 @@
+"""A map on disk: one .npz of plain arrays, no pickle, with a schema number; docs/map_format.md describes it.
+
+What is kept are the factors of the goal graph, not the joint covariance of the landmarks, which grows with the square
+of their number and follows from the factors: `restored_estimate`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.files import write_atomic
+from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
+from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message
+from tfg_drake.slam import goal_graph
+from tfg_drake.slam.goal_graph import GoalGraph
+from tfg_drake.tfg.frontier import FrontierPoints
+from tfg_drake.tfg.graph import TfgGraph
+from tfg_drake.tfg.surfaces import Surfaces
+
+# To be raised whenever the fields of a class in REGISTRY change.
+SCHEMA = 2
+
+
+class MapFileError(Exception):
+    """The file is not a map, or not a whole one."""
+
+
+@message
+class SavedMap:
+    """A map as it is kept on disk.
+
+    X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. entropy:
+    of the landmarks, nats. landmark_covariance: (n, 2, 2) marginal covariance of each landmark in M, m^2, and
+    departure_covariance: (3, 3) of the last departure pose, for whoever needs no more. graph: the estimator's factors
+    and values. tfg_graph: the topological feature graph, anchored to them, of the same stage or, where a run was cut
+    short between the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
+    """
+
+    X_WM: FloatArray
+    stage: int
+    stamp: float
+    entropy: float
+    landmark_covariance: FloatArray
+    departure_covariance: FloatArray
+    graph: GoalGraph
+    tfg_graph: TfgGraph
+    tfg: TfgMap
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,) ids of the landmarks, ascending."""
+        return self.graph.ids
+
+    @property
+    def p_ML(self) -> FloatArray:
+        """(n, 2) positions of the landmarks in M, m."""
+        return self.graph.p_ML
+
+    @property
+    def facing(self) -> FloatArray:
+        """(n, 2) unit vectors in M: the side each landmark was seen from, zero where the TFG does not know it yet."""
+        facing = np.zeros_like(self.p_ML)
+        if self.tfg.stage == self.stage:
+            facing[:] = self.tfg.facing
+        return facing
+
+
+# The classes a map may hold, with the shapes of their arrays; letters are lengths that agree within one message.
+REGISTRY: Registry = {
+    SavedMap: {"X_WM": (3,), "landmark_covariance": ("n", 2, 2), "departure_covariance": (3, 3)},
+    GoalGraph: {
+        "X_DA": ("j", 3),
+        "segment_covariance": ("j", 3, 3),
+        "X_MA": ("k", 3),
+        "X_MD": ("k", 3),
+        "ids": ("n",),
+        "p_ML": ("n", 2),
+    },
+    GoalObservation: {
+        "ids": ("n",),
+        "p_AL": ("n", 2),
+        "X_AD": (3,),
+        "covariance": ("2n+3", "2n+3"),
+        "stamps": ("t",),
+        "X_AB": ("t", 3),
+    },
+    TfgGraph: {
+        "tag_ids": ("n",),
+        "tag_goal": ("n",),
+        "tag_facing": ("n", 2),
+        "tag_range": ("n",),
+        "star_offsets": ("k+1",),
+        "star_vertices": ("v", 2),
+        "tried_count": ("t",),
+    },
+    Surfaces: {
+        "kind": ("s",),
+        "ids": ("s", 2),
+        "goal": ("s",),
+        "range": ("s",),
+        "offsets": ("s+1",),
+        "vertices": ("v", 2),
+    },
+    FrontierPoints: {
+        "goal": ("f",),
+        "p": ("f", 2),
+        "normal": ("f", 2),
+        "length": ("f",),
+        "on_surface": ("f",),
+        "id": ("f",),
+    },
+    TfgMap: {
+        "segments": ("m", 4),
+        "segment_kind": ("m",),
+        "segment_ids": ("m", 2),
+        "facing": ("n", 2),
+        "frontiers": ("f", 2),
+        "frontier_length": ("f",),
+        "frontier_normal": ("f", 2),
+        "star_offsets": ("k+1",),
+        "star_vertices": ("v", 2),
+        "star_centers": ("k", 2),
+        "viewpoints": ("p", 2),
+    },
+}
+
+
+def saved_map(X_WM: FloatArray, graph: GoalGraph, estimate: MapEstimate, tfg_graph: TfgGraph, tfg: TfgMap) -> SavedMap:
+    """What is kept of a map.
+
+    Args:
+        X_WM: (3,) pose of the map frame in the world, m and rad.
+        graph, estimate: the estimator's, of one stage, at least 1.
+        tfg_graph, tfg: the TFG builder's, of one stage, that of the estimate or the one before.
+    """
+    n = len(estimate.ids)
+    blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    return SavedMap(
+        X_WM=np.array(X_WM, dtype=float),
+        stage=estimate.stage,
+        stamp=estimate.stamp,
+        entropy=estimate.entropy,
+        landmark_covariance=blocks,
+        departure_covariance=np.array(estimate.covariance[2 * n :, 2 * n :]),
+        graph=graph,
+        tfg_graph=tfg_graph,
+        tfg=tfg,
+    )
+
+
+def restored_estimate(saved: SavedMap) -> MapEstimate:
+    """The whole map estimate, its joint covariance computed anew from the factors, linearised at the saved values.
+
+    Its observation is the newest goal's without the turn's trajectory and without tags that were left out of the map.
+    """
+    graph = saved.graph
+    linear = goal_graph.factor_graph(graph).linearize(goal_graph._values(graph))
+    return MapEstimate(
+        stage=saved.stage,
+        stamp=saved.stamp,
+        ids=graph.ids,
+        p_ML=graph.p_ML,
+        X_MD=graph.X_MD[-1],
+        covariance=goal_graph._covariance(graph, linear),
+        X_MA=graph.X_MA,
+        observation=graph.observations[-1],
+        entropy=saved.entropy,
+    )
+
+
+def save_map(path: Path, saved: SavedMap) -> None:
+    """Write a map, atomically.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, schema=np.int64(SCHEMA), **to_arrays(saved, REGISTRY))  # type: ignore[arg-type]
+    write_atomic(path, buffer.getvalue())
+
+
+def load_map(path: Path) -> SavedMap:
+    """Read a map.
+
+    Raises:
+        MapFileError: no such file, not a map, cut short, of another schema, or at odds with itself; one line.
+    """
+    arrays = _read(path)
+    schema = arrays.pop("schema", None)
+    if schema is None or schema.shape != () or schema.dtype.kind != "i":
+        raise MapFileError(f"{path} is not a map of tfg-drake")
+    if schema != SCHEMA:
+        mend = "update tfg-drake" if schema > SCHEMA else "make the map anew"
+        raise MapFileError(f"{path} has map schema {schema}; this version reads schema {SCHEMA}: {mend}")
+    try:
+        saved = from_arrays(SavedMap, arrays, REGISTRY)
+    except ArraysError as error:
+        raise MapFileError(f"{path} is not a whole map: {error}") from None
+    contradiction = _contradiction(saved)
+    if contradiction:
+        raise MapFileError(f"{path} is not a whole map: {contradiction}")
+    return saved
+
+
+def _read(path: Path) -> dict[str, Array]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise MapFileError(f"no such map: {path}") from None
+    except PermissionError:
+        raise MapFileError(f"{path} cannot be read: permission denied") from None
+    # What numpy and zipfile say of bytes that are no archive, or no whole one.
+    except (OSError, ValueError, TypeError, EOFError, KeyError, AttributeError, RuntimeError, MemoryError) as error:
+        raise MapFileError(f"{path} is damaged or not a map of tfg-drake") from error
+    except (zipfile.BadZipFile, zlib.error, SyntaxError, OverflowError) as error:
+        raise MapFileError(f"{path} is damaged or not a map of tfg-drake") from error
+
+
+def _contradiction(saved: SavedMap) -> str:
+    """What in a map does not fit together, "" where all does; indices are within bounds after this."""
+    graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
+    landmarks, known = len(graph.ids), graph.ids
+    if not stage == len(graph.observations) == len(graph.X_MA) == len(graph.X_DA) + 1:
+        return "stage does not fit graph"
+    if np.any(np.diff(known) <= 0):
+        return "graph.ids is not ascending"
+    if not all(_within(observation.ids, known) for observation in graph.observations):
+        return "graph.observations.ids does not fit graph.ids"
+    if len(saved.landmark_covariance) != landmarks:
+        return "landmark_covariance does not fit graph.ids"
+    if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
+        return "tfg_graph.stage does not fit stage"
+    if tfg.stage == stage and len(tfg.facing) != landmarks:
+        return "tfg.facing does not fit graph.ids"
+    if len(tfg_graph.tried_count) != len(tfg_graph.tried.goal):
+        return "tfg_graph.tried_count does not fit tfg_graph.tried"
+    if len(tfg_graph.viewpoints.goal) != len(tfg_graph.sighted.goal):
+        return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
+    goals = {"tag_goal": tfg_graph.tag_goal, "surfaces.goal": tfg_graph.surfaces.goal}
+    for field in dataclasses.fields(TfgGraph):
+        if isinstance(points := getattr(tfg_graph, field.name), FrontierPoints):
+            goals[f"{field.name}.goal"] = points.goal
+    for name, goal in goals.items():
+        if np.any((goal < 0) | (goal >= tfg_graph.stage)):
+            return f"tfg_graph.{name} does not fit tfg_graph.stage"
+    ids = {"tfg_graph.tag_ids": tfg_graph.tag_ids, "tfg_graph.surfaces.ids": tfg_graph.surfaces.ids}
+    for name, some in (ids | {"tfg.segment_ids": tfg.segment_ids}).items():
+        if not _within(some[some >= 0], known):
+            return f"{name} does not fit graph.ids"
+    for name, offsets, length in (
+        ("tfg_graph.surfaces.offsets", tfg_graph.surfaces.offsets, len(tfg_graph.surfaces.vertices)),
+        ("tfg_graph.star_offsets", tfg_graph.star_offsets, len(tfg_graph.star_vertices)),
+        ("tfg.star_offsets", tfg.star_offsets, len(tfg.star_vertices)),
+    ):
+        if offsets[0] != 0 or offsets[-1] != length or np.any(np.diff(offsets) < 0):
+            return f"{name} does not fit its vertices"
+        if "star" in name and len(offsets) != tfg.stage + 1:
+            return f"{name} does not fit tfg.stage"
+    return ""
+
+
+def _within(ids: IntArray, known: IntArray) -> bool:
+    return bool(np.isin(ids, known).all())
