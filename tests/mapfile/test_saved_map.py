@@ -61,7 +61,12 @@ def test_a_map_without_landmarks_can_be_kept(tmp_path, small_map):
     observation = dataclasses.replace(observation, covariance=1e-4 * np.eye(3))
     graph, _ = goal_graph.add_goal(goal_graph.empty_graph(), None, observation, np.zeros(3), np.zeros((3, 3)))
     bare = dataclasses.replace(
-        small_map, stage=1, graph=graph, landmark_covariance=np.zeros((0, 2, 2)), **no_surfaces(small_map, 1)
+        small_map,
+        stage=1,
+        X_MA=graph.X_MA,
+        graph=graph,
+        landmark_covariance=np.zeros((0, 2, 2)),
+        **no_surfaces(small_map, 1),
     )
     save_map(tmp_path / "bare.npz", bare)
     assert same(load_map(tmp_path / "bare.npz"), bare)
@@ -105,7 +110,7 @@ def test_every_truncation_is_an_error_never_a_crash(path):
         assert error_of(path) == DAMAGED
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_byte_is_found_or_harmless(path, small_map, data):
     save_map(path, small_map)
@@ -156,7 +161,15 @@ def rewrite(path, **changes):
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),
         ({"X_WM": np.full(3, np.nan)}, "FILE is not a whole map: X_WM holds NaN"),
         ({"X_WM": np.zeros(3, np.float32)}, "FILE is not a whole map: X_WM must be float64, not float32"),
-        ({"stage": np.int64(3)}, "FILE is not a whole map: stage does not fit graph"),
+        ({"stage": np.int64(3)}, "FILE is not a whole map: X_MA does not fit stage"),
+        (
+            {"graph.observations__count": np.int64(1)},
+            "FILE is not a whole map: graph.observations.ids@shape has the wrong shape",
+        ),
+        (
+            {"graph.X_DA": np.zeros((2, 3)), "graph.segment_covariance__lower": np.zeros((2, 6))},
+            "FILE is not a whole map: graph.observations does not fit graph.X_MA",
+        ),
         ({"graph.ids": np.array([10, 11, 11, 13])}, "FILE is not a whole map: graph.ids is not ascending"),
         (
             {"graph.ids": np.array([10, 11, 12, 14])},

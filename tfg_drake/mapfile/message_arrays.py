@@ -226,9 +226,9 @@ class _Reader:
         shapes = self._registry[kind]
         for row in range(count):
             lengths: dict[str, int] = {}
-            for name, shape in shapes.items():
-                value = columns[name][row]
-                if isinstance(value, np.ndarray) and not _fits(value.shape, shape, lengths):
+            for name, column in columns.items():
+                value = column[row]
+                if isinstance(value, np.ndarray) and not _fits(value.shape, shapes[name], lengths):
                     where = f"{path}.{name}" if path else name
                     raise ArraysError(f"{where} has the wrong shape")
         return [kind(**{name: column[row] for name, column in columns.items()}) for row in range(count)]

@@ -36,16 +36,18 @@ class SavedMap:
     """A map as it is kept on disk.
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. entropy:
-    of the landmarks, nats. landmark_covariance: (n, 2, 2) marginal covariance of each landmark in M, m^2, and
-    departure_covariance: (3, 3) of the last departure pose, for whoever needs no more. graph: the estimator's factors
-    and values. tfg_graph: the topological feature graph, anchored to them, of the same stage or, where a run was cut
-    short between the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
+    of the landmarks, nats. X_MA: (k, 3) arrival poses of the goals. landmark_covariance: (n, 2, 2) marginal covariance
+    of each landmark in M, m^2, and departure_covariance: (3, 3) of the last departure pose, for whoever needs no more.
+    graph: the estimator's factors and values. tfg_graph: the topological feature graph, anchored to them, of the same
+    stage or, where a run was cut short between the two, of the one before. tfg: it resolved in M, of the same stage as
+    tfg_graph.
     """
 
     X_WM: FloatArray
     stage: int
     stamp: float
     entropy: float
+    X_MA: FloatArray
     landmark_covariance: FloatArray
     departure_covariance: FloatArray
     graph: GoalGraph
@@ -73,8 +75,9 @@ class SavedMap:
 
 # The classes a map may hold, with the shapes of their arrays; letters are lengths that agree within one message.
 REGISTRY: Registry = {
-    SavedMap: {"X_WM": (3,), "landmark_covariance": ("n", 2, 2), "departure_covariance": (3, 3)},
+    SavedMap: {"X_WM": (3,), "X_MA": ("k", 3), "landmark_covariance": ("n", 2, 2), "departure_covariance": (3, 3)},
     GoalGraph: {
+        "is_goal": ("k",),
         "X_DA": ("j", 3),
         "segment_covariance": ("j", 3, 3),
         "X_MA": ("k", 3),
@@ -146,6 +149,7 @@ def saved_map(X_WM: FloatArray, graph: GoalGraph, estimate: MapEstimate, tfg_gra
         stage=estimate.stage,
         stamp=estimate.stamp,
         entropy=estimate.entropy,
+        X_MA=estimate.X_MA,
         landmark_covariance=blocks,
         departure_covariance=np.array(estimate.covariance[2 * n :, 2 * n :]),
         graph=graph,
@@ -168,7 +172,7 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
         p_ML=graph.p_ML,
         X_MD=graph.X_MD[-1],
         covariance=goal_graph._covariance(graph, linear),
-        X_MA=graph.X_MA,
+        X_MA=saved.X_MA,
         observation=graph.observations[-1],
         entropy=saved.entropy,
     )
@@ -227,8 +231,10 @@ def _contradiction(saved: SavedMap) -> str:
     """What in a map does not fit together, "" where all does; indices are within bounds after this."""
     graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
     landmarks, known = len(graph.ids), graph.ids
-    if not stage == len(graph.observations) == len(graph.X_MA) == len(graph.X_DA) + 1:
-        return "stage does not fit graph"
+    if not 1 <= stage == len(saved.X_MA):
+        return "X_MA does not fit stage"
+    if not stage <= len(graph.observations) == len(graph.X_MA) == len(graph.X_DA) + 1:
+        return "graph.observations does not fit graph.X_MA"
     if np.any(np.diff(known) <= 0):
         return "graph.ids is not ascending"
     if not all(_within(observation.ids, known) for observation in graph.observations):

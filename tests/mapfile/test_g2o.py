@@ -1,0 +1,71 @@
+import dataclasses
+
+import gtsam
+import numpy as np
+import pytest
+
+from tfg_drake.geometry import se2
+from tfg_drake.mapfile.g2o import g2o_text, landmark_base
+
+
+def read(text):
+    lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
+    return {
+        tag: [[float(part) for part in line[1:]] for line in lines if line[0] == tag]
+        for tag in ("VERTEX_SE2", "VERTEX_XY", "EDGE_SE2", "EDGE_SE2_XY", "FIX")
+    }
+
+
+def symmetric(upper, size):
+    matrix = np.zeros((size, size))
+    matrix[np.triu_indices(size)] = upper
+    return matrix + np.triu(matrix, 1).T
+
+
+def test_vertices_and_edges_are_the_graph(small_map):
+    graph, found = small_map.graph, read(g2o_text(small_map))
+    assert landmark_base(small_map) == 10
+    vertices = {int(number): np.array(values) for number, *values in found["VERTEX_SE2"] + found["VERTEX_XY"]}
+    assert sorted(vertices) == [0, 1, 2, 3, 20, 21, 22, 23]
+    np.testing.assert_allclose(vertices[0], [5.0, 3.0, 0.5 * np.pi])
+    np.testing.assert_allclose(vertices[20], [5.0, 3.0] + graph.p_ML[0] @ np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    assert found["FIX"] == [[0.0]]
+    assert [edge[:2] for edge in found["EDGE_SE2"]] == [[0, 1], [1, 2], [2, 3]]
+    tags = [edge[:2] for edge in found["EDGE_SE2_XY"]]
+    assert tags == [[0, 20], [0, 21], [0, 22], [2, 20], [2, 21], [2, 23]]
+    for start, end, x, y, *information in found["EDGE_SE2_XY"]:
+        observation = graph.observations[int(start) // 2]
+        row = int(np.flatnonzero(observation.ids == end - 10)[0])
+        np.testing.assert_array_equal([x, y], observation.p_AL[row])
+        block = observation.covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
+        np.testing.assert_allclose(symmetric(information, 2), np.linalg.inv(block))
+        # At the map's values it fits as it did there.
+        p_AL = se2.transform(se2.inverse(vertices[int(start)]), vertices[int(end)][None])[0]
+        assert np.linalg.norm(p_AL - [x, y]) < 0.1
+
+
+def test_gtsam_reads_it_back(small_map, tmp_path):
+    path = tmp_path / "map.g2o"
+    path.write_text(g2o_text(small_map))
+    factors, values = gtsam.readG2o(str(path), False)
+    found = read(g2o_text(small_map))
+    assert factors.size() == len(found["EDGE_SE2"]) == 3
+    for j in range(2):
+        arrival = values.atPose2(2 * j)
+        X_WA = se2.compose(small_map.X_WM, small_map.graph.X_MA[j])
+        np.testing.assert_allclose([arrival.x(), arrival.y(), arrival.theta()], X_WA, atol=1e-12)
+    # Its errors are those of the map's own factors: the covariance is turned into the axes g2o has it in.
+    ours = 0.0
+    graph = small_map.graph
+    steps = [(graph.X_MA[0], graph.X_MD[0], graph.observations[0].X_AD, graph.observations[0].covariance[-3:, -3:])]
+    steps += [(graph.X_MD[0], graph.X_MA[1], graph.X_DA[0], graph.segment_covariance[0])]
+    steps += [(graph.X_MA[1], graph.X_MD[1], graph.observations[1].X_AD, graph.observations[1].covariance[-3:, -3:])]
+    for start, end, X, covariance in steps:
+        error = se2.between(start, end) - X
+        ours += 0.5 * error @ np.linalg.solve(covariance, error)
+    assert factors.error(values) == pytest.approx(ours, rel=1e-3)
+
+
+def test_landmark_numbers_never_meet_those_of_poses(small_map):
+    shifted = dataclasses.replace(small_map.graph, ids=small_map.graph.ids - 60)
+    assert landmark_base(dataclasses.replace(small_map, graph=shifted)) == 100

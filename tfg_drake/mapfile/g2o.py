@@ -1,0 +1,67 @@
+"""A map as a .g2o file, for other SLAM programs; docs/map_format.md says what is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tfg_drake.geometry.se2 import compose, rotation, transform
+from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.messages import FloatArray
+
+
+def g2o_text(saved: SavedMap) -> str:
+    """The file's contents: goal j as the vertices 2j (arrival) and 2j + 1 (departure), in the world frame W.
+
+    A tag's edge has the inverse of the tag's own marginal covariance: g2o knows no edge for a goal's joint observation.
+    """
+    return "\n".join(_lines(saved)) + "\n"
+
+
+def landmark_base(saved: SavedMap) -> int:
+    """What is added to a tag's id to make the number of its vertex: a power of ten beyond all poses."""
+    least = 2 * len(saved.graph.observations) - min(int(np.min(saved.ids, initial=0)), 0)
+    base = 10
+    while base < least:
+        base *= 10
+    return base
+
+
+def _lines(saved: SavedMap) -> Iterator[str]:
+    graph, base = saved.graph, landmark_base(saved)
+    X_WA, X_WD = compose(saved.X_WM, graph.X_MA), compose(saved.X_WM, graph.X_MD)
+    yield f"# {len(X_WA)} goals: arrival of goal j is vertex 2j, its departure 2j + 1; tag i is vertex {base} + i"
+    yield "# metres and radians, in the world frame; see docs/map_format.md of tfg-drake"
+    for j in range(len(X_WA)):
+        yield f"VERTEX_SE2 {2 * j} {_numbers(X_WA[j])}"
+        yield f"VERTEX_SE2 {2 * j + 1} {_numbers(X_WD[j])}"
+    for tag, p_WL in zip(graph.ids.tolist(), transform(saved.X_WM, graph.p_ML), strict=True):
+        yield f"VERTEX_XY {base + tag} {_numbers(p_WL)}"
+    yield "FIX 0"
+    for j, observation in enumerate(graph.observations):
+        if j > 0:
+            yield _motion(2 * j - 1, 2 * j, graph.X_DA[j - 1], graph.segment_covariance[j - 1])
+        n = len(observation.ids)
+        yield _motion(2 * j, 2 * j + 1, observation.X_AD, observation.covariance[2 * n :, 2 * n :])
+        for i, tag in enumerate(observation.ids.tolist()):
+            block = observation.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+            yield f"EDGE_SE2_XY {2 * j} {base + tag} {_numbers(observation.p_AL[i])} {_information(block)}"
+
+
+def _motion(start: int, end: int, X: FloatArray, covariance: FloatArray) -> str:
+    """X (3,) between two poses, its covariance (3, 3) in the axes of the first; g2o takes it in those of the second."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(float(X[2])).T
+    return f"EDGE_SE2 {start} {end} {_numbers(X)} {_information(turn @ covariance @ turn.T)}"
+
+
+def _information(covariance: FloatArray) -> str:
+    """The upper triangle of the inverse, row by row."""
+    information = np.linalg.inv(covariance)
+    information = 0.5 * (information + information.T)
+    return _numbers(information[np.triu_indices(len(covariance))])
+
+
+def _numbers(values: FloatArray) -> str:
+    return " ".join(repr(value) for value in values.tolist())
