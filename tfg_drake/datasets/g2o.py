@@ -1,0 +1,132 @@
+"""Planar graphs in g2o's text format (Kuemmerle et al., ICRA 2011), read and written.
+
+VERTEX_SE2 id x y theta, VERTEX_XY id x y, FIX id, EDGE_SE2 i j x y theta and the upper triangle of the information,
+EDGE_SE2_XY i j x y likewise. LANDMARK2, as GTSAM's own files call it, is EDGE_SE2_XY. Vertices may be missing.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.datasets.pose_graph import PoseGraph
+from tfg_drake.datasets.recording import DatasetError
+from tfg_drake.datasets.text import is_finite_number, read_text
+from tfg_drake.files import write_atomic
+from tfg_drake.messages import FloatArray
+
+# Ids and numbers after each tag.
+_FORMAT = {
+    "VERTEX_SE2": (1, 3),
+    "VERTEX_XY": (1, 2),
+    "FIX": (1, 0),
+    "EDGE_SE2": (2, 9),
+    "EDGE_SE2_XY": (2, 5),
+    "LANDMARK2": (2, 5),
+}
+
+
+def read_g2o(path: Path) -> PoseGraph:
+    """The graph in a file, which may be gzipped.
+
+    Raises:
+        DatasetError: the file cannot be read, a line is broken, or the graph is not planar or holds no edge.
+    """
+    rows: dict[str, list[tuple[int, list[int], list[float]]]] = {tag: [] for tag in _FORMAT}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in _FORMAT:
+            known = "VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY and FIX"
+            raise DatasetError(f"{path}, line {number}: {words[0]} is not supported; planar graphs of {known} are")
+        ids, numbers = _FORMAT[words[0]]
+        _check_line(path, number, words, ids, numbers)
+        row = ([int(word) for word in words[1 : 1 + ids]], [float(word) for word in words[1 + ids :]])
+        rows["EDGE_SE2_XY" if words[0] == "LANDMARK2" else words[0]].append((number, *row))
+
+    poses = {row[1][0]: row[2] for row in rows["VERTEX_SE2"]}
+    landmarks = {row[1][0]: row[2] for row in rows["VERTEX_XY"]}
+    edges, sightings = rows["EDGE_SE2"], rows["EDGE_SE2_XY"]
+    if not edges and not sightings:
+        raise DatasetError(f"{path}: no edge in it; a graph without measurements cannot be solved")
+    for _, (i, j), _numbers in edges:
+        poses.setdefault(i, [np.nan] * 3)
+        poses.setdefault(j, [np.nan] * 3)
+    for _, (i, j), _numbers in sightings:
+        poses.setdefault(i, [np.nan] * 3)
+        landmarks.setdefault(j, [np.nan] * 2)
+    both = sorted(poses.keys() & landmarks.keys())
+    if both:
+        raise DatasetError(f"{path}: {both[0]} is the id of a pose and of a landmark; give one of them another")
+    fixed = sorted({row[1][0] for row in rows["FIX"]})
+    for i in fixed:
+        if i not in poses:
+            raise DatasetError(f"{path}: FIX {i} names no pose; only poses can be fixed")
+    pose_ids, landmark_ids = sorted(poses), sorted(landmarks)
+    return PoseGraph(
+        pose_ids=np.array(pose_ids, dtype=np.int64),
+        X_MB=np.array([poses[i] for i in pose_ids]).reshape(-1, 3),
+        landmark_ids=np.array(landmark_ids, dtype=np.int64),
+        p_ML=np.array([landmarks[i] for i in landmark_ids]).reshape(-1, 2),
+        fixed=np.array(fixed, dtype=np.int64),
+        edges=np.array([row[1] for row in edges], dtype=np.int64).reshape(-1, 2),
+        X_ij=np.array([row[2][:3] for row in edges]).reshape(-1, 3),
+        edge_information=_informations(path, edges, 3),
+        sightings=np.array([row[1] for row in sightings], dtype=np.int64).reshape(-1, 2),
+        p_BL=np.array([row[2][:2] for row in sightings]).reshape(-1, 2),
+        sighting_information=_informations(path, sightings, 2),
+    )
+
+
+def write_g2o(path: Path, graph: PoseGraph) -> None:
+    """Write a graph so that reading it gives the same numbers; vertices without values are left out.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    lines = []
+
+    def add(tag: str, ids: list[int], *numbers: FloatArray) -> None:
+        values = np.concatenate([np.empty(0), *numbers])
+        if np.isfinite(values).all():
+            lines.append(" ".join([tag, *map(str, ids), *(repr(float(value)) for value in values)]))
+
+    for i, X_MB in zip(graph.pose_ids.tolist(), graph.X_MB, strict=True):
+        add("VERTEX_SE2", [i], X_MB)
+    for i, p_ML in zip(graph.landmark_ids.tolist(), graph.p_ML, strict=True):
+        add("VERTEX_XY", [i], p_ML)
+    for i in graph.fixed.tolist():
+        add("FIX", [i])
+    upper = np.triu_indices(3)
+    for ids, X_ij, information in zip(graph.edges.tolist(), graph.X_ij, graph.edge_information, strict=True):
+        add("EDGE_SE2", ids, X_ij, information[upper])
+    upper = np.triu_indices(2)
+    for ids, p_BL, information in zip(graph.sightings.tolist(), graph.p_BL, graph.sighting_information, strict=True):
+        add("EDGE_SE2_XY", ids, p_BL, information[upper])
+    write_atomic(path, "\n".join(lines) + "\n")
+
+
+def _check_line(path: Path, number: int, words: list[str], ids: int, numbers: int) -> None:
+    if len(words) != 1 + ids + numbers:
+        raise DatasetError(
+            f"{path}, line {number}: {words[0]} takes {ids + numbers} numbers, {len(words) - 1} found; mend the line"
+        )
+    for word in words[1 : 1 + ids]:
+        if not word.isdecimal():
+            raise DatasetError(f"{path}, line {number}: {word!r} is not an id; ids are whole numbers from 0 on")
+    for word in words[1 + ids :]:
+        if not is_finite_number(word):
+            raise DatasetError(f"{path}, line {number}: {word!r} is not a finite number; mend the line")
+
+
+def _informations(path: Path, rows: list[tuple[int, list[int], list[float]]], size: int) -> FloatArray:
+    """(n, size, size) from the upper triangles at the rows' ends."""
+    matrices = np.zeros((len(rows), size, size))
+    i, j = np.triu_indices(size)
+    for matrix, (number, _, numbers) in zip(matrices, rows, strict=True):
+        matrix[i, j] = matrix[j, i] = numbers[size:]
+        if np.linalg.eigvalsh(matrix)[0] <= 0.0:
+            raise DatasetError(f"{path}, line {number}: the information matrix is not positive definite; mend the line")
+    return matrices

@@ -1,0 +1,128 @@
+"""UTIAS MR.CLAM: five robots among barcoded cylinders (Leung, Halpern, Barfoot and Liu, IJRR 30(8), 2011).
+
+A folder holds Barcodes.dat, Landmark_Groundtruth.dat and, for each robot N, RobotN_Odometry.dat, RobotN_Measurement.dat
+and perhaps RobotN_Groundtruth.dat, plain or gzipped. The odometry rows are velocity commands, and a measurement names
+a barcode, not a subject.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
+from tfg_drake.datasets.text import find_file, read_table
+from tfg_drake.messages import FloatArray, Odometry
+
+# Subjects 1 to 5 are robots, 6 to 20 landmarks.
+ROBOTS = range(1, 6)
+LANDMARKS = range(6, 21)
+# Measured against the truth of Dataset6: 0.07-0.18 m and 0.006-0.018 rad.
+SIGMA_RANGE = 0.15
+SIGMA_BEARING = 0.02
+# No odometry message later than this after the one before, s, where the file has rows enough.
+LONGEST_MESSAGE = 0.25
+
+
+def odometry_model() -> OdometryConfig:
+    """What fits the odometry of every run: commands, 4 to 13 % above the true speed, and late."""
+    return OdometryConfig(distance_noise=0.02, distance_scale=0.1, gyro_noise=0.02, gyro_bias=0.01, gyro_scale=0.1)
+
+
+def load_mrclam(folder: Path, robot: int) -> Recording:
+    """One robot's run; the other robots it saw are left out.
+
+    Raises:
+        DatasetError: a file is missing or broken, or there is no such robot.
+    """
+    barcodes = read_table(find_file(folder, "Barcodes.dat"), ("subject", "barcode")).astype(np.int64)
+    if robot not in ROBOTS:
+        raise DatasetError(f"--robot {robot}: MR.CLAM has robots 1 to 5")
+    odometry_file = find_file(folder, f"Robot{robot}_Odometry.dat")
+    odometry = read_table(odometry_file, ("time", "forward speed", "turn rate"))
+    if not len(odometry):
+        raise DatasetError(f"{odometry_file}: no odometry in it; copy it again")
+    _check_order(odometry_file, odometry[:, 0])
+    messages = integrate_commands(odometry)
+
+    file = find_file(folder, f"Robot{robot}_Measurement.dat")
+    sightings = read_table(file, ("time", "barcode", "range", "bearing"))
+    subjects = dict(zip(barcodes[:, 1].tolist(), barcodes[:, 0].tolist(), strict=True))
+    subject = np.array([subjects.get(int(code), 0) for code in sightings[:, 1]], dtype=np.int64)
+    notes = []
+    unknown = int(np.count_nonzero(subject == 0))
+    if unknown:
+        notes.append(f"{unknown} measurements of barcodes that Barcodes.dat does not list were left out")
+    stamps = sightings[:, 0]
+    kept = np.isin(subject, LANDMARKS) & (stamps >= odometry[0, 0]) & (stamps <= odometry[-1, 0])
+    kept &= sightings[:, 2] > 0.0
+    ones = np.ones(int(kept.sum()))
+    frames = make_frames(
+        stamps[kept],
+        subject[kept],
+        sightings[kept, 2],
+        sightings[kept, 3],
+        SIGMA_RANGE * ones,
+        SIGMA_BEARING * ones,
+    )
+    return Recording(
+        name=f"{folder.resolve().name}-robot{robot}",
+        odometry=messages,
+        detections=frames,
+        model=odometry_model(),
+        truth=_truth(folder, robot),
+        notes=tuple(notes),
+    )
+
+
+def integrate_commands(rows: FloatArray) -> tuple[Odometry, ...]:
+    """Dead reckoning from commands (n, 3) of time, forward speed and turn rate, each valid until the next.
+
+    Exact on arcs. Rows that repeat a command are one arc and make one message.
+    """
+    dt = np.diff(rows[:, 0])
+    v, w = rows[:-1, 1], rows[:-1, 2]
+    heading = np.append(0.0, np.cumsum(w * dt))
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    chord = v * dt * np.sinc(0.5 * w * dt / np.pi)
+    x = np.append(0.0, np.cumsum(chord * np.cos(middle)))
+    y = np.append(0.0, np.cumsum(chord * np.sin(middle)))
+    X_OB = np.column_stack([x, y, np.pi - np.mod(np.pi - heading, 2.0 * np.pi)])
+    messages = [Odometry(stamp=float(rows[0, 0]), X_OB=X_OB[0], V_B=rows[0, 1:])]
+    for i in range(1, len(rows)):
+        if i < len(rows) - 1:
+            if rows[i + 1, 0] <= rows[i, 0]:
+                continue  # the last of several rows at one time counts
+            repeats = bool(np.all(rows[i, 1:] == rows[i - 1, 1:]))
+            if repeats and rows[i + 1, 0] - messages[-1].stamp <= LONGEST_MESSAGE:
+                continue
+        if rows[i, 0] > messages[-1].stamp:
+            at_rest = not np.any(messages[-1].V_B)
+            messages.append(Odometry(stamp=float(rows[i, 0]), X_OB=X_OB[i], V_B=rows[i, 1:], at_rest=at_rest))
+    return tuple(messages)
+
+
+def _check_order(file: Path, stamps: FloatArray) -> None:
+    back = np.flatnonzero(np.diff(stamps) < 0.0)
+    if len(back):
+        raise DatasetError(f"{file}: time runs backwards after {stamps[back[0]]:.3f} s; sort the rows by time")
+
+
+def _truth(folder: Path, robot: int) -> GroundTruth | None:
+    stamps, X_WB = np.empty(0), np.empty((0, 3))
+    ids, p_WL = np.empty(0, dtype=np.int64), np.empty((0, 2))
+    if any((folder / f"Robot{robot}_Groundtruth.dat{end}").is_file() for end in ("", ".gz")):
+        file = find_file(folder, f"Robot{robot}_Groundtruth.dat")
+        poses = read_table(file, ("time", "x", "y", "heading"))
+        _check_order(file, poses[:, 0])
+        stamps, X_WB = poses[:, 0], poses[:, 1:]
+    if any((folder / f"Landmark_Groundtruth.dat{end}").is_file() for end in ("", ".gz")):
+        file = find_file(folder, "Landmark_Groundtruth.dat")
+        landmarks = read_table(file, ("subject", "x", "y", "sigma x", "sigma y"))
+        landmarks = landmarks[np.argsort(landmarks[:, 0])]
+        ids, p_WL = landmarks[:, 0].astype(np.int64), landmarks[:, 1:3]
+    if not len(stamps) and not len(ids):
+        return None
+    return GroundTruth(stamps=stamps, X_WB=X_WB, ids=ids, p_WL=p_WL)

@@ -1,0 +1,79 @@
+"""What a data set is once it is loaded: odometry, tag detections, a model of the odometry, and the truth if known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.messages import FloatArray, IntArray, Odometry, TagDetections, message
+
+
+class DatasetError(Exception):
+    """A data set that cannot be used; the message is one line: what, where and how to mend it."""
+
+
+@message
+class GroundTruth:
+    """What is known of the truth, any part of which may be empty.
+
+    stamps: (n,) s, X_WB: (n, 3) the body's poses. ids: (m,) ascending, p_WL: (m, 2) landmarks, m.
+    """
+
+    stamps: FloatArray
+    X_WB: FloatArray
+    ids: IntArray
+    p_WL: FloatArray
+
+
+@message
+class Recording:
+    """One robot's run.
+
+    name. odometry, detections: each in the order of their stamps, all detections within the odometry's span. model:
+    what the estimator believes of the odometry. truth: None where nothing is known. notes: what a user should know
+    of the data, a sentence each.
+    """
+
+    name: str
+    odometry: tuple[Odometry, ...]
+    detections: tuple[TagDetections, ...]
+    model: OdometryConfig
+    truth: GroundTruth | None
+    notes: tuple[str, ...] = ()
+
+
+def make_frames(
+    stamps: FloatArray,
+    ids: IntArray,
+    ranges: FloatArray,
+    bearings: FloatArray,
+    sigma_range: FloatArray,
+    sigma_bearing: FloatArray,
+) -> tuple[TagDetections, ...]:
+    """One message for every distinct stamp, in order; all arguments (n,), one row a sighting.
+
+    A landmark seen more than once at a stamp becomes one sighting, the mean weighted by information.
+    """
+    order = np.lexsort((ids, stamps))
+    stamps, ids = stamps[order], ids[order]
+    same = np.append(False, (stamps[1:] == stamps[:-1]) & (ids[1:] == ids[:-1]))
+    group = np.cumsum(~same) - 1
+    first = np.flatnonzero(~same)
+
+    def merge(value: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        weight = 1.0 / sigma[order] ** 2
+        total = np.bincount(group, weight, minlength=len(first))
+        return np.bincount(group, weight * value[order], minlength=len(first)) / total, 1.0 / np.sqrt(total)
+
+    if not len(stamps):
+        return ()
+    distance, sigma_r = merge(ranges, sigma_range)
+    # Sightings of one landmark at one instant lie on one side of the seam at pi, or differ by more than noise.
+    bearing, sigma_b = merge(bearings, sigma_bearing)
+    stamps, ids = stamps[first], ids[first]
+    starts = np.flatnonzero(np.append(True, stamps[1:] != stamps[:-1]))
+    ends = np.append(starts[1:], len(stamps))
+    return tuple(
+        TagDetections(float(stamps[a]), ids[a:b], distance[a:b], bearing[a:b], sigma_r[a:b], sigma_b[a:b])
+        for a, b in zip(starts, ends, strict=True)
+    )

@@ -1,0 +1,281 @@
+"""Tag corners in the images of a moving camera rig, with visual-inertial odometry, in TagSLAM's formats.
+
+A folder holds tag_corners.csv, vio_odometry.csv, cameras.yaml, camera_poses.yaml, tagslam.yaml and perhaps
+tagslam_reference.csv, the tables plain or gzipped. The rig moves in space; here it is a body in the plane: at the
+rig's origin, heading where its first camera looks, and a tag is the range and bearing of its centre in the horizontal
+plane, which the odometry, being inertial, knows.
+
+Frames: R the rig, V the odometry's world (z up), C a camera, T a tag, W the survey's world (z up).
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation, Slerp
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
+from tfg_drake.datasets.square_pnp import square_centers, undistort
+from tfg_drake.datasets.text import find_file, is_finite_number, read_text
+from tfg_drake.messages import FloatArray, IntArray, Odometry
+
+# Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
+CORNER_NOISE = 0.5
+RANGE_FLOOR = 0.03
+BEARING_FLOOR = 0.005
+# A step of the odometry this much faster than the steps around it is a jump, m/s and rad/s.
+JUMP_SPEED = 1.0
+JUMP_TURN_RATE = 1.5
+# A tag must be this far from the rig in the plane for its bearing to mean anything, m.
+LEAST_RANGE = 0.3
+
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+_CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "xy")
+
+
+def odometry_model() -> OdometryConfig:
+    """What fits the visual-inertial odometry of a hand-held rig."""
+    return OdometryConfig(distance_noise=0.03, distance_scale=0.02, gyro_noise=0.01, gyro_bias=0.001, gyro_scale=0.005)
+
+
+def load_tagslam(folder: Path) -> Recording:
+    """The rig's run.
+
+    Raises:
+        DatasetError: a file is missing or broken, or the files do not belong together.
+    """
+    setup = _Setup(folder)
+    stamps, R_VR, p_VR = _rig_poses(folder, "vio_odometry.csv", setup.R_RO, setup.p_RO)
+    heading = _heading(R_VR)
+    odometry, jumps = _planar_odometry(stamps, p_VR[:, :2], heading)
+    notes = []
+    if jumps:
+        at = ", ".join(f"{jump - stamps[0]:.1f}" for jump in jumps)
+        notes.append(f"the odometry jumps at {at} s: there the motion before the jump was put in its place")
+    found = _detections(folder, setup, stamps, R_VR, heading, notes)
+    return Recording(
+        name=folder.resolve().name,
+        odometry=odometry,
+        detections=make_frames(*found),
+        model=odometry_model(),
+        truth=_truth(folder, setup),
+        notes=tuple(notes),
+    )
+
+
+class _Setup:
+    """The rig and the tags as the three YAML files describe them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.files = {name: folder / f"{name}.yaml" for name in ("cameras", "camera_poses", "tagslam")}
+        cameras, poses, world = (_read_yaml(file) for file in self.files.values())
+        self.cameras: dict[str, dict[str, Any]] = {}
+        try:
+            for name, camera in cameras.items():
+                model = str(camera["distortion_model"])
+                if model not in ("equidistant", "radtan"):
+                    complaint = f"{name} has distortion_model {model}; equidistant and radtan are known"
+                    raise DatasetError(f"{self.files['cameras']}: {complaint}")
+                self.cameras[name] = {
+                    "names": {name, *str(camera.get("tagtopic", "")).split("/")},
+                    "model": model,
+                    "intrinsics": _numbers(camera["intrinsics"], 4),
+                    "coefficients": _numbers(camera["distortion_coeffs"], 4),
+                }
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise _incomplete(self.files["cameras"], error) from error
+        try:
+            for name, camera in self.cameras.items():
+                camera["R_RC"], camera["p_RC"] = _pose(poses[name]["pose"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise _incomplete(self.files["camera_poses"], error) from error
+        try:
+            bodies = {name: body for one in world["bodies"] for name, body in one.items()}
+            static = bodies[world["default_body"]]
+            rig = next(body for body in bodies.values() if not body["is_static"])
+            self.R_RO, self.p_RO = _pose(rig["T_body_odom"]) if "T_body_odom" in rig else (np.eye(3), np.zeros(3))
+            self.default_size = float(static["default_tag_size"])
+            self.most_hamming = int(static.get("max_hamming_distance", 2))
+            self.ignored = {int(tag) for tag in static.get("ignore_tags", [])}
+            tags = static.get("tags") or []
+            self.sizes = {int(tag["id"]): float(tag.get("size", self.default_size)) for tag in tags}
+            surveyed = sorted((int(tag["id"]), _pose(tag["pose"])[1]) for tag in tags if "pose" in tag)
+            R_WB, p_WB = _pose(static["pose"]) if "pose" in static else (np.eye(3), np.zeros(3))
+        except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
+            raise _incomplete(self.files["tagslam"], error) from error
+        self.surveyed_ids: IntArray = np.array([tag for tag, _ in surveyed], dtype=np.int64)
+        self.p_WT: FloatArray = np.array([p for _, p in surveyed]).reshape(-1, 3) @ R_WB.T + p_WB
+
+    def camera(self, name: str) -> dict[str, Any] | None:
+        """The camera that a table calls by this name."""
+        return next((camera for camera in self.cameras.values() if name in camera["names"]), None)
+
+
+def _planar_odometry(
+    stamps: FloatArray, p_VR: FloatArray, heading: FloatArray
+) -> tuple[tuple[Odometry, ...], list[float]]:
+    """Odometry of the planar body, jumps taken out, and the stamps of the jumps.
+
+    A step that is far from the median of the steps around it is replaced by the last step that was not.
+    """
+    dt = np.diff(stamps)
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    d = np.diff(p_VR, axis=0)
+    turn = np.pi - np.mod(np.pi - np.diff(heading), 2.0 * np.pi)
+    steps = np.column_stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1], turn]) / dt[:, None]
+    padded = np.pad(steps, ((2, 2), (0, 0)), mode="edge")
+    off = np.abs(steps - np.median(np.stack([padded[i : i + len(steps)] for i in range(5)]), axis=0))
+    jumped = (np.hypot(off[:, 0], off[:, 1]) > JUMP_SPEED) | (off[:, 2] > JUMP_TURN_RATE)
+    for i in np.flatnonzero(jumped):
+        steps[i] = steps[i - 1] if i > 0 else 0.0
+    theta = np.append(0.0, np.cumsum(steps[:, 2] * dt))
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    x = np.append(0.0, np.cumsum((c * steps[:, 0] - s * steps[:, 1]) * dt))
+    y = np.append(0.0, np.cumsum((s * steps[:, 0] + c * steps[:, 1]) * dt))
+    X_OB = np.column_stack([x, y, np.pi - np.mod(np.pi - theta, 2.0 * np.pi)])
+    V_B = np.vstack([np.zeros((1, 3)), steps])[:, [0, 2]]
+    messages = tuple(Odometry(float(t), X, V) for t, X, V in zip(stamps, X_OB, V_B, strict=True))
+    return messages, stamps[1:][jumped].tolist()
+
+
+def _detections(
+    folder: Path, setup: _Setup, stamps: FloatArray, R_VR: FloatArray, heading: FloatArray, notes: list[str]
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Stamps, ids, range, bearing and their deviations, a row a sighting, as make_frames takes them."""
+    file = find_file(folder, "tag_corners.csv")
+    names, table = _read_csv(file, ("stamp_s", "tag_id", "hamming", *_CORNERS), "camera")
+    ids = table[:, 1].astype(np.int64)
+    for row, name in enumerate(names):
+        if setup.camera(name) is None:
+            raise DatasetError(
+                f"{file}, data line {row + 1}: camera {name!r} is not in {setup.files['cameras'].name}; add it there"
+            )
+    inside = (table[:, 0] >= stamps[0]) & (table[:, 0] <= stamps[-1])
+    trusted = (table[:, 2] <= setup.most_hamming) & ~np.isin(ids, sorted(setup.ignored))
+    left_out = int(np.count_nonzero(~(inside & trusted)))
+    if left_out:
+        notes.append(f"{left_out} detections outside the odometry or of tags to ignore were left out")
+    p_RT = np.zeros((len(table), 3))
+    covariance = np.zeros((len(table), 3, 3))
+    for camera in setup.cameras.values():
+        rows = np.flatnonzero(np.array([name in camera["names"] for name in names], dtype=bool) & inside & trusted)
+        corners = undistort(
+            table[rows, 3:].reshape(-1, 4, 2), camera["intrinsics"], camera["model"], camera["coefficients"]
+        )
+        sizes = np.array([setup.sizes.get(int(tag), setup.default_size) for tag in ids[rows]])
+        p_CT, unit = square_centers(corners, sizes)
+        sigma = CORNER_NOISE / float(np.mean(camera["intrinsics"][:2]))
+        p_RT[rows] = p_CT @ camera["R_RC"].T + camera["p_RC"]
+        covariance[rows] = sigma**2 * (camera["R_RC"] @ unit @ camera["R_RC"].T)
+
+    kept = np.flatnonzero(inside & trusted)
+    at = table[kept, 0]
+    R = Slerp(stamps, Rotation.from_matrix(R_VR))(at).as_matrix()
+    theta = np.interp(at, stamps, np.unwrap(heading))
+    # The body's frame: level, x where the camera looks.
+    c, s, zero, one = np.cos(theta), np.sin(theta), np.zeros(len(at)), np.ones(len(at))
+    R_BV = np.stack([np.stack([c, s, zero], -1), np.stack([-s, c, zero], -1), np.stack([zero, zero, one], -1)], axis=1)
+    R_BR = R_BV @ R
+    p = (R_BR @ p_RT[kept, :, None])[:, :2, 0]
+    P = (R_BR @ covariance[kept] @ np.swapaxes(R_BR, 1, 2))[:, :2, :2]
+    distance = np.hypot(p[:, 0], p[:, 1])
+    far = distance > LEAST_RANGE
+    p, P, distance, kept = p[far], P[far], distance[far], kept[far]
+    radial = p / distance[:, None]
+    across = np.column_stack([-radial[:, 1], radial[:, 0]])
+    sigma_range = np.sqrt(np.einsum("ni,nij,nj->n", radial, P, radial) + RANGE_FLOOR**2)
+    sigma_bearing = np.sqrt(np.einsum("ni,nij,nj->n", across, P, across) / distance**2 + BEARING_FLOOR**2)
+    return table[kept, 0], ids[kept], distance, np.arctan2(p[:, 1], p[:, 0]), sigma_range, sigma_bearing
+
+
+def _truth(folder: Path, setup: _Setup) -> GroundTruth | None:
+    """The survey and the reference trajectory; not independent of the detections, but all there is."""
+    stamps, X_WB = np.empty(0), np.empty((0, 3))
+    if any((folder / f"tagslam_reference.csv{end}").is_file() for end in ("", ".gz")):
+        stamps, R_WR, p_WR = _rig_poses(folder, "tagslam_reference.csv", np.eye(3), np.zeros(3))
+        X_WB = np.column_stack([p_WR[:, :2], _heading(R_WR)])
+    if not len(stamps) and not len(setup.surveyed_ids):
+        return None
+    return GroundTruth(stamps=stamps, X_WB=X_WB, ids=setup.surveyed_ids, p_WL=setup.p_WT[:, :2])
+
+
+def _rig_poses(
+    folder: Path, name: str, R_RO: FloatArray, p_RO: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """stamps (n,), R_VR (n, 3, 3), p_VR (n, 3) from a table of poses of the frame O that sits in the rig at X_RO."""
+    file = find_file(folder, name)
+    _, table = _read_csv(file, ("stamp_s", *_POSE))
+    if len(table) < 2:
+        raise DatasetError(f"{file}: fewer than two poses in it; copy it again")
+    back = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    if len(back):
+        raise DatasetError(f"{file}: time does not grow after {table[back[0], 0]:.3f} s; sort the rows by time")
+    if np.any(np.linalg.norm(table[:, 4:], axis=1) < 0.5):
+        raise DatasetError(f"{file}: a quaternion is not of length one; copy it again")
+    R_VR = Rotation.from_quat(table[:, 4:]).as_matrix() @ R_RO.T
+    return table[:, 0], R_VR, table[:, 1:4] - R_VR @ p_RO
+
+
+def _heading(R_VR: FloatArray) -> FloatArray:
+    """(n,) rad of the rig's z axis, where the first camera looks, in the horizontal plane."""
+    return np.asarray(np.arctan2(R_VR[:, 1, 2], R_VR[:, 0, 2]))
+
+
+def _pose(node: Any) -> tuple[FloatArray, FloatArray]:
+    """Rotation matrix and position of a pose in TagSLAM's YAML: position and rotation vector, each with x, y, z."""
+    position, rotation = (_numbers([node[part][axis] for axis in "xyz"], 3) for part in ("position", "rotation"))
+    return Rotation.from_rotvec(rotation).as_matrix(), position
+
+
+def _numbers(values: Any, count: int) -> FloatArray:
+    array = np.array([float(value) for value in values])
+    if len(array) != count or not np.isfinite(array).all():
+        raise ValueError(f"{count} finite numbers expected")
+    return array
+
+
+def _incomplete(file: Path, error: Exception) -> DatasetError:
+    what = f"no {error.args[0]!r}" if isinstance(error, KeyError) else str(error) or "the moving body is missing"
+    return DatasetError(f"{file}: not as TagSLAM writes it: {what}")
+
+
+def _read_yaml(file: Path) -> dict[str, Any]:
+    text = read_text(file)
+    try:
+        tree = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f", line {mark.line + 1}" if mark is not None else ""
+        raise DatasetError(f"{file}{where}: not YAML; mend it") from error
+    if not isinstance(tree, dict):
+        raise DatasetError(f"{file}: not as TagSLAM writes it: no keys in it")
+    return tree
+
+
+def _read_csv(file: Path, columns: tuple[str, ...], label: str | None = None) -> tuple[list[str], FloatArray]:
+    """The label column, if one is asked for, and the columns named as finite numbers (n, len(columns))."""
+    lines = read_text(file).splitlines()
+    header = next(csv.reader(lines[:1]), [])
+    for column in (*columns, *([label] if label else [])):
+        if column not in header:
+            raise DatasetError(f"{file}: no column {column!r} in the first line; name the columns there")
+    at = [header.index(column) for column in columns]
+    labels, rows = [], []
+    for number, words in enumerate(csv.reader(lines[1:]), start=2):
+        if not words:
+            continue
+        if len(words) != len(header):
+            raise DatasetError(
+                f"{file}, line {number}: {len(header)} values expected, {len(words)} found; mend the line"
+            )
+        for i in at:
+            if not is_finite_number(words[i]):
+                raise DatasetError(f"{file}, line {number}: {words[i]!r} is not a finite number; mend the line")
+        rows.append([float(words[i]) for i in at])
+        labels.append(words[header.index(label)] if label else "")
+    return labels, np.array(rows).reshape(-1, len(columns))
