@@ -38,7 +38,6 @@ def _lines(saved: SavedMap) -> Iterator[str]:
         yield f"VERTEX_SE2 {2 * j + 1} {_numbers(X_WD[j])}"
     for tag, p_WL in zip(graph.ids.tolist(), transform(saved.X_WM, graph.p_ML), strict=True):
         yield f"VERTEX_XY {base + tag} {_numbers(p_WL)}"
-    yield "FIX 0"
     for j, observation in enumerate(graph.observations):
         if j > 0:
             yield _motion(2 * j - 1, 2 * j, graph.X_DA[j - 1], graph.segment_covariance[j - 1])
@@ -47,6 +46,8 @@ def _lines(saved: SavedMap) -> Iterator[str]:
         for i, tag in enumerate(observation.ids.tolist()):
             block = observation.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             yield f"EDGE_SE2_XY {2 * j} {base + tag} {_numbers(observation.p_AL[i])} {_information(block)}"
+    # At the end: GTSAM's readG2o passes over all edges that follow it.
+    yield "FIX 0"
 
 
 def _motion(start: int, end: int, X: FloatArray, covariance: FloatArray) -> str:
