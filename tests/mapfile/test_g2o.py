@@ -29,8 +29,8 @@ def test_vertices_and_edges_are_the_graph(small_map):
     assert sorted(vertices) == [0, 1, 2, 3, 20, 21, 22, 23]
     np.testing.assert_allclose(vertices[0], [5.0, 3.0, 0.5 * np.pi])
     np.testing.assert_allclose(vertices[20], [5.0, 3.0] + graph.p_ML[0] @ np.array([[0.0, 1.0], [-1.0, 0.0]]))
-    assert found["FIX"] == [[0.0]]
     assert [edge[:2] for edge in found["EDGE_SE2"]] == [[0, 1], [1, 2], [2, 3]]
+    assert found["FIX"] == [[0.0]]
     tags = [edge[:2] for edge in found["EDGE_SE2_XY"]]
     assert tags == [[0, 20], [0, 21], [0, 22], [2, 20], [2, 21], [2, 23]]
     for start, end, x, y, *information in found["EDGE_SE2_XY"]:

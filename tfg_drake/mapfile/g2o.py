@@ -31,8 +31,6 @@ def landmark_base(saved: SavedMap) -> int:
 def _lines(saved: SavedMap) -> Iterator[str]:
     graph, base = saved.graph, landmark_base(saved)
     X_WA, X_WD = compose(saved.X_WM, graph.X_MA), compose(saved.X_WM, graph.X_MD)
-    yield f"# {len(X_WA)} goals: arrival of goal j is vertex 2j, its departure 2j + 1; tag i is vertex {base} + i"
-    yield "# metres and radians, in the world frame; see docs/map_format.md of tfg-drake"
     for j in range(len(X_WA)):
         yield f"VERTEX_SE2 {2 * j} {_numbers(X_WA[j])}"
         yield f"VERTEX_SE2 {2 * j + 1} {_numbers(X_WD[j])}"
@@ -46,8 +44,10 @@ def _lines(saved: SavedMap) -> Iterator[str]:
         for i, tag in enumerate(observation.ids.tolist()):
             block = observation.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             yield f"EDGE_SE2_XY {2 * j} {base + tag} {_numbers(observation.p_AL[i])} {_information(block)}"
-    # At the end: GTSAM's readG2o passes over all edges that follow it.
+    # At the end: GTSAM's readG2o finds no edge after a line that it does not know.
     yield "FIX 0"
+    yield f"# {len(X_WA)} goals: arrival of goal j is vertex 2j, its departure 2j + 1; tag i is vertex {base} + i"
+    yield "# metres and radians, in the world frame; see docs/map_format.md of tfg-drake"
 
 
 def _motion(start: int, end: int, X: FloatArray, covariance: FloatArray) -> str:
