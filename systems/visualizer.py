@@ -30,6 +30,7 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
 )
+from tfg_drake.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
 from tfg_drake.systems.ports import declare_message_input, eval_message
 from tfg_drake.world.world import World
 
@@ -40,12 +41,6 @@ RATE = 8.0
 # Width over height of the narrowest window that shows the whole first view.
 ASPECT = 1.5
 
-WALL: Colour = (0.84, 0.85, 0.87)
-EDGE: Colour = (0.16, 0.18, 0.22)
-WALL_END: Colour = (0.52, 0.54, 0.58)
-BARE_SURFACE: Colour = (0.93, 0.60, 0.22)
-LANDMARK: Colour = (0.07, 0.53, 0.44)
-FRONTIER: Colour = (0.10, 0.36, 0.88)
 ROADMAP: Colour = (0.945, 0.955, 0.97)
 PATH: Colour = (0.84, 0.15, 0.16)
 SCAN: Colour = (0.36, 0.72, 0.90)

@@ -13,12 +13,14 @@ from matplotlib.figure import Figure
 from tfg_drake.drawing import ellipses
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose, rotation, transform
+from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
 from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
 _MAPPED, _MISSED = "#12876f", "#d62728"
 _ESTIMATE, _TRUTH = "#1f4e9c", "#7fb2e5"
+_FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
 _POINTS_PER_INCH = 72.0
 
 
@@ -47,18 +49,7 @@ def draw_run(
     """
     points = np.vstack([world.walls.reshape(-1, 2), X_WB_true[:, :2], world.start[None, :2]])
     (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
-    width = 11.0
-    height = float(np.clip(width * (y_max - y_min) / (x_max - x_min), 3.5, 12.0))
-    figure = Figure(figsize=(width, height + 1.1), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    axes.tick_params(labelsize=8, colors="0.35")
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    axes.set_title(title, loc="left", fontsize=10)
-    # A symbol's size in points, from the scale of the drawing.
-    symbol = float(np.clip(0.2 * width * _POINTS_PER_INCH / (x_max - x_min), 1.2, 6.0))
+    figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
 
     lines = LineCollection(list(world.walls.reshape(-1, 2, 2)), colors=_WALL, linewidths=3.0, label="true wall")
     axes.add_collection(lines)
@@ -71,8 +62,10 @@ def draw_run(
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
     if estimate is not None:
         mapped = estimate.ids
-        _draw_landmarks(axes, world.start, estimate, symbol)
-        _draw_goals(axes, world.start, estimate)
+        n = len(estimate.ids)
+        blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+        _draw_landmarks(axes, world.start, estimate.p_ML, blocks, symbol)
+        _draw_goals(axes, world.start, estimate.X_MA)
     missed = reachable & ~np.isin(world.tag_ids, mapped)
     if missed.any():
         label = "landmark missed"
@@ -80,11 +73,59 @@ def draw_run(
     axes.plot(*world.start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
     if len(X_WB_true):
         axes.plot(*X_WB_true[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
-    figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
+    _write(figure, path)
 
+
+def draw_map(path: Path, title: str, saved: SavedMap) -> None:
+    """Write the figure of a saved map as a PNG or PDF, by the file's suffix, atomically.
+
+    Args:
+        path: the file.
+        title: stands above the figure; one or two lines.
+        saved: the map; the figure is in W.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    X_WM, tfg = saved.X_WM, saved.tfg
+    shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
+    points = transform(X_WM, np.vstack(shown))
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
+    stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
+    axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
+    _draw_surfaces(axes, X_WM, tfg)
+    _draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, symbol)
+    _draw_goals(axes, X_WM, saved.X_MA)
+    if len(tfg.frontiers):
+        p_WF = transform(X_WM, tfg.frontiers)
+        axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
+    _write(figure, path)
+
+
+def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]):  # type: ignore[no-untyped-def]
+    """Figure and axes for an area, m, and a symbol's size in points, from the scale of the drawing."""
+    width = 11.0
+    height = float(np.clip(width * (y[1] - y[0]) / (x[1] - x[0]), 3.5, 12.0))
+    figure = Figure(figsize=(width, height + 1.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(xlim=x, ylim=y, aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.tick_params(labelsize=8, colors="0.35")
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_title(title, loc="left", fontsize=10)
+    return figure, axes, float(np.clip(0.2 * width * _POINTS_PER_INCH / (x[1] - x[0]), 1.2, 6.0))
+
+
+def _write(figure: Figure, path: Path) -> None:
+    """The figure with its legend, without the metadata that would differ from version to version or day to day."""
+    figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
     buffer = io.BytesIO()
-    # Without the metadata that would differ from version to version.
-    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
+    if path.suffix.lower() == ".pdf":
+        figure.savefig(buffer, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
+    else:
+        figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
     write_atomic(path, buffer.getvalue())
 
 
@@ -96,13 +137,11 @@ def _draw_surfaces(axes, X_WM: FloatArray, tfg: TfgMap) -> None:  # type: ignore
             axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
 
 
-def _draw_landmarks(axes, X_WM: FloatArray, estimate: MapEstimate, symbol: float) -> None:  # type: ignore[no-untyped-def]
-    n = len(estimate.ids)
-    if not n:
+def _draw_landmarks(axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, symbol: float) -> None:  # type: ignore[no-untyped-def]
+    if not len(p_ML):
         return
     R_WM = rotation(float(X_WM[2]))
-    blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-    p_WL = transform(X_WM, estimate.p_ML)
+    p_WL = transform(X_WM, p_ML)
     outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T)
     label = "landmark mapped, 3\u03c3"
     axes.plot(*p_WL.T, "o", color=_MAPPED, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
@@ -110,8 +149,8 @@ def _draw_landmarks(axes, X_WM: FloatArray, estimate: MapEstimate, symbol: float
     axes.add_collection(rings)
 
 
-def _draw_goals(axes, X_WM: FloatArray, estimate: MapEstimate) -> None:  # type: ignore[no-untyped-def]
-    goals = compose(X_WM, estimate.X_MA)
+def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]
+    goals = compose(X_WM, X_MA)
     if not len(goals):
         return
     axes.plot(
