@@ -11,9 +11,13 @@ import threading
 import time
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from tfg_drake.diagrams.command_line import BadInput, wait_for_enter
+from tfg_drake.diagrams.command_line import bad_input as _bad_input
+from tfg_drake.diagrams.map_command import map_app
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.run import Progress
@@ -30,10 +34,7 @@ _interrupted = threading.Event()
 _UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-
-
-class BadInput(Exception):
-    """What the user gave cannot be used; the message is one line that names the culprit and the mend."""
+app.add_typer(map_app, name="map")
 
 
 @app.callback()
@@ -104,7 +105,7 @@ def explore(
         log = result.folder / "log.txt"
         print(f"tfg-drake: {_one_line(result.summary['reason'])}; the traceback is in {log}", file=sys.stderr)
     if meshcat is not None and sys.stdin.isatty() and sys.stdout.isatty():
-        _wait_for_enter()
+        wait_for_enter()
     if as_json:
         print(json.dumps(result.summary), flush=True)
     raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
@@ -148,10 +149,6 @@ def _interrupt(_signal: int, _frame: object) -> None:
         os._exit(EXIT_CODES["interrupted"])
     _interrupted.set()
     os.write(2, b"\ntfg-drake: stopping; Ctrl-C again leaves at once\n")
-
-
-def _bad_input(message: str) -> NoReturn:
-    raise BadInput(message)
 
 
 def _one_line(message: str) -> str:
@@ -301,14 +298,6 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ),
         ("safety", f"{summary['contacts']} contacts, least clearance {number(summary['min_clearance_m'], '{:.2f}')} m"),
     ]
-
-
-def _wait_for_enter() -> None:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        input("The scene stays open; press Enter to close it. ")
-    except (EOFError, KeyboardInterrupt):
-        print()
 
 
 if __name__ == "__main__":

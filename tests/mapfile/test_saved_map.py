@@ -134,7 +134,7 @@ def test_missing_and_foreign_files(tmp_path):
     text = tmp_path / "text.npz"
     text.write_text("a map\n")
     assert error_of(text) == DAMAGED
-    assert error_of(tmp_path) == DAMAGED
+    assert error_of(tmp_path) == "FILE is a folder; name the map in it, such as map.npz"
 
 
 def test_pickled_objects_are_refused(tmp_path):

@@ -86,3 +86,15 @@ def inspected(
                 result[i] = True
                 break
     return result
+
+
+def covered_area(
+    star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray, cell: float = 0.1
+) -> float:
+    """Area of the union of the star polygons, m^2, by counting the cells (of this width, m) whose centres they hold."""
+    if not len(star_vertices):
+        return 0.0
+    low, high = star_vertices.min(axis=0), star_vertices.max(axis=0)
+    x, y = (np.arange(low[i] + 0.5 * cell, high[i], cell) for i in range(2))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return float(cell**2 * np.count_nonzero(inside_any(points, star_offsets, star_vertices, star_centers)))

@@ -218,6 +218,8 @@ def _read(path: Path) -> dict[str, Array]:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise MapFileError(f"no such map: {path}") from None
+    except IsADirectoryError:
+        raise MapFileError(f"{path} is a folder; name the map in it, such as map.npz") from None
     except PermissionError:
         raise MapFileError(f"{path} cannot be read: permission denied") from None
     # What numpy and zipfile say of bytes that are no archive, or no whole one.

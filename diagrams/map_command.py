@@ -1,0 +1,136 @@
+"""`tfg-drake map`: what is in a saved map, a look at it, and other formats. Needs no Drake."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from tfg_drake.diagrams.command_line import bad_input, wait_for_enter
+
+if TYPE_CHECKING:
+    from tfg_drake.mapfile.saved_map import SavedMap
+
+KINDS = ("edges between landmarks", "wall ends at a landmark", "surfaces without one")
+SUFFIXES = (".g2o", ".csv", ".png", ".pdf", ".html")
+
+MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map file, such as a run's map.npz.")]
+
+map_app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@map_app.callback()
+def _commands() -> None:
+    """Look at a saved map, or write it in another format."""
+
+
+@map_app.command()
+def info(map_file: MapArgument) -> None:
+    """Say what is in a map."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for name, value in map_rows(_load(map_file), map_file.stat().st_size):
+        table.add_row(name, value)
+    Console(highlight=False).print(table)
+
+
+@map_app.command()
+def view(map_file: MapArgument) -> None:
+    """Show a map in the browser, in Meshcat."""
+    from tfg_drake.mapfile.viewer import serve
+
+    with serve(_page(_load(map_file), map_file)) as address:
+        print(f"Meshcat: {address}", flush=True)
+        if sys.stdin.isatty() and sys.stdout.isatty():
+            wait_for_enter()
+
+
+@map_app.command()
+def export(
+    map_file: MapArgument,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help=f"The file to write: {', '.join(SUFFIXES)}.")],
+) -> None:
+    """Write a map in another format, by the suffix of OUT."""
+    from tfg_drake.figure import draw_map
+    from tfg_drake.files import write_atomic
+    from tfg_drake.mapfile.g2o import g2o_text
+    from tfg_drake.mapfile.landmark_table import landmark_csv
+
+    suffix = out.suffix.lower()
+    if suffix not in SUFFIXES:
+        bad_input(f"{out}: unknown format; name a file that ends in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+    saved = _load(map_file)
+    try:
+        if suffix == ".g2o":
+            write_atomic(out, g2o_text(saved))
+        elif suffix == ".csv":
+            write_atomic(out, landmark_csv(saved))
+        elif suffix == ".html":
+            write_atomic(out, _page(saved, map_file))
+        else:
+            rows = dict(map_rows(saved, map_file.stat().st_size))
+            draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['goals']}\n{rows['deviation']}", saved)
+    except OSError as error:
+        bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
+
+
+def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
+    """What `info` prints: names and values. size: of the file, bytes."""
+    from tfg_drake.geometry.star import covered_area
+
+    tfg = saved.tfg
+    x, y, theta = saved.X_WM
+    length = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T)
+    area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    rows = [
+        ("world frame", f"the map's origin lies at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
+        ("goals", f"{saved.stage} goals, the last at {saved.stamp:.1f} s"),
+        ("landmarks", f"{len(saved.ids)} landmarks"),
+        ("deviation", _deviation(saved)),
+        ("entropy", f"{saved.entropy:.1f} nats"),
+    ]
+    for kind, name in enumerate(KINDS):
+        chosen = tfg.segment_kind == kind
+        count = np.count_nonzero(saved.tfg_graph.surfaces.kind == kind)
+        rows.append(("surfaces" if kind == 0 else "", f"{count} {name}, {length[chosen].sum():.1f} m"))
+    rows += [
+        ("free space", f"{area:.0f} m2"),
+        ("frontiers", f"{len(tfg.frontiers)} open, {tfg.frontier_length.sum():.1f} m"),
+        ("file size", f"{size / 1000.0:.0f} kB"),
+    ]
+    return rows
+
+
+def _deviation(saved: SavedMap) -> str:
+    """Standard deviations of the landmarks along their worst direction."""
+    if not len(saved.ids):
+        return "-"
+    sigma = np.sqrt(np.linalg.eigvalsh(saved.landmark_covariance)[:, -1])
+    worst = int(np.argmax(sigma))
+    return f"1\u03c3 of a landmark {np.median(sigma):.3f} m median, {sigma[worst]:.3f} m worst (tag {saved.ids[worst]})"
+
+
+def _load(path: Path) -> SavedMap:
+    from tfg_drake.mapfile.saved_map import MapFileError, load_map
+
+    try:
+        return load_map(path)
+    except MapFileError as error:
+        bad_input(str(error))
+
+
+def _page(saved: SavedMap, path: Path) -> str:
+    from tfg_drake.mapfile.viewer import ViewerMissing, scene_page
+
+    rows = dict(map_rows(saved, path.stat().st_size))
+    figures = [("goals", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
+    figures += [(name, rows[name]) for name in ("free space", "frontiers")]
+    try:
+        return scene_page(saved, path.name, figures)
+    except ViewerMissing as error:
+        bad_input(str(error))
