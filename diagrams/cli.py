@@ -111,6 +111,38 @@ def explore(
     raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
 
 
+@app.command()
+def slam(
+    dataset: Annotated[Path, typer.Argument(help="An MR.CLAM or TagSLAM folder, or a .g2o file.")],
+    robot: Annotated[int | None, typer.Option(metavar="N", help="Whose run, where there are several robots.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<data set>].")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")] = False,
+) -> None:
+    """Run the estimator alone on a recorded data set."""
+    if out is not None:
+        _make_writable(out)
+    _announce_compilation()
+
+    from tfg_drake.datasets.recording import DatasetError
+    from tfg_drake.diagrams import slam_command
+
+    try:
+        with slam_command.ProgressBars(_interrupted) as show:
+            result = slam_command.run_slam(dataset, robot, out, show)
+    except DatasetError as error:
+        _bad_input(str(error))
+    except slam_command.Interrupted:
+        raise typer.Exit(EXIT_CODES["interrupted"]) from None
+    except OSError as error:
+        _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
+    for name, value in [*slam_command.table_rows(result.summary), ("files", str(result.folder))]:
+        print(f"{name:<14}{value}")
+    if as_json:
+        print(json.dumps(result.summary), flush=True)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
     _interrupted.clear()

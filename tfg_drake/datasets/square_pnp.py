@@ -66,7 +66,7 @@ def square_centers(corners: FloatArray, sizes: FloatArray) -> tuple[FloatArray, 
         step = -np.linalg.solve(normal, np.swapaxes(jacobian, 1, 2) @ residual.reshape(-1, 8, 1))[..., 0]
         R = _exp(step[:, :3]) @ R
         t = t + step[:, 3:]
-    return t, np.linalg.inv(normal)[:, 3:, 3:]
+    return t, np.asarray(np.linalg.inv(normal)[:, 3:, 3:])
 
 
 def _from_homography(corners: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:

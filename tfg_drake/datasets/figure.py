@@ -1,0 +1,75 @@
+"""One figure of an estimate on a data set: landmarks and trajectories against the truth."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tfg_drake.files import write_atomic
+from tfg_drake.messages import FloatArray, IntArray
+
+_SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
+# Landmarks are named where there are no more than this.
+_MOST_NAMES = 100
+
+
+def draw_slam(
+    path: Path,
+    title: str,
+    trajectories: dict[str, FloatArray],
+    truth: FloatArray,
+    ids: IntArray,
+    p_WL: FloatArray,
+    true_ids: IntArray,
+    p_WL_true: FloatArray,
+    misfit_ids: IntArray,
+) -> None:
+    """Write the figure as a PNG, atomically; everything in one frame, any part may be empty.
+
+    Args:
+        path: the file.
+        title: stands above the figure.
+        trajectories: "smoothed" and "online" positions (n, 2), m.
+        truth: (m, 2) true positions.
+        ids, p_WL: (l,) and (l, 2) estimated landmarks.
+        true_ids, p_WL_true: (t,) and (t, 2) true landmarks.
+        misfit_ids: landmarks that contradict their truth; a line joins the two.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    known = np.isin(true_ids, ids)
+    points = np.vstack([truth, *trajectories.values(), p_WL, p_WL_true[known], np.zeros((1, 2))])
+    width, height = np.ptp(points, axis=0) + 1.0
+    figure = Figure(figsize=(9.0, float(np.clip(9.0 * height / width, 4.0, 12.0)) + 0.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.tick_params(labelsize=8, colors="0.35")
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    if len(truth):
+        axes.plot(*truth.T, color=_TRUTH, linewidth=1.8, label="true path")
+    for (name, path_points), color in zip(trajectories.items(), (_SMOOTHED, _ONLINE), strict=False):
+        if len(path_points):
+            axes.plot(*path_points.T, color=color, linewidth=0.7, label=f"{name} path")
+    if known.any():
+        axes.plot(*p_WL_true[known].T, "s", color="0.55", markersize=7, fillstyle="none", label="true landmark")
+    if len(ids):
+        axes.plot(*p_WL.T, "o", color="0.1", markersize=4, markeredgewidth=0, label="landmark")
+    if len(ids) <= _MOST_NAMES:
+        for name, p in zip(ids, p_WL, strict=True):
+            axes.annotate(str(name), p, xytext=(4, 4), textcoords="offset points", fontsize=7, color="0.25")
+    for name in misfit_ids:
+        ends = np.vstack([p_WL[ids == name], p_WL_true[true_ids == name]])
+        axes.plot(*ends.T, "--", color=_WRONG, linewidth=0.8)
+    figure.legend(loc="outside lower left", ncols=5, fontsize=8, frameon=False, labelcolor="0.25")
+    buffer = io.BytesIO()
+    # Without the metadata that would differ from version to version.
+    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
+    write_atomic(path, buffer.getvalue())
