@@ -1,0 +1,105 @@
+"""The batch smoother on drives whose truth is known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import TagDetections
+from tfg_drake.slam.batch_smoother import HUBER_SIGMAS, smooth
+
+
+def record(drive, noise, steps=640, seed=4):
+    """Odometry, frames and true poses at the odometry's stamps of a drive on a circle among tags, and the drive."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 13)[:-1]
+    robot = drive(6.0 * np.column_stack([np.cos(angle), np.sin(angle)]), seed, noise)
+    odometry, frames, stamps, X_MB = [robot.last], [], [0.0], [robot.X_MB]
+    for _ in range(steps):
+        for one in robot.step(0.5, 0.35):
+            (frames if isinstance(one, TagDetections) else odometry).append(one)
+        stamps.append(robot.time)
+        X_MB.append(robot.X_MB)
+    return tuple(odometry), tuple(frames), np.array(stamps), np.array(X_MB), robot
+
+
+def errors(run, stamps, X_MB, robot):
+    """Largest errors of positions (m) and of landmarks (m); the first pose is held, so nothing is aligned."""
+    rows = np.searchsorted(stamps, run.stamps - 1e-9)
+    at = np.isclose(stamps[np.minimum(rows, len(stamps) - 1)], run.stamps)
+    position = np.linalg.norm(run.X_MB[at, :2] - X_MB[rows[at], :2], axis=1)
+    return position.max(), np.linalg.norm(run.p_ML - robot.p_ML(run.ids), axis=1).max()
+
+
+def test_a_drive_without_noise_is_solved_exactly(drive):
+    odometry, frames, stamps, X_MB, robot = record(drive, 0.0)
+    run = smooth(odometry, frames, robot.config)
+    assert max(errors(run, stamps, X_MB, robot)) < 1e-6
+    np.testing.assert_allclose(run.calibration, 0.0, atol=1e-6)
+    assert run.half_chi_square < 1e-6
+    assert run.used == sum(len(frame.ids) for frame in frames)
+    assert run.rejected == 0
+    assert np.all(np.diff(run.stamps) > 0.0)
+
+
+def test_noise_costs_what_the_kernel_makes_of_it(drive):
+    odometry, frames, stamps, X_MB, robot = record(drive, 1.0)
+    run = smooth(odometry, frames, robot.config)
+    position, landmark = errors(run, stamps, X_MB, robot)
+    assert position < 0.1
+    assert landmark < 0.1
+    # Two normal errors a sighting, of length r: the mean of Huber's function of r, not of r^2 / 2, which is 1.
+    k = HUBER_SIGMAS
+    mean = 1.0 - math.exp(-0.5 * k**2) + k * math.sqrt(0.5 * math.pi) * math.erfc(k / math.sqrt(2.0))
+    assert run.half_chi_square / run.used == pytest.approx(mean, abs=0.04)
+    assert run.rejected < 0.005 * run.used
+
+
+def test_the_calibration_is_found(drive):
+    odometry, frames, _, _, robot = record(drive, 1.0)
+    run = smooth(odometry, frames, robot.config)
+    np.testing.assert_allclose(run.calibration[:2], robot.errors[:2], atol=5e-3)
+
+
+def test_gross_errors_are_rejected(drive):
+    odometry, frames, stamps, X_MB, robot = record(drive, 1.0)
+    random = np.random.default_rng(0)
+    spoiled, count = [], 0
+    for frame in frames:
+        bad = random.random(len(frame.ids)) < 0.03
+        count += int(bad.sum())
+        distance = np.where(bad, frame.range + 3.0, frame.range)
+        spoiled.append(
+            TagDetections(frame.stamp, frame.ids, distance, frame.bearing, frame.sigma_range, frame.sigma_bearing)
+        )
+    run = smooth(odometry, tuple(spoiled), robot.config)
+    assert count <= run.rejected <= count + 0.005 * run.used
+    assert max(errors(run, stamps, X_MB, robot)) < 0.1
+
+
+def test_a_run_that_saw_nothing_is_its_odometry(drive):
+    odometry, _, _, _, robot = record(drive, 0.0)
+    run = smooth(odometry, (), robot.config)
+    assert run.ids.tolist() == []
+    assert run.p_ML.shape == (0, 2)
+    np.testing.assert_allclose(run.X_MB[-1], odometry[-1].X_OB, atol=1e-9)
+    assert run.used == run.rejected == 0
+
+
+def test_one_message_is_one_pose(drive):
+    odometry, _, _, _, robot = record(drive, 0.0, steps=1)
+    run = smooth(odometry[:1], (), robot.config)
+    np.testing.assert_allclose(run.X_MB, se2.compose(np.zeros(3), np.zeros(3))[None])
+
+
+def test_without_odometry_there_is_nothing_to_smooth(drive):
+    with pytest.raises(ValueError, match="A run without odometry cannot be smoothed"):
+        smooth((), (), drive(np.zeros((0, 2)), 0, 0.0).config)
+
+
+def test_progress_runs_from_nothing_to_one(drive):
+    odometry, frames, _, _, robot = record(drive, 1.0, steps=100)
+    shares = []
+    smooth(odometry, frames, robot.config, shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
