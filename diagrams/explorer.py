@@ -30,7 +30,9 @@ def MakeTfgExplorer(scenario: Scenario) -> Diagram:
     builder = DiagramBuilder()
     robot, explorer = scenario.robot, scenario.explorer
 
-    estimator = builder.AddNamedSystem("slam_estimator", SlamEstimator(scenario.odometry))
+    estimator = builder.AddNamedSystem(
+        "slam_estimator", SlamEstimator(scenario.odometry, explorer.path_keyframe_period)
+    )
     tfg_builder = builder.AddNamedSystem("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
     selector = builder.AddNamedSystem(
         "goal_selector", InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer)
@@ -62,6 +64,7 @@ def MakeTfgExplorer(scenario: Scenario) -> Diagram:
     builder.ExportInput(estimator.GetInputPort("odometry"), "odometry")
     builder.ExportInput(estimator.GetInputPort("detections"), "detections")
     builder.ExportInput(tfg_builder.GetInputPort("scan"), "scan")
+    builder.ConnectInput("scan", estimator.GetInputPort("scan"))
     builder.ConnectInput("scan", planner.GetInputPort("scan"))
     builder.ExportInput(sequencer.GetInputPort("hazards"), "hazards")
     for name in ("pause", "enable", "stop"):

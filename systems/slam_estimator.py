@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.cpu_meter import metered
-from tfg_drake.messages import MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
 from tfg_drake.slam.estimator import (
     EstimatorState,
     begin_turn,
@@ -17,6 +17,7 @@ from tfg_drake.slam.estimator import (
     pose_estimate,
     process_detections,
     process_odometry,
+    process_scan,
 )
 from tfg_drake.slam.goal_graph import empty_map
 from tfg_drake.systems.ports import (
@@ -40,25 +41,30 @@ class SlamEstimator(LeafSystem):
         input_ports:
         - odometry
         - detections
+        - scan
         - mission
         output_ports:
         - pose
         - map
 
-    odometry: Odometry, detections: TagDetections, mission: MissionStatus. pose: PoseEstimate at the newest odometry.
-    map: MapEstimate after the newest goal, of stage 0 and empty before the first. A turn is open while the mission is
-    in phase "observe"; in phase "map" it is solved and the map's stage becomes the mission's stage plus one. Messages
-    are taken once each, by their stamps.
+    odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the
+    newest odometry. map: MapEstimate after the newest goal, of stage 0 and empty before the first. A turn is open while
+    the mission is in phase "observe"; in phase "map" it is solved and the map's stage becomes the mission's stage plus
+    one. Messages are taken once each, by their stamps.
     """
 
-    def __init__(self, odometry_config: OdometryConfig) -> None:
-        """odometry_config: what the estimator believes of the odometry."""
+    def __init__(self, odometry_config: OdometryConfig, path_keyframe_period: float) -> None:
+        """odometry_config: what the estimator believes of the odometry. path_keyframe_period: s, see
+        `tfg_drake.slam.estimator.initial_state`."""
         super().__init__()
         self.set_name("slam_estimator")
         self._odometry = declare_message_input(self, "odometry")
         self._detections = declare_message_input(self, "detections")
+        self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial_state(odometry_config)))
+        self._state = self.DeclareAbstractState(
+            AbstractValue.Make(initial_state(odometry_config, path_keyframe_period))
+        )
         self._detections_stamp = self.DeclareAbstractState(AbstractValue.Make(-float("inf")))
         depends = {self.abstract_state_ticket(self._state)}
         declare_message_output(self, "pose", self._CalcPose, depends)
@@ -84,11 +90,12 @@ class SlamEstimator(LeafSystem):
         detections = eval_message(self._detections, context, TagDetections)
         mission = eval_message(self._mission, context, MissionStatus)
 
+        estimator = process_scan(estimator, eval_message(self._scan, context, LaserScan))
         estimator = process_odometry(estimator, odometry)
         if detections.stamp > detections_stamp:
             estimator = process_detections(estimator, detections)
             set_state_message(state, self._detections_stamp, detections.stamp)
-        stage = len(estimator.graph.observations)
+        stage = estimator.map.stage if estimator.map is not None else 0
         if mission.phase == "observe" and estimator.turn is None and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
         elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:

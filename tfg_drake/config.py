@@ -110,6 +110,8 @@ class ExplorerConfig:
     frontier_attempts: int = 3
     # Turn rate while observing at a goal, rad/s.
     turn_rate: float = 1.0
+    # The way between goals is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
+    path_keyframe_period: float = 0.0
     # The robot stands and looks this long before its first turn, s: the map's heading is that of the start pose.
     first_look: float = 3.0
     # Largest probability that a point of a path lies in an obstacle (the paper's last equation).

@@ -6,7 +6,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.messages import MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
 from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.systems.slam_estimator import SlamEstimator
 
@@ -22,6 +22,7 @@ class Script(LeafSystem):
         self.set_name("script")
         declare_message_output(self, "odometry", self._odometry, {self.time_ticket()})
         declare_message_output(self, "detections", self._detections, {self.time_ticket()})
+        declare_message_output(self, "scan", self._scan, {self.time_ticket()})
         declare_message_output(self, "mission", self._mission, {self.time_ticket()})
 
     def _odometry(self, context):
@@ -33,6 +34,9 @@ class Script(LeafSystem):
         r, b = np.hypot(*POINTS.T), np.arctan2(POINTS[:, 1], POINTS[:, 0]) - min(stamp, TURN_TIME)
         return TagDetections(stamp, np.arange(len(r)), r, b, np.full(len(r), 0.05), np.full(len(r), 0.01))
 
+    def _scan(self, context):
+        return LaserScan(-np.inf, np.zeros(0), np.zeros(0), 10.0, 0.015)
+
     def _mission(self, context):
         time = context.get_time()
         phase = "observe" if time < TURN_TIME else "map" if time < TURN_TIME + 0.5 else "choose"
@@ -42,8 +46,8 @@ class Script(LeafSystem):
 def build():
     builder = DiagramBuilder()
     script = builder.AddSystem(Script())
-    estimator = builder.AddSystem(SlamEstimator(OdometryConfig()))
-    for name in ("odometry", "detections", "mission"):
+    estimator = builder.AddSystem(SlamEstimator(OdometryConfig(), 0.0))
+    for name in ("odometry", "detections", "scan", "mission"):
         builder.Connect(script.GetOutputPort(name), estimator.GetInputPort(name))
     return builder.Build(), estimator
 
@@ -91,11 +95,11 @@ def test_a_second_run_and_a_cloned_context_repeat_to_the_bit():
 
 
 def test_nothing_happens_without_new_messages():
-    estimator = SlamEstimator(OdometryConfig())
+    estimator = SlamEstimator(OdometryConfig(), 0.0)
     context = estimator.CreateDefaultContext()
     script = Script()
     source = script.CreateDefaultContext()
-    for name in ("odometry", "detections", "mission"):
+    for name in ("odometry", "detections", "scan", "mission"):
         value = AbstractValue.Make(script.GetOutputPort(name).Eval(source))
         estimator.GetInputPort(name).FixValue(context, value)
     simulator = Simulator(estimator, context)

@@ -4,19 +4,26 @@ Between goals a segment filter measures the motion and a localiser estimates the
 collects frames; at its end the turn is solved, its goal joins the graph, and both filters start anew at the departure
 pose. Frames are taken by their stamps, whatever the order of arrival: one is processed when odometry beyond its stamp
 has arrived. Those with stamps in [begin, end) belong to the turn.
+
+What cannot be true is left out and logged in a line: impossible sightings, tags that contradict the map, a robot that
+is suddenly elsewhere (a slip, a push, a kidnapping).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import logging
 
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
+from tfg_drake.geometry import se2
 from tfg_drake.messages import (
     BoolArray,
     FloatArray,
+    GoalObservation,
     IntArray,
+    LaserScan,
     MapEstimate,
     Odometry,
     PoseEstimate,
@@ -25,7 +32,15 @@ from tfg_drake.messages import (
 )
 from tfg_drake.slam import goal_graph
 from tfg_drake.slam.goal_graph import GoalGraph
-from tfg_drake.slam.localizer import Localizer, local_tags, localized_pose, start_localizer, step_localizer
+from tfg_drake.slam.localizer import (
+    Localizer,
+    local_tags,
+    localized_pose,
+    restart_localizer,
+    start_localizer,
+    step_localizer,
+    without_local,
+)
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     OdometryModel,
@@ -37,17 +52,37 @@ from tfg_drake.slam.odometry_model import (
     reckon,
 )
 from tfg_drake.slam.pose_filter import PoseFilter
+from tfg_drake.slam.range_scale import RangeScale, compare, corrected, unknown_scale
+from tfg_drake.slam.relocalization import relocalize
 from tfg_drake.slam.segment import segment_factor, start_segment, step_segment
-from tfg_drake.slam.turn import TurnFrame, no_detections, solve_turn
+from tfg_drake.slam.sightings import sanitized, select
+from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
 
 # Without frames the filters follow odometry in steps of this length, s.
 LONGEST_STEP = 0.25
+# A frame contradicts the pose when at least this many known tags are in it and more than this share of them do.
+LEAST_KNOWN = 3
+MOST_IGNORED = 0.5
+# After this many such frames in a row the robot is elsewhere.
+CONTRADICTIONS = 3
+# A pose found by geometry no farther than this from the estimate, m and rad, is no other place.
+SAME_PLACE = (0.1, 0.05)
+# Standard deviations of the motion between two goals when the robot was carried on the way: it says nothing, m, m, rad.
+CARRIED = (100.0, 100.0, 10.0)
+# A new tag must be seen this often in a turn to be mapped, or in one of three frames of a shorter piece.
+CONFIRMATIONS = 3
+# Goals in a row that must contradict the map about a tag before it is taken to have been moved.
+MOVED = 2
+# Scans kept to be compared with the frames of their instant.
+SCANS = 4
+
+_log = logging.getLogger("tfg_drake.slam")
 
 
 @message
 class OpenTurn:
-    """A turn under way. begin: its first instant. frames: those seen since. X_DA (3,), segment_covariance (3, 3): the
-    segment that led to it."""
+    """A turn under way, or a piece of the way that is mapped like one. begin: its first instant. frames: those seen
+    since. X_DA (3,), segment_covariance (3, 3): the segment that led to it."""
 
     begin: TurnFrame
     frames: tuple[TurnFrame, ...]
@@ -59,46 +94,73 @@ class OpenTurn:
 class EstimatorState:
     """All the estimator knows.
 
-    newest: the last odometry message. odometry: dead reckoning from the filters' instant on. pending: frames that
-    wait for odometry. stamp (s), clock (s), X_OB (3,): the filters' instant and the dead reckoning then. map: None
-    before the first goal. rejected: (r,) ids of known tags left out of the newest goal, dropped: sightings left out of
-    its turn.
+    path_keyframe_period: s of way that are mapped as one piece; 0 where path sightings localise only. newest: the last
+    odometry message. odometry: dead reckoning from the filters' instant on. pending: frames that wait for odometry.
+    scans: the newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s), X_OB (3,): the filters'
+    instant and the dead reckoning then. contradictions: frames in a row that contradict the pose. carried: the robot
+    was moved since the last goal by something else than its wheels. turn: the open one. piece: the open piece of the
+    way, way: those before it since the last goal. map: None before the first goal. rejected: (r,) ids of known tags
+    left out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted
+    the map at the last goals, suspect_count: (s,) how many in a row.
     """
 
     model: OdometryModel
+    path_keyframe_period: float
     newest: Odometry | None
     odometry: tuple[DeadReckoning, ...]
     pending: tuple[TagDetections, ...]
+    scans: tuple[LaserScan, ...]
+    scale: RangeScale
     stamp: float
     clock: float
     X_OB: FloatArray
     localizer: Localizer
     segment: PoseFilter
+    contradictions: int
+    carried: bool
     turn: OpenTurn | None
+    piece: OpenTurn | None
+    way: tuple[GoalObservation, ...]
     graph: GoalGraph
     map: MapEstimate | None
     rejected: IntArray
     dropped: int
+    suspects: IntArray
+    suspect_count: IntArray
 
 
-def initial_state(config: OdometryConfig) -> EstimatorState:
-    """The estimator at the map's origin, before any message."""
+def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> EstimatorState:
+    """The estimator at the map's origin, before any message.
+
+    path_keyframe_period: s; the way between goals is mapped in pieces of this length, inf: in those that `close_piece`
+    ends. 0: path sightings localise only (the paper's Sec. III).
+    """
     model = odometry_model(config)
+    none = np.empty(0, dtype=np.int64)
     return EstimatorState(
         model=model,
+        path_keyframe_period=path_keyframe_period,
         newest=None,
         odometry=(),
         pending=(),
+        scans=(),
+        scale=unknown_scale(),
         stamp=-np.inf,
         clock=-np.inf,
         X_OB=np.zeros(3),
         localizer=start_localizer(model, None),
         segment=start_segment(model),
+        contradictions=0,
+        carried=False,
         turn=None,
+        piece=None,
+        way=(),
         graph=goal_graph.empty_graph(),
         map=None,
-        rejected=np.empty(0, dtype=np.int64),
+        rejected=none,
         dropped=0,
+        suspects=none,
+        suspect_count=none,
     )
 
 
@@ -106,9 +168,10 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
     """The state after one odometry message; one that is not newer than the last is ignored."""
     if state.newest is None:
         first = first_reckoning(odometry)
-        return dataclasses.replace(
+        state = dataclasses.replace(
             state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
         )
+        return _open_piece(state)
     if odometry.stamp <= state.newest.stamp:
         return state
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
@@ -123,10 +186,20 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
 def process_detections(state: EstimatorState, detections: TagDetections) -> EstimatorState:
     """The state after one frame of tags, or with the frame waiting for odometry; one older than the filters is
     ignored."""
-    if detections.stamp < state.stamp:
+    if not detections.stamp >= state.stamp:
         return state
+    detections, impossible = sanitized(detections)
+    if impossible:
+        _log.warning("%.2f s: %d impossible or ambiguous sightings ignored", detections.stamp, impossible)
     pending = sorted((*state.pending, detections), key=lambda frame: frame.stamp)
     return _process_pending(dataclasses.replace(state, pending=tuple(pending)))
+
+
+def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
+    """The state with one more scan to compare the frame of its instant with."""
+    if not np.isfinite(scan.stamp) or (state.scans and scan.stamp <= state.scans[-1].stamp):
+        return state
+    return dataclasses.replace(state, scans=(*state.scans, scan)[-SCANS:])
 
 
 def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -139,11 +212,8 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
         raise ValueError("A turn cannot begin before the first odometry message.")
     if state.turn is not None:
         raise ValueError("A turn is open already.")
-    state = _step_to(state, stamp)
-    X_DA, covariance = segment_factor(state.segment)
-    begin = TurnFrame(stamp=state.stamp, clock=state.clock, X_OB=state.X_OB, detections=no_detections(state.stamp))
-    turn = OpenTurn(begin=begin, frames=(), X_DA=X_DA, segment_covariance=covariance)
-    return dataclasses.replace(state, turn=turn)
+    state = _end_piece(_step_to(state, stamp))
+    return dataclasses.replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)), piece=None)
 
 
 def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -156,22 +226,21 @@ def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     state = _step_to(state, stamp)
     turn = state.turn
     assert turn is not None
-    end = TurnFrame(stamp=state.stamp, clock=state.clock, X_OB=state.X_OB, detections=no_detections(state.stamp))
-    solution = solve_turn(state.model, turn.begin, turn.frames, end)
-    graph, rejected = goal_graph.add_goal(
-        state.graph, state.map, solution.observation, turn.X_DA, turn.segment_covariance
-    )
-    graph, map_estimate = goal_graph.solve(graph, state.stamp, solution.observation)
-    return dataclasses.replace(
-        state,
-        turn=None,
-        graph=graph,
-        map=map_estimate,
-        localizer=start_localizer(state.model, map_estimate),
-        segment=start_segment(state.model),
-        rejected=rejected,
-        dropped=solution.dropped,
-    )
+    return _add_goal(state, turn)
+
+
+def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
+    """The state with the piece of the way since the last call made a goal of the map, as if it had been a turn.
+
+    For recorded drives without turns; needs path_keyframe_period = inf. The stamp is brought into the span of the
+    odometry at hand. Raises ValueError before any odometry, or where no piece is open.
+    """
+    if state.piece is None:
+        raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
+    state = _step_to(state, stamp)
+    piece = state.piece
+    assert piece is not None
+    return _add_goal(state, dataclasses.replace(piece, X_DA=np.zeros(3), segment_covariance=goal_graph.JOINT))
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -193,7 +262,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         X_MB=X_MB,
         covariance=covariance,
         speed=speed,
-        stage=len(state.graph.observations),
+        stage=int(np.count_nonzero(state.graph.is_goal)),
         new_ids=new_ids,
         p_MU=p_MU,
     )
@@ -239,19 +308,166 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     X_OB = interpolate(state.odometry[before], state.odometry[after], stamp)
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
     increment, dt = arc(state.X_OB, X_OB), clock - state.clock
-    segment, turn = state.segment, state.turn
-    if turn is None:
-        segment = step_segment(segment, state.model, increment, dt, frame)
+    scale = state.scale
+    for scan in state.scans:
+        if scan.stamp == stamp:
+            scale = compare(scale, frame, scan)
+    seen = corrected(frame, scale)
+    segment, turn, piece = state.segment, state.turn, state.piece
+    instant = TurnFrame(stamp, clock, X_OB, frame)
+    if turn is not None:
+        turn = dataclasses.replace(turn, frames=(*turn.frames, instant))
+    elif piece is not None:
+        piece = dataclasses.replace(piece, frames=(*piece.frames, instant))
     else:
-        turn = dataclasses.replace(turn, frames=(*turn.frames, TurnFrame(stamp, clock, X_OB, frame)))
-    return dataclasses.replace(
+        segment = step_segment(segment, state.model, increment, dt, seen)
+    localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
+    contradictions = state.contradictions
+    if known >= LEAST_KNOWN:
+        contradictions = contradictions + 1 if ignored > MOST_IGNORED * known else 0
+    state = dataclasses.replace(
         state,
         odometry=state.odometry[before:],
         pending=pending,
+        scale=scale,
         stamp=stamp,
         clock=clock,
         X_OB=X_OB,
-        localizer=step_localizer(state.localizer, state.model, increment, dt, frame),
+        localizer=localizer,
         segment=segment,
+        contradictions=contradictions,
         turn=turn,
+        piece=piece,
     )
+    if contradictions >= CONTRADICTIONS and len(frame.ids):
+        state = _look_for_itself(state, seen)
+    if state.piece is not None and stamp - state.piece.begin.stamp >= state.path_keyframe_period:
+        state = _open_piece(_end_piece(state))
+    return state
+
+
+def _look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorState:
+    """The state after a frame that contradicts the pose once too often: where does the robot stand?"""
+    estimate = state.map
+    if estimate is None:
+        return state
+    found = relocalize(estimate, seen)
+    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+    if found is None:
+        if state.contradictions == CONTRADICTIONS:
+            _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", seen.stamp)
+            # What it met before it was moved stands elsewhere, seen from here.
+            state = _carried(dataclasses.replace(state, localizer=without_local(state.localizer)))
+        return state
+    pose, agreeing = found
+    error = se2.between(X_MB, pose)
+    distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
+    if distance < SAME_PLACE[0] and angle < SAME_PLACE[1]:
+        return dataclasses.replace(state, contradictions=0)
+    _log.warning(
+        "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
+        seen.stamp, distance, angle, int(np.count_nonzero(agreeing)),
+    )  # fmt: skip
+    localizer = restart_localizer(state.model, estimate, pose, select(seen, agreeing))
+    return _carried(dataclasses.replace(state, localizer=localizer, contradictions=0))
+
+
+def _carried(state: EstimatorState) -> EstimatorState:
+    """The state with what was measured since the last goal given up: something moved the robot meanwhile."""
+    state = dataclasses.replace(state, carried=True, way=(), segment=start_segment(state.model))
+    if state.turn is not None:
+        state = dataclasses.replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)))
+    return dataclasses.replace(state, piece=None) if state.piece is None else _open_piece(state)
+
+
+def _segment(state: EstimatorState) -> tuple[FloatArray, FloatArray]:
+    """X_DA (3,) and covariance (3, 3) of the segment that ends now."""
+    if not state.carried or state.map is None:
+        return segment_factor(state.segment)
+    # An initial value only: the covariance says that it is worth nothing.
+    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+    return se2.between(state.map.X_MD, X_MB), np.diag(CARRIED) ** 2
+
+
+def _instant(state: EstimatorState) -> TurnFrame:
+    """The filters' instant, nothing seen."""
+    return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))
+
+
+def _open_piece(state: EstimatorState) -> EstimatorState:
+    """The state with a new piece of the way open, where pieces are mapped."""
+    if state.path_keyframe_period == 0.0:
+        return state
+    return dataclasses.replace(state, piece=OpenTurn(_instant(state), (), np.zeros(3), goal_graph.JOINT))
+
+
+def _end_piece(state: EstimatorState) -> EstimatorState:
+    """The state with the open piece of the way solved and put to the others, unless the robot was carried."""
+    piece = state.piece
+    if piece is None or state.carried or state.map is None or state.stamp <= piece.begin.stamp:
+        return dataclasses.replace(state, piece=None) if piece is not None else state
+    solution = _solve(state, piece)
+    return dataclasses.replace(state, piece=None, way=(*state.way, solution.observation))
+
+
+def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
+    """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
+    frames = tuple(
+        dataclasses.replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames
+    )
+    solution = solve_turn(state.model, turn.begin, frames, _instant(state))
+    seen = sum(1 for frame in frames if len(frame.detections.ids))
+    doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
+    doubtful &= _absent(solution.observation.ids, state.graph.ids)
+    observation = goal_graph.without_tags(solution.observation, solution.observation.ids[doubtful])
+    return TurnSolution(observation=observation, sightings=solution.sightings[~doubtful], dropped=solution.dropped)
+
+
+def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
+    """The state with a turn or piece made a goal, the graph solved, and the filters at its end."""
+    solution = _solve(state, turn)
+    arguments = (solution.observation, turn.X_DA, turn.segment_covariance, state.way)
+    graph, rejected = goal_graph.add_goal(state.graph, state.map, *arguments)
+    suspects, count = _suspects(state, solution, rejected)
+    moved = suspects[count >= MOVED]
+    if len(moved):
+        _log.warning("%.2f s: moved since they were mapped: tags %s", state.stamp, _names(moved))
+        known = goal_graph.forget(state.graph, moved)
+        _, estimate = goal_graph.solve(known, state.stamp, solution.observation)
+        graph, rejected = goal_graph.add_goal(known, estimate, *arguments)
+        suspects, count = suspects[count < MOVED], count[count < MOVED]
+    if len(rejected):
+        _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
+    graph, estimate = goal_graph.solve(graph, state.stamp, solution.observation)
+    state = dataclasses.replace(
+        state,
+        turn=None,
+        piece=None,
+        way=(),
+        carried=False,
+        contradictions=0,
+        graph=graph,
+        map=estimate,
+        localizer=start_localizer(state.model, estimate),
+        segment=start_segment(state.model),
+        rejected=rejected,
+        dropped=solution.dropped,
+        suspects=suspects,
+        suspect_count=count,
+    )
+    return _open_piece(state)
+
+
+def _suspects(state: EstimatorState, solution: TurnSolution, rejected: IntArray) -> tuple[IntArray, IntArray]:
+    """Ids of the tags that contradict the map, and at how many goals in a row, after one more goal."""
+    seen_often = solution.observation.ids[solution.sightings >= CONFIRMATIONS]
+    cleared = np.isin(state.suspects, np.setdiff1d(solution.observation.ids, rejected))
+    ids, count = state.suspects[~cleared], state.suspect_count[~cleared].copy()
+    again = np.intersect1d(rejected, seen_often)
+    count[np.isin(ids, again)] += 1
+    new = np.setdiff1d(again, ids)
+    return np.concatenate([ids, new]), np.concatenate([count, np.ones(len(new), dtype=np.int64)])
+
+
+def _names(ids: IntArray) -> str:
+    return ", ".join(str(int(tag)) for tag in ids)

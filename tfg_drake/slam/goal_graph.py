@@ -8,6 +8,7 @@ kept as plain arrays and built in GTSAM for each solve. The map estimate is its 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -17,7 +18,7 @@ import scipy.linalg
 from gtsam.symbol_shorthand import A, D, L
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, message
+from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message
 from tfg_drake.slam.departure_frame import in_departure_frame
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out.
@@ -25,17 +26,21 @@ REJECTED = 49.0
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
 SMALL_STEP = 1e-3
+# Covariance of what joins two pieces of one way: nothing lies between them.
+JOINT = np.eye(3) * 1e-10
 
 
 @message
 class GoalGraph:
     """The factors and current values of k goals and n landmarks.
 
-    observations: k, without the turns' trajectories. X_DA: (k - 1, 3) and segment_covariance: (k - 1, 3, 3), the
-    segments from D_j to A_j+1, of (x, y) in D and theta. X_MA, X_MD: (k, 3). ids: (n,) ascending, p_ML: (n, 2).
+    A piece of the way between two goals that is mapped too (a path keyframe) is kept as a goal is. observations: k,
+    without the trajectories. is_goal: (k,) False for such pieces. X_DA: (k - 1, 3) and segment_covariance: (k - 1, 3,
+    3), the segments from D_j to A_j+1, of (x, y) in D and theta. X_MA, X_MD: (k, 3). ids: (n,) ascending, p_ML: (n, 2).
     """
 
     observations: tuple[GoalObservation, ...]
+    is_goal: BoolArray
     X_DA: FloatArray
     segment_covariance: FloatArray
     X_MA: FloatArray
@@ -48,6 +53,7 @@ def empty_graph() -> GoalGraph:
     """The graph before the first goal."""
     return GoalGraph(
         observations=(),
+        is_goal=np.empty(0, dtype=bool),
         X_DA=np.empty((0, 3)),
         segment_covariance=np.empty((0, 3, 3)),
         X_MA=np.empty((0, 3)),
@@ -63,28 +69,45 @@ def add_goal(
     observation: GoalObservation,
     X_DA: FloatArray,
     segment_covariance: FloatArray,
+    way: tuple[GoalObservation, ...] = (),
 ) -> tuple[GoalGraph, IntArray]:
-    """The graph with one goal more, not yet solved, and the ids of the known tags left out of it.
+    """The graph with one goal more, not yet solved, and the ids of the known tags left out of that goal.
 
     map_estimate: of the graph so far. X_DA (3,), segment_covariance (3, 3): the segment that led here, not used at
-    the first goal. A known tag that grossly contradicts the map, given the segment and all other tags, is left out of
-    the observation.
+    the first goal. way: the pieces mapped on the way, which begin where the last goal ended and take the segment's
+    place. A known tag that grossly contradicts the map, given the way there and all other tags, is left out.
     """
+    travelled, uncertainty = X_DA, segment_covariance
+    if way:
+        travelled, uncertainty = np.zeros(3), np.zeros((3, 3))
+    for piece in way:
+        graph, _ = _append(graph, map_estimate, piece, travelled, uncertainty + JOINT, np.zeros(3), JOINT, False)
+        travelled, uncertainty = _further(travelled, uncertainty, piece)
+    if way:
+        X_DA, segment_covariance = np.zeros(3), JOINT
+        uncertainty = uncertainty + JOINT
+    return _append(graph, map_estimate, observation, travelled, uncertainty, X_DA, segment_covariance, True)
+
+
+def _append(
+    graph: GoalGraph,
+    map_estimate: MapEstimate | None,
+    observation: GoalObservation,
+    travelled: FloatArray,
+    uncertainty: FloatArray,
+    X_DA: FloatArray,
+    segment_covariance: FloatArray,
+    is_goal: bool,
+) -> tuple[GoalGraph, IntArray]:
+    """The graph with one piece more, X_DA (3,) after the last one and travelled (3,) from the map's last departure."""
     rejected = np.empty(0, dtype=np.int64)
-    if map_estimate is None:
-        X_MA = np.zeros(3)
-    else:
-        X_MA, rejected = _arrival(map_estimate, observation, X_DA, segment_covariance)
-        observation = _without(observation, rejected)
-        graph = GoalGraph(
-            observations=graph.observations,
-            X_DA=np.vstack([graph.X_DA, X_DA]),
-            segment_covariance=np.concatenate([graph.segment_covariance, segment_covariance[None]]),
-            X_MA=graph.X_MA,
-            X_MD=graph.X_MD,
-            ids=graph.ids,
-            p_ML=graph.p_ML,
-        )
+    X_MA = np.zeros(3)
+    if map_estimate is not None:
+        X_MA, rejected = _arrival(map_estimate, observation, travelled, uncertainty)
+        observation = without_tags(observation, rejected)
+    elif graph.observations:
+        X_MA = se2.compose(graph.X_MD[-1], X_DA)
+    first = not graph.observations
     new = ~np.isin(observation.ids, graph.ids)
     ids = np.concatenate([graph.ids, observation.ids[new]])
     p_ML = np.vstack([graph.p_ML, se2.transform(X_MA, observation.p_AL[new])])
@@ -100,14 +123,37 @@ def add_goal(
     return (
         GoalGraph(
             observations=(*graph.observations, kept),
-            X_DA=graph.X_DA,
-            segment_covariance=graph.segment_covariance,
+            is_goal=np.append(graph.is_goal, is_goal),
+            X_DA=graph.X_DA if first else np.vstack([graph.X_DA, X_DA]),
+            segment_covariance=graph.segment_covariance
+            if first
+            else np.concatenate([graph.segment_covariance, segment_covariance[None]]),
             X_MA=np.vstack([graph.X_MA, X_MA]),
             X_MD=np.vstack([graph.X_MD, se2.compose(X_MA, observation.X_AD)]),
             ids=ids[order],
             p_ML=p_ML[order],
         ),
         rejected,
+    )
+
+
+def _further(travelled: FloatArray, uncertainty: FloatArray, piece: GoalObservation) -> tuple[FloatArray, FloatArray]:
+    """The way travelled (3,) and its covariance (3, 3) with a piece more."""
+    X = se2.compose(travelled, piece.X_AD)
+    by_way, by_piece = np.eye(3), np.eye(3)
+    by_way[:2, 2] = -(X[1] - travelled[1]), X[0] - travelled[0]
+    by_piece[:2, :2] = se2.rotation(float(travelled[2]))
+    return X, by_way @ uncertainty @ by_way.T + by_piece @ piece.covariance[-3:, -3:] @ by_piece.T
+
+
+def forget(graph: GoalGraph, ids: IntArray) -> GoalGraph:
+    """The graph without some landmarks, as if they had never been seen: they stand elsewhere now."""
+    keep = ~np.isin(graph.ids, ids)
+    return dataclasses.replace(
+        graph,
+        observations=tuple(without_tags(observation, ids) for observation in graph.observations),
+        ids=graph.ids[keep],
+        p_ML=graph.p_ML[keep],
     )
 
 
@@ -139,25 +185,22 @@ def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple
     k = len(graph.observations)
     X_MA = np.array([_pose(values, A(i)) for i in range(k)])
     X_MA[0] = 0.0
-    graph = GoalGraph(
-        observations=graph.observations,
-        X_DA=graph.X_DA,
-        segment_covariance=graph.segment_covariance,
+    graph = dataclasses.replace(
+        graph,
         X_MA=X_MA,
         X_MD=np.array([_pose(values, D(i)) for i in range(k)]),
-        ids=graph.ids,
         p_ML=np.array([values.atPoint2(L(int(tag))) for tag in graph.ids]).reshape(-1, 2),
     )
-    covariance = _covariance(graph, linear)
+    covariance = _covariance(graph, factors.linearize(_values(graph)))
     landmarks = 2 * len(graph.ids)
     return graph, MapEstimate(
-        stage=k,
+        stage=int(np.count_nonzero(graph.is_goal)),
         stamp=stamp,
         ids=graph.ids,
         p_ML=graph.p_ML,
         X_MD=graph.X_MD[-1],
         covariance=covariance,
-        X_MA=graph.X_MA,
+        X_MA=graph.X_MA[graph.is_goal],
         observation=observation,
         entropy=_entropy(covariance[:landmarks, :landmarks]),
     )
@@ -367,7 +410,7 @@ def _align(
     return aligned, distance
 
 
-def _without(observation: GoalObservation, ids: IntArray) -> GoalObservation:
+def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation:
     """The observation with some tags marginalised out."""
     if len(ids) == 0:
         return observation

@@ -7,6 +7,7 @@ carries X_MD along, so that the pose in M has its full covariance too.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -23,6 +24,8 @@ from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter
 WINDOW = 300
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
+# Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
+ANYWHERE = (1.0, 1.0, 0.5)
 
 
 @message
@@ -38,7 +41,26 @@ def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> L
     if map_estimate is None:
         nothing = np.empty(0, dtype=np.int64)
         return Localizer(np.zeros(3), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE))))
-    distance = np.hypot(*(map_estimate.p_ML - map_estimate.X_MD[:2]).T)
+    return _around(model, map_estimate, map_estimate.X_MD)
+
+
+def restart_localizer(
+    model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray, detections: TagDetections
+) -> Localizer:
+    """The localiser at a pose X_MB (3,) found by geometry, as uncertain as the mapped tags it was found from say."""
+    localizer = _around(model, map_estimate, X_MB)
+    filter_ = localizer.filter
+    mean, covariance = filter_.mean.copy(), filter_.covariance.copy()
+    mean[:POSE] = se2.between(map_estimate.X_MD, X_MB)
+    covariance[:POSE, :POSE] = np.diag(ANYWHERE) ** 2
+    filter_ = dataclasses.replace(filter_, mean=mean, covariance=covariance)
+    filter_, _, _ = pose_filter.step(filter_, model, np.zeros(3), 0.0, detections)
+    return Localizer(localizer.X_MD, filter_)
+
+
+def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -> Localizer:
+    """A localiser at the departure pose that considers the landmarks nearest to X_MB (3,)."""
+    distance = np.hypot(*(map_estimate.p_ML - X_MB[:2]).T)
     near = np.sort(np.argsort(distance, kind="stable")[:WINDOW])
     p_DL, covariance = in_departure_frame(map_estimate, near)
     return Localizer(map_estimate.X_MD, pose_filter.start(model, map_estimate.ids[near], p_DL, covariance))
@@ -46,14 +68,21 @@ def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> L
 
 def step_localizer(
     localizer: Localizer, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
-) -> Localizer:
-    """The localiser after an odometry increment (3,) over dt seconds and the frame at its end."""
-    filter_ = pose_filter.step(localizer.filter, model, increment, dt, detections)
+) -> tuple[Localizer, int, int]:
+    """The localiser after an odometry increment (3,) over dt seconds and the frame at its end; how many of the frame's
+    sightings were of tags it knows, and how many of those it ignored."""
+    filter_, known, ignored = pose_filter.step(localizer.filter, model, increment, dt, detections)
     if len(filter_.local_ids) > MOST_LOCAL:
         keep = np.ones(len(filter_.local_ids), dtype=bool)
         keep[np.argsort(-filter_.last_seen, kind="stable")[MOST_LOCAL:]] = False
         filter_ = pose_filter.keep_local(filter_, keep)
-    return Localizer(localizer.X_MD, filter_)
+    return Localizer(localizer.X_MD, filter_), known, ignored
+
+
+def without_local(localizer: Localizer) -> Localizer:
+    """The localiser without the tags met on the way."""
+    filter_ = localizer.filter
+    return Localizer(localizer.X_MD, pose_filter.keep_local(filter_, np.zeros(len(filter_.local_ids), dtype=bool)))
 
 
 def localized_pose(

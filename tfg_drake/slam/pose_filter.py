@@ -77,13 +77,14 @@ def predict_pose(
 
 def step(
     filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
-) -> PoseFilter:
+) -> tuple[PoseFilter, int, int]:
     """The filter after an odometry increment (3,) of `odometry_model.arc` over dt seconds and the frame at its end.
 
     Known tags correct it, all at once, unknown ones join it. A tag is looked up among the considered landmarks, then
-    among the local tags. A sighting outside its gate is ignored.
+    among the local tags. A sighting outside its gate is ignored. Also returns how many sightings were of known tags,
+    and how many of those were ignored.
     """
-    mean, covariance, cross, local_ids, last_seen = _step(
+    mean, covariance, cross, local_ids, last_seen, known, ignored = _step(
         filter_.mean,
         filter_.covariance,
         filter_.cross,
@@ -102,7 +103,7 @@ def step(
         detections.sigma_range,
         detections.sigma_bearing,
     )
-    return PoseFilter(
+    moved = PoseFilter(
         mean=mean,
         covariance=covariance,
         cross=cross,
@@ -112,6 +113,7 @@ def step(
         p_DL=filter_.p_DL,
         considered=filter_.considered,
     )
+    return moved, known, ignored
 
 
 def keep_local(filter_: PoseFilter, keep: BoolArray) -> PoseFilter:
@@ -201,7 +203,7 @@ def _step(
     bearing: FloatArray,
     sigma_range: FloatArray,
     sigma_bearing: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, int, int]:
     mean, P, cross = _predict(mean, covariance, cross, increment, dt, noise)
     index = _index(ids, map_ids, local_ids)
     z = np.empty((len(ids), 4))
@@ -215,7 +217,8 @@ def _step(
             seen[index[i]] = stamp
     if len(new) > 0:
         mean, P, cross = _initialise(mean, P, cross, z[new])
-    return mean, P, cross, np.concatenate((local_ids, ids[new])), seen
+    known = len(ids) - len(new)
+    return mean, P, cross, np.concatenate((local_ids, ids[new])), seen, known, known - int(np.sum(accepted))
 
 
 @njit(cache=True)

@@ -24,7 +24,7 @@ def step_segment(
     segment: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
 ) -> PoseFilter:
     """The segment after an odometry increment (3,) over dt seconds and the frame at its end."""
-    segment = pose_filter.step(segment, model, increment, dt, detections)
+    segment, _, _ = pose_filter.step(segment, model, increment, dt, detections)
     return pose_filter.keep_local(segment, segment.last_seen > detections.stamp - MEMORY)
 
 

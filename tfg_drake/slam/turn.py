@@ -52,9 +52,11 @@ def no_detections(stamp: float) -> TagDetections:
 
 @message
 class TurnSolution:
-    """observation: the turn's result. dropped: number of detections left out as outliers."""
+    """observation: the turn's result. sightings: (n,) detections behind each of its tags. dropped: number of detections
+    left out as outliers."""
 
     observation: GoalObservation
+    sightings: IntArray
     dropped: int
 
 
@@ -88,7 +90,7 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
         graph = _graph(model, clock, X_OB, detection_node, all_ids, z, kept, robust=False)
         values = _solve(graph, values)
 
-    ids = np.unique(all_ids[kept])
+    ids, sightings = np.unique(all_ids[kept], return_counts=True)
     X_AB = np.array([_pose(values, i) for i in range(len(stamps))])
     observation = GoalObservation(
         ids=ids,
@@ -98,7 +100,7 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
         stamps=stamps,
         X_AB=X_AB,
     )
-    return TurnSolution(observation=observation, dropped=int(np.sum(~kept)))
+    return TurnSolution(observation=observation, sightings=sightings, dropped=int(np.sum(~kept)))
 
 
 def _nodes(

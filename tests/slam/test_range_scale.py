@@ -1,0 +1,61 @@
+"""The range scale learnt from tags on surfaces that the scan meets."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.geometry.visibility import cast_rays
+from tfg_drake.messages import LaserScan, TagDetections
+from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, unknown_scale
+
+WALLS = np.array([[4.0, -6.0, 5.0, 6.0], [-6.0, 5.0, 6.0, 5.0], [-6.0, -5.0, 6.0, -5.0], [-5.0, -6.0, -5.0, 6.0]])
+ANGLES = np.linspace(-1.08, 1.08, 249)
+
+
+def frame(rng, scale, stamp=0.0, noise=1.0, stray=0):
+    """A frame of twelve tags 1 cm in front of their walls and the scan of its instant, from a random place."""
+    origin, heading = rng.uniform(-2.0, 2.0, 2), rng.uniform(-np.pi, np.pi)
+    ranges = cast_rays(WALLS, origin, ANGLES + heading, 10.0)
+    bearing = rng.uniform(-1.0, 1.0, 12)
+    distance = cast_rays(WALLS, origin, bearing + heading, 10.0) - 0.01
+    distance[:stray] *= rng.uniform(0.3, 0.8, stray)
+    sigma = 0.02 + 0.01 * distance
+    z = scale * distance + noise * sigma * rng.normal(size=12)
+    bearing = bearing + noise * 0.01 * rng.normal(size=12)
+    scan = LaserScan(stamp, ANGLES, ranges + noise * 0.015 * rng.normal(size=len(ANGLES)), 10.0, 0.015)
+    return TagDetections(stamp, np.arange(12), z, bearing, sigma, np.full(12, 0.01)), scan
+
+
+@pytest.mark.parametrize(("true", "stray"), [(1.0, 0), (1.01, 0), (0.985, 0), (1.01, 3)])
+def test_the_scale_is_found_to_two_parts_in_a_thousand(true, stray):
+    errors, sigmas = [], []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        scale = unknown_scale()
+        for _ in range(100):
+            scale = compare(scale, *frame(rng, true, stray=stray))
+        errors.append(scale.mean[0] - (true - 1.0))
+        sigmas.append(scale.sigma)
+    assert np.abs(errors).max() < 0.005
+    assert np.abs(np.mean(errors)) < 0.0015
+    assert max(sigmas) < 0.002
+
+
+def test_a_corrected_range_is_the_true_one():
+    rng = np.random.default_rng(1)
+    scale = unknown_scale()
+    detections, _ = frame(rng, 1.01)
+    assert corrected(detections, scale) is detections
+    for _ in range(200):
+        scale = compare(scale, *frame(rng, 1.01))
+    np.testing.assert_allclose(corrected(detections, scale).range, detections.range / 1.01, rtol=3e-3)
+    np.testing.assert_array_equal(corrected(detections, scale).bearing, detections.bearing)
+
+
+def test_without_a_pair_nothing_is_learnt():
+    nothing = LaserScan(0.0, np.zeros(0), np.zeros(0), 10.0, 0.015)
+    free = LaserScan(0.0, ANGLES, np.full(len(ANGLES), np.inf), 10.0, 0.015)
+    detections, _ = frame(np.random.default_rng(2), 1.0)
+    for scan in (nothing, free):
+        scale = compare(unknown_scale(), detections, scan)
+        assert scale.pairs == 0
+        assert scale.sigma == pytest.approx(SCALE_SIGMA)

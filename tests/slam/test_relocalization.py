@@ -1,0 +1,76 @@
+"""A pose from one frame of mapped tags."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import MapEstimate, TagDetections
+from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.relocalization import relocalize
+
+
+def a_map(rng, n=30) -> MapEstimate:
+    return dataclasses.replace(empty_map(), stage=1, ids=np.arange(n) * 2, p_ML=rng.uniform(-8.0, 8.0, (n, 2)))
+
+
+def sight(estimate, rows, X_MB, rng=None):
+    p_BL = se2.transform(se2.inverse(X_MB), estimate.p_ML[rows])
+    r, b = np.hypot(*p_BL.T), np.arctan2(p_BL[:, 1], p_BL[:, 0])
+    sigma_r, sigma_b = 0.02 + 0.01 * r, np.full(len(rows), 0.01)
+    if rng is not None:
+        r, b = r + sigma_r * rng.normal(size=len(rows)), b + sigma_b * rng.normal(size=len(rows))
+    return TagDetections(0.0, estimate.ids[rows], r, b, sigma_r, sigma_b)
+
+
+@given(seed=st.integers(0, 10_000), theta=st.floats(-np.pi, np.pi), count=st.integers(3, 8))
+def test_exact_without_noise(seed, theta, count):
+    rng = np.random.default_rng(seed)
+    estimate = a_map(rng)
+    X_MB = np.append(rng.uniform(-5.0, 5.0, 2), theta)
+    rows = rng.choice(30, count, replace=False)
+    found = relocalize(estimate, sight(estimate, rows, X_MB))
+    assert found is not None
+    error = se2.between(X_MB, found[0])
+    np.testing.assert_allclose(error, 0.0, atol=1e-6)
+    assert found[1].all()
+
+
+def test_wrong_ids_and_outliers_are_outvoted():
+    hits = 0
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        estimate = a_map(rng)
+        X_MB = np.append(rng.uniform(-5.0, 5.0, 2), rng.uniform(-np.pi, np.pi))
+        rows = rng.choice(30, 8, replace=False)
+        detections = sight(estimate, rows, X_MB, rng)
+        ids, r = detections.ids.copy(), detections.range.copy()
+        ids[0] = estimate.ids[np.setdiff1d(np.arange(30), rows)[0]]
+        r[1] += 1.5
+        found = relocalize(estimate, dataclasses.replace(detections, ids=ids, range=r))
+        if found is None:
+            continue
+        error = se2.between(X_MB, found[0])
+        assert np.hypot(*error[:2]) < 0.25
+        assert not found[1][:2].any()
+        hits += 1
+    assert hits > 45
+
+
+@pytest.mark.parametrize("rows", [[], [3], [3, 4]])
+def test_too_few_tags_tell_nothing(rows):
+    estimate = a_map(np.random.default_rng(0))
+    rows = np.array(rows, dtype=np.int64)
+    assert relocalize(estimate, sight(estimate, rows, np.zeros(3))) is None
+
+
+def test_tags_that_do_not_agree_tell_nothing():
+    estimate = a_map(np.random.default_rng(0))
+    detections = sight(estimate, np.arange(6), np.zeros(3))
+    scrambled = dataclasses.replace(detections, ids=np.roll(detections.ids, 2))
+    unknown = dataclasses.replace(detections, ids=detections.ids + 1)
+    assert relocalize(estimate, scrambled) is None
+    assert relocalize(estimate, unknown) is None

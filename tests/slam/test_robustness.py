@@ -1,0 +1,204 @@
+"""What a real robot does to an estimator: slips, kidnappings, moved tags, misread ids, lost and late messages."""
+
+import dataclasses
+import logging
+
+import numpy as np
+import pytest
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import Odometry, TagDetections
+from tfg_drake.slam.estimator import (
+    begin_turn,
+    close_piece,
+    end_turn,
+    initial_state,
+    map_estimate,
+    pose_estimate,
+    process_detections,
+    process_odometry,
+)
+
+TURN = 201
+LEG = 150
+
+
+class Tour:
+    """A robot on a ring in a 20 x 20 m room of 80 tags, and its estimator; spoil: what happens to each frame."""
+
+    def __init__(self, drive, seed, noise=1.0, period=0.0, spoil=lambda detections, rng: detections):
+        self.rng = np.random.default_rng(500 + seed)
+        points = np.random.default_rng(1000 + seed).uniform(-10.0, 10.0, (80, 2))
+        self.robot = drive(points, seed, noise, start=(6.0, 0.0, 0.5 * np.pi))
+        self.spoil = spoil
+        self.state = process_odometry(initial_state(self.robot.config, period), self.robot.odometry())
+
+    def move(self, speed, turn_rate, steps):
+        for _ in range(steps):
+            for message in self.robot.step(speed, turn_rate):
+                if isinstance(message, Odometry):
+                    self.state = process_odometry(self.state, message)
+                else:
+                    self.state = process_detections(self.state, self.spoil(message, self.rng))
+
+    def goal(self, slip_at=None, slip=(0.0, 0.0, 0.0)):
+        self.state = begin_turn(self.state, self.robot.time)
+        for step in range(TURN):
+            if step == slip_at:
+                self.carry(slip)
+            self.move(0.0, 1.0, 1)
+        self.state = end_turn(self.state, self.robot.time)
+
+    def leg(self, steps=LEG):
+        self.move(0.5, 0.5 / 6.0, steps)
+
+    def carry(self, slip):
+        self.robot.X_WB = se2.compose(self.robot.X_WB, np.array(slip))
+
+    def error(self):
+        error = se2.between(self.robot.X_MB, pose_estimate(self.state).X_MB)
+        return np.hypot(*error[:2]), abs(error[2])
+
+    def map_rmse(self):
+        estimate = map_estimate(self.state)
+        return np.sqrt(np.mean(np.sum((estimate.p_ML - self.robot.p_ML(estimate.ids)) ** 2, axis=1)))
+
+
+@pytest.mark.parametrize("slip", [(0.5, 0.0, 0.0), (0.0, -0.5, 0.0), (0.1, 0.1, np.deg2rad(30.0)), (-3.0, 2.0, 2.5)])
+@pytest.mark.parametrize("when", ["driving", "turning"])
+def test_a_robot_that_was_moved_finds_itself(drive, slip, when, caplog):
+    tour = Tour(drive, 1)
+    for _ in range(3):
+        tour.goal()
+        tour.leg()
+    with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
+        if when == "driving":
+            tour.carry(slip)
+            tour.leg(64)
+            tour.goal()
+        else:
+            tour.goal(slip_at=60, slip=slip)
+    assert "from where its wheels have brought it" in caplog.text
+    position, heading = tour.error()
+    assert position < 0.1
+    assert heading < 0.02
+    tour.leg()
+    tour.goal()
+    assert tour.error()[0] < 0.1
+    assert tour.map_rmse() < 0.08
+    assert len(tour.state.rejected) == 0
+
+
+def test_a_clean_drive_raises_no_alarm(drive, caplog):
+    with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
+        for seed in range(4):
+            tour = Tour(drive, seed)
+            for _ in range(3):
+                tour.goal()
+                tour.leg()
+    assert caplog.text == ""
+
+
+def outliers(detections, rng):
+    """3 % gross errors and 2 % misread ids."""
+    r, b, ids = detections.range.copy(), detections.bearing.copy(), detections.ids.copy()
+    bad = rng.random(len(r)) < 0.03
+    r[bad] = rng.uniform(0.3, 10.0, bad.sum())
+    b[bad] += rng.normal(0.0, 0.3, bad.sum())
+    wrong = rng.random(len(r)) < 0.02
+    ids[wrong] = 100 + rng.integers(0, 80, wrong.sum())
+    return dataclasses.replace(detections, range=r, bearing=b, ids=ids)
+
+
+@pytest.mark.parametrize("period", [0.0, 1.0])
+def test_outliers_and_misread_ids_hardly_matter(drive, period):
+    clean, spoilt = [], []
+    for seed in range(3):
+        for spoil, results in ((lambda detections, rng: detections, clean), (outliers, spoilt)):
+            tour = Tour(drive, seed, period=period, spoil=spoil)
+            for _ in range(4):
+                tour.goal()
+                tour.leg()
+            tour.goal()
+            results.append(tour.map_rmse())
+    assert np.mean(spoilt) < 1.2 * np.mean(clean) + 0.003
+
+
+def test_a_moved_tag_is_mapped_anew(drive, caplog):
+    tour = Tour(drive, 2)
+    tour.goal()
+    tour.leg()
+    tour.goal()
+    tag = int(map_estimate(tour.state).ids[np.argmin(np.hypot(*tour.robot.tags[map_estimate(tour.state).ids - 100].T))])
+    tour.robot.tags[tag - 100] += [1.0, 0.5]
+    with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
+        tour.leg()
+        tour.goal()
+        assert tag in tour.state.rejected
+        tour.leg()
+        tour.goal()
+    assert f"moved since they were mapped: tags {tag}" in caplog.text
+    assert tag not in tour.state.rejected
+    estimate = map_estimate(tour.state)
+    np.testing.assert_allclose(estimate.p_ML[estimate.ids == tag][0], tour.robot.p_ML(np.array([tag]))[0], atol=0.1)
+    assert tour.map_rmse() < 0.05
+
+
+def test_impossible_sightings_are_named_and_ignored(drive, caplog):
+    def spoil(detections, rng):
+        r = detections.range.copy()
+        r[: len(r) // 4] = np.nan
+        return dataclasses.replace(detections, range=r)
+
+    tour = Tour(drive, 3, spoil=spoil)
+    with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
+        tour.goal()
+        tour.leg()
+        tour.goal()
+    assert "impossible or ambiguous sightings ignored" in caplog.text
+    assert tour.map_rmse() < 0.05
+
+
+def test_gaps_in_odometry_and_frames_of_the_past_are_survived(drive):
+    tour = Tour(drive, 4)
+    tour.goal()
+    tour.leg(40)
+    state = tour.state
+    for _ in range(32):
+        tour.robot.step(0.5, 0.5 / 6.0)
+    late = TagDetections(0.5, np.array([100]), np.ones(1), np.zeros(1), np.ones(1), np.ones(1))
+    assert process_detections(state, late) is state
+    tour.leg(60)
+    tour.goal()
+    assert tour.error()[0] < 0.1
+    assert tour.map_rmse() < 0.08
+
+
+def test_mapping_the_way_sharpens_the_map(drive):
+    rmse = {0.0: [], 1.0: []}
+    for period, values in rmse.items():
+        for seed in range(4):
+            tour = Tour(drive, seed, period=period)
+            for _ in range(5):
+                tour.goal()
+                tour.leg()
+            tour.goal()
+            values.append(tour.map_rmse())
+            assert map_estimate(tour.state).stage == 6
+    assert np.mean(rmse[1.0]) < np.mean(rmse[0.0])
+
+
+def test_a_drive_without_turns_is_mapped_piece_by_piece(drive):
+    tour = Tour(drive, 5, noise=0.0, period=np.inf)
+    for _ in range(6):
+        tour.leg(64)
+        tour.state = close_piece(tour.state, tour.robot.time)
+    assert map_estimate(tour.state).stage == 6
+    assert tour.map_rmse() < 1e-5
+    assert tour.error()[0] < 1e-5
+
+
+def test_no_piece_can_be_closed_where_none_is_open(drive):
+    tour = Tour(drive, 5)
+    with pytest.raises(ValueError, match="No piece of the way is open"):
+        close_piece(tour.state, 1.0)
