@@ -26,8 +26,8 @@ from tfg_drake.messages import FloatArray, IntArray, Odometry
 
 # Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
 CORNER_NOISE = 0.5
-RANGE_FLOOR = 0.03
-BEARING_FLOOR = 0.005
+RANGE_FLOOR = 0.05
+BEARING_FLOOR = 0.01
 # A step of the odometry this much faster than the steps around it is a jump, m/s and rad/s.
 JUMP_SPEED = 1.0
 JUMP_TURN_RATE = 1.5
