@@ -1,9 +1,12 @@
 """What every test shares."""
 
+import dataclasses
 import os
 from pathlib import Path
 
 import hypothesis
+import numpy as np
+import pytest
 
 # Numba's cache of compiled kernels is not made for two writers at once: each xdist worker keeps its own.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):
@@ -12,3 +15,72 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
 # The same examples in every run, and no limit on an example's time: the first call of a kernel compiles it.
 hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("tfg_drake")
+
+
+@pytest.fixture(scope="session")
+def small_map():
+    """Two goals, four landmarks, an edge, a wall end, a loose surface, a frontier; X_WM = (5, 3, pi/2)."""
+    # Not before NUMBA_CACHE_DIR is set.
+    from tfg_drake.mapfile.saved_map import saved_map
+    from tfg_drake.messages import GoalObservation, TfgMap
+    from tfg_drake.slam import goal_graph
+    from tfg_drake.tfg import graph as tfg
+    from tfg_drake.tfg.frontier import points_of
+    from tfg_drake.tfg.surfaces import Surfaces
+
+    tags = np.array([[2.0, 1.0], [2.0, -1.0], [-1.0, 2.0], [4.0, 1.5]])
+
+    def observation(rows, X_MA, X_AD, seed=0):
+        """What an exact turn at X_MA sees of some tags, with a dense covariance."""
+        n = len(rows)
+        R = np.array([[np.cos(X_MA[2]), -np.sin(X_MA[2])], [np.sin(X_MA[2]), np.cos(X_MA[2])]])
+        root = np.random.default_rng(seed).normal(size=(2 * n + 3, 2 * n + 3))
+        covariance = 1e-3 * (np.eye(2 * n + 3) + 0.1 * root @ root.T)
+        p_AL = (tags[rows] - X_MA[:2]) @ R
+        return GoalObservation(
+            np.array(rows) + 10, p_AL, np.array(X_AD), 0.5 * (covariance + covariance.T), np.zeros(0), np.zeros((0, 3))
+        )
+
+    first = observation([0, 1, 2], np.zeros(3), [0.0, 0.01, 0.02], 1)
+    graph, _ = goal_graph.add_goal(goal_graph.empty_graph(), None, first, np.zeros(3), np.zeros((3, 3)))
+    graph, estimate = goal_graph.solve(graph, 6.5, first)
+    second = observation([0, 1, 3], np.array([1.0, 0.0, 0.1]), [0.01, 0.0, 0.0], 2)
+    graph, _ = goal_graph.add_goal(graph, estimate, second, np.array([1.0, -0.03, 0.08]), 1e-3 * np.eye(3))
+    graph, estimate = goal_graph.solve(graph, 20.25, second)
+    surfaces = Surfaces(
+        kind=np.array([0, 1, 2]),
+        ids=np.array([[11, 10], [12, -1], [-1, -1]]),
+        goal=np.array([0, 0, 1]),
+        range=np.array([2.3, 2.4, 1.0]),
+        offsets=np.array([0, 2, 4, 7]),
+        vertices=np.array([[0, 0], [1, 0], [0, 0], [-0.5, 0.1], [0, 1], [0.5, 1.25], [1, 1.25]], dtype=float),
+    )
+    star = np.array([[1.5, -1.0], [1.5, 1.0], [-1.0, 1.5], [-1.0, -1.0]])
+    tfg_graph = dataclasses.replace(
+        tfg.empty_graph(),
+        stage=2,
+        surfaces=surfaces,
+        tag_ids=estimate.ids,
+        tag_goal=np.array([0, 0, 0, 1]),
+        tag_facing=np.array([[-1.0, 0.0], [-1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]]),
+        tag_range=np.array([2.2, 2.2, np.inf, 3.4]),
+        star_offsets=np.array([0, 4, 8]),
+        star_vertices=np.vstack([star, star]),
+        shadows=points_of(0, np.array([[-2.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([0.4])),
+    )
+    segments, kind, ids = np.zeros((4, 4)), np.array([0, 1, 2, 2]), np.array([[11, 10], [12, -1], [-1, -1], [-1, -1]])
+    segments[:] = [[2, -1, 2, 1], [-1, 2, -1.5, 2.1], [0.9, 1, 1.4, 1.25], [1.4, 1.25, 1.9, 1.3]]
+    resolved = TfgMap(
+        stage=2,
+        segments=segments,
+        segment_kind=kind,
+        segment_ids=ids,
+        facing=tfg_graph.tag_facing,
+        frontiers=np.array([[-2.0, 0.0]]),
+        frontier_length=np.array([0.4]),
+        frontier_normal=np.array([[1.0, 0.0]]),
+        star_offsets=tfg_graph.star_offsets,
+        star_vertices=np.vstack([star, star + np.array([1.0, 0.0])]),
+        star_centers=estimate.X_MA[:, :2],
+    )
+    return saved_map(np.array([5.0, 3.0, 0.5 * np.pi]), graph, estimate, tfg_graph, resolved)

@@ -3,7 +3,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from tfg_drake.figure import draw_run
+from tfg_drake.figure import draw_map, draw_run
 from tfg_drake.world.world import World
 
 WORLD = World(
@@ -30,3 +30,14 @@ def test_the_same_run_gives_the_same_file(tmp_path):
     for name in ("a.png", "b.png"):
         draw_run(tmp_path / name, "twice", WORLD, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_draws_a_saved_map(tmp_path, small_map):
+    for name in ("a.png", "b.png", "a.pdf", "b.pdf"):
+        draw_map(tmp_path / name, "a map", small_map)
+    for suffix in (".png", ".pdf"):
+        assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    pixels = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)
+    # The frontier is blue, the free space a light green.
+    assert np.any((pixels[..., 0] < 60) & (pixels[..., 2] > 200))
+    assert np.any(np.all(pixels == [0xF1, 0xF4, 0xEE], axis=-1))

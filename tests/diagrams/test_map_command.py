@@ -1,0 +1,152 @@
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import gtsam
+import pytest
+
+from tfg_drake.diagrams import cli
+from tfg_drake.mapfile.saved_map import save_map
+
+INFO = """\
+world frame  the map's origin lies at x 5.000 m, y 3.000 m, heading 1.5708 rad
+goals        2 goals, the last at 20.2 s
+landmarks    4 landmarks
+deviation    1\u03c3 of a landmark {median} m median, {worst} m worst (tag 13)
+entropy      {entropy} nats
+surfaces     1 edges between landmarks, 2.0 m
+             1 wall ends at a landmark, 0.5 m
+             1 surfaces without one, 1.1 m
+free space   {area} m2
+frontiers    1 open, 0.4 m
+file size    {size} kB
+"""
+
+
+def call(capsys, *arguments):
+    """Exit code, standard output, standard error."""
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        with pytest.raises(SystemExit) as caught:
+            cli.main([str(argument) for argument in arguments])
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    return (caught.value.code, *capsys.readouterr())
+
+
+@pytest.fixture
+def path(tmp_path, small_map):
+    save_map(tmp_path / "map.npz", small_map)
+    return tmp_path / "map.npz"
+
+
+def test_info(capsys, path, small_map, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, err = call(capsys, "map", "info", path)
+    assert (code, err) == (0, "")
+    median, worst = out.split("landmark ")[1].split(" m median, ")[0], out.split("median, ")[1].split(" m worst")[0]
+    assert 0.0 < float(median) <= float(worst) < 0.1
+    area = out.split("free space   ")[1].split(" m2")[0]
+    assert 6.0 < float(area) < 10.0
+    size = round(path.stat().st_size / 1000.0)
+    expected = INFO.format(median=median, worst=worst, entropy=f"{small_map.entropy:.1f}", area=area, size=size)
+    assert [line.rstrip() for line in out.splitlines()] == expected.splitlines()
+
+
+def test_export(capsys, path, tmp_path):
+    starts = {
+        ".png": b"\x89PNG",
+        ".pdf": b"%PDF",
+        ".csv": b"id,x_m",
+        ".html": b"<!DOCTYPE html>",
+        ".g2o": b"VERTEX_SE2",
+    }
+    for suffix, start in starts.items():
+        out = tmp_path / f"out{suffix}"
+        assert call(capsys, "map", "export", path, out) == (0, "", "")
+        first = out.read_bytes()
+        assert first.startswith(start)
+        if suffix != ".html":  # whose objects have names of their own every time
+            assert call(capsys, "map", "export", path, out) == (0, "", "")
+            assert out.read_bytes() == first
+    factors, values = gtsam.readG2o(str(tmp_path / "out.g2o"), False)
+    assert (factors.size(), values.size()) == (3, 8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ("info none.npz", "no such map: none.npz"),
+        ("info .", ". is a folder; name the map in it, such as map.npz"),
+        ("view text.npz", "text.npz is damaged or not a map of tfg-drake"),
+        ("export none.npz a.csv", "no such map: none.npz"),
+        ("export map.npz a.zip", "a.zip: unknown format; name a file that ends in .g2o, .csv, .png, .pdf or .html"),
+        ("export map.npz none/a.csv", "none/a.csv: cannot be written: no such file or directory"),
+        ("export map.npz none/a.png", "none/a.png: cannot be written: no such file or directory"),
+        ("export map.npz", "missing argument 'OUT'; see tfg-drake map export --help"),
+        ("fly", "no such command 'fly'; see tfg-drake map --help"),
+        ("", "missing command; see tfg-drake map --help"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(capsys, path, monkeypatch, arguments, complaint):
+    monkeypatch.chdir(path.parent)
+    (path.parent / "text.npz").write_text("a map\n")
+    assert call(capsys, "map", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
+
+
+def test_without_meshcat(capsys, path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "meshcat", None)
+    complaint = "tfg-drake: the package meshcat is missing: pip install tfg_drake[viewer]\n"
+    assert call(capsys, "map", "view", path) == (2, "", complaint)
+
+
+# A process in which there is no Drake.
+NO_DRAKE = """
+import sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "pydrake":
+            raise ImportError("no Drake here")
+sys.meta_path.insert(0, Finder())
+from tfg_drake.diagrams import cli
+cli.main(sys.argv[1:])
+"""
+
+
+def test_no_drake_is_needed(path):
+    for arguments in (["info", path], ["view", path], ["export", path, path.with_suffix(".png")]):
+        done = subprocess.run(
+            [sys.executable, "-c", NO_DRAKE, "map", *arguments],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+    assert path.with_suffix(".png").exists()
+
+
+def test_on_a_terminal_the_view_stays_until_enter(path):
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", NO_DRAKE, "map", "view", path]
+    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    try:
+        said = b""
+        while b"close it. " not in said:
+            assert select.select([ours], [], [], 60.0)[0], said
+            said += os.read(ours, 1000)
+        first = said.decode().splitlines()[0]
+        assert first.startswith("Meshcat: http://localhost:")
+        page = urllib.request.urlopen(first.removeprefix("Meshcat: "), timeout=10).read().decode()
+        assert "<title>map.npz</title>" in page
+        os.write(ours, b"\n")
+        assert process.wait(timeout=30) == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
