@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import logging
 import math
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -84,8 +85,8 @@ class ProgressBars:
 def run_slam(
     dataset: Path, robot: int | None = None, out: Path | None = None, on_progress: OnProgress | None = None
 ) -> SlamResult:
-    """Run the estimator on a data set, online and then smoothed over all data, and write DIR/summary.json, figure.png
-    and trajectories; of a g2o graph, which is only solved, solved.g2o.
+    """Run the estimator on a data set, online and then smoothed over all data, and write DIR/summary.json, figure.png,
+    log.txt and trajectories; of a g2o graph, which is only solved, solved.g2o.
 
     Raises:
         DatasetError: the data set cannot be used; nothing is written.
@@ -94,15 +95,13 @@ def run_slam(
     report = on_progress or (lambda _part, _share: None)
     cpu, wall = time.process_time(), time.monotonic()
     loaded = load_dataset(dataset, robot)
+    name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
+    folder = _make_folder(out, name)
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with threadpool_limits(limits=1):
+    with threadpool_limits(limits=1), _logging_to(folder / "log.txt"):
         if isinstance(loaded, PoseGraph):
-            name = dataset.name.split(".")[0]
-            folder = _make_folder(out, name)
             figures = _solve_graph(loaded, dataset, name, folder, report)
         else:
-            name = loaded.name
-            folder = _make_folder(out, name)
             figures = _run_recording(loaded, folder, report)
     summary = {
         "schema": SCHEMA,
@@ -228,6 +227,19 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
         "batch_cpu_s": time.process_time() - start,
         "notes": [],
     }
+
+
+@contextlib.contextmanager
+def _logging_to(path: Path) -> Iterator[None]:
+    """What the estimator remarks on the way goes to a file."""
+    handler = logging.FileHandler(path, mode="w", encoding="utf-8")
+    logger = logging.getLogger("tfg_drake")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        handler.close()
 
 
 def _no_truth() -> GroundTruth:
