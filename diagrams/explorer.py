@@ -103,4 +103,4 @@ def MapOfExplorer(explorer: Diagram, context: Context, X_WM: FloatArray) -> Save
     if state.map is None or tfg_graph.stage == 0:
         return None
     tfg = builder.GetOutputPort("tfg").Eval(builder_context)
-    return saved_map(X_WM, state.graph, state.map, tfg_graph, tfg)
+    return saved_map(X_WM, state, tfg_graph, tfg)

@@ -101,6 +101,7 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     rows += [
         ("free space", f"{area:.0f} m2"),
         ("frontiers", f"{len(tfg.frontiers)} open, {tfg.frontier_length.sum():.1f} m"),
+        ("calibration", _calibration(saved)),
         ("file size", f"{size / 1000.0:.0f} kB"),
     ]
     return rows
@@ -113,6 +114,18 @@ def _deviation(saved: SavedMap) -> str:
     sigma = np.sqrt(np.linalg.eigvalsh(saved.landmark_covariance)[:, -1])
     worst = int(np.argmax(sigma))
     return f"1\u03c3 of a landmark {np.median(sigma):.3f} m median, {sigma[worst]:.3f} m worst (tag {saved.ids[worst]})"
+
+
+def _calibration(saved: SavedMap) -> str:
+    """What the map's estimator has learnt of the tag sensor."""
+    scale = saved.range_scale
+    if not scale.pairs:
+        return "none"
+    share, offset = scale.mean
+    return (
+        f"tag ranges {100.0 * share:+.2f} % (1\u03c3 {100.0 * scale.sigma:.2f} %), tags {100.0 * offset:.1f} cm before"
+        " their surface"
+    )
 
 
 def _load(path: Path) -> SavedMap:

@@ -21,9 +21,11 @@ hypothesis.settings.load_profile("tfg_drake")
 def small_map():
     """Two goals, four landmarks, an edge, a wall end, a loose surface, a frontier; X_WM = (5, 3, pi/2)."""
     # Not before NUMBA_CACHE_DIR is set.
+    from tfg_drake.config import OdometryConfig
     from tfg_drake.mapfile.saved_map import saved_map
     from tfg_drake.messages import GoalObservation, TfgMap
     from tfg_drake.slam import goal_graph
+    from tfg_drake.slam.estimator import initial_state
     from tfg_drake.tfg import graph as tfg
     from tfg_drake.tfg.frontier import points_of
     from tfg_drake.tfg.surfaces import Surfaces
@@ -83,4 +85,5 @@ def small_map():
         star_vertices=np.vstack([star, star + np.array([1.0, 0.0])]),
         star_centers=estimate.X_MA[:, :2],
     )
-    return saved_map(np.array([5.0, 3.0, 0.5 * np.pi]), graph, estimate, tfg_graph, resolved)
+    state = dataclasses.replace(initial_state(OdometryConfig()), graph=graph, map=estimate)
+    return saved_map(np.array([5.0, 3.0, 0.5 * np.pi]), state, tfg_graph, resolved)

@@ -23,6 +23,7 @@ surfaces     1 edges between landmarks, 2.0 m
              1 surfaces without one, 1.1 m
 free space   {area} m2
 frontiers    1 open, 0.4 m
+calibration  none
 file size    {size} kB
 """
 

@@ -1,14 +1,12 @@
 """A map that was saved and loaded goes on to the bit as the one that never left memory: estimator and TFG."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.mapfile.message_arrays import to_arrays
-from tfg_drake.mapfile.saved_map import REGISTRY, load_map, restored_estimate, save_map, saved_map
+from tfg_drake.mapfile.saved_map import REGISTRY, load_map, resumed, save_map, saved_map
 from tfg_drake.messages import LaserScan, Odometry
 from tfg_drake.slam.estimator import (
     begin_turn,
@@ -18,7 +16,6 @@ from tfg_drake.slam.estimator import (
     process_detections,
     process_odometry,
 )
-from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.tfg.graph import empty_graph, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
 
@@ -49,7 +46,7 @@ class Explorer:
         self.sightings = no_sightings()
 
     def saved(self):
-        return saved_map(np.zeros(3), self.state.graph, self.state.map, self.tfg_graph, self.tfg)
+        return saved_map(np.zeros(3), self.state, self.tfg_graph, self.tfg)
 
 
 def drive_on(robot, explorers, goals, first):
@@ -75,20 +72,6 @@ def drive_on(robot, explorers, goals, first):
             explorer.add_goal(robot.time, scans)
 
 
-def settled(explorer, saved):
-    """The explorer with the map, and the filters that start from it, as a saved map gives them."""
-    estimate = restored_estimate(saved)
-    state = dataclasses.replace(
-        explorer.state,
-        graph=saved.graph,
-        map=estimate,
-        localizer=start_localizer(explorer.state.model, estimate),
-    )
-    one = Explorer(state, saved.tfg_graph)
-    one.tfg = saved.tfg
-    return one
-
-
 @pytest.mark.parametrize("goals", [1, 3])
 def test_a_loaded_map_goes_on_to_the_bit(drive, tmp_path, goals):
     rows = np.linspace(-8.5, 8.5, 12)
@@ -98,7 +81,8 @@ def test_a_loaded_map_goes_on_to_the_bit(drive, tmp_path, goals):
     drive_on(robot, [explorer], goals, first=True)
 
     save_map(tmp_path / "map.npz", explorer.saved())
-    kept, loaded = explorer, settled(explorer, load_map(tmp_path / "map.npz"))
+    saved = load_map(tmp_path / "map.npz")
+    kept, loaded = explorer, Explorer(resumed(saved, explorer.state), saved.tfg_graph)
     for name in ("ids", "p_ML", "X_MD", "X_MA", "covariance"):
         np.testing.assert_array_equal(getattr(kept.state.map, name), getattr(loaded.state.map, name))
     assert kept.state.map.entropy == loaded.state.map.entropy
@@ -112,3 +96,16 @@ def test_a_loaded_map_goes_on_to_the_bit(drive, tmp_path, goals):
         assert one[name].tobytes() == other[name].tobytes(), name
     assert pose_estimate(kept.state).X_MB.tobytes() == pose_estimate(loaded.state).X_MB.tobytes()
     assert set(kept.tfg.segment_kind.tolist()) >= {0, 2}
+
+
+def test_a_new_estimator_goes_on_where_the_map_ends(drive, small_map):
+    state = initial_state(drive(np.zeros((0, 2)), 1, 0.0).config)
+    state = process_odometry(resumed(small_map, state), Odometry(0.0, np.array([7.0, 8.0, 1.0]), np.zeros(2)))
+    assert pose_estimate(state).stage == small_map.stage
+    np.testing.assert_allclose(pose_estimate(state).X_MB, small_map.graph.X_MD[-1], atol=1e-12)
+    np.testing.assert_allclose(pose_estimate(state).covariance, small_map.departure_covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_there_is_no_map_before_the_first_goal():
+    with pytest.raises(ValueError, match="no map before the first goal"):
+        saved_map(np.zeros(3), initial_state(OdometryConfig()), empty_graph(), None)

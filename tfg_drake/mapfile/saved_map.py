@@ -18,7 +18,10 @@ from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message
 from tfg_drake.slam import goal_graph
+from tfg_drake.slam.estimator import EstimatorState
 from tfg_drake.slam.goal_graph import GoalGraph
+from tfg_drake.slam.localizer import start_localizer
+from tfg_drake.slam.range_scale import RangeScale
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces
@@ -38,9 +41,10 @@ class SavedMap:
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. entropy:
     of the landmarks, nats. X_MA: (k, 3) arrival poses of the goals. landmark_covariance: (n, 2, 2) marginal covariance
     of each landmark in M, m^2, and departure_covariance: (3, 3) of the last departure pose, for whoever needs no more.
-    graph: the estimator's factors and values. tfg_graph: the topological feature graph, anchored to them, of the same
-    stage or, where a run was cut short between the two, of the one before. tfg: it resolved in M, of the same stage as
-    tfg_graph.
+    graph: the estimator's factors and values. range_scale: what it knows of the tag sensor's ranges. suspects: (s,) ids
+    of landmarks that contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the
+    topological feature graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between
+    the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
 
     X_WM: FloatArray
@@ -51,6 +55,9 @@ class SavedMap:
     landmark_covariance: FloatArray
     departure_covariance: FloatArray
     graph: GoalGraph
+    range_scale: RangeScale
+    suspects: IntArray
+    suspect_count: IntArray
     tfg_graph: TfgGraph
     tfg: TfgMap
 
@@ -75,7 +82,15 @@ class SavedMap:
 
 # The classes a map may hold, with the shapes of their arrays; letters are lengths that agree within one message.
 REGISTRY: Registry = {
-    SavedMap: {"X_WM": (3,), "X_MA": ("k", 3), "landmark_covariance": ("n", 2, 2), "departure_covariance": (3, 3)},
+    SavedMap: {
+        "X_WM": (3,),
+        "X_MA": ("k", 3),
+        "landmark_covariance": ("n", 2, 2),
+        "departure_covariance": (3, 3),
+        "suspects": ("s",),
+        "suspect_count": ("s",),
+    },
+    RangeScale: {"information": (2, 2), "vector": (2,)},
     GoalGraph: {
         "is_goal": ("k",),
         "X_DA": ("j", 3),
@@ -134,14 +149,20 @@ REGISTRY: Registry = {
 }
 
 
-def saved_map(X_WM: FloatArray, graph: GoalGraph, estimate: MapEstimate, tfg_graph: TfgGraph, tfg: TfgMap) -> SavedMap:
+def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg: TfgMap) -> SavedMap:
     """What is kept of a map.
 
     Args:
         X_WM: (3,) pose of the map frame in the world, m and rad.
-        graph, estimate: the estimator's, of one stage, at least 1.
-        tfg_graph, tfg: the TFG builder's, of one stage, that of the estimate or the one before.
+        state: the estimator's, after its first goal.
+        tfg_graph, tfg: the TFG builder's, of one stage, that of the estimator's map or the one before.
+
+    Raises:
+        ValueError: no goal is in the map yet.
     """
+    estimate = state.map
+    if estimate is None:
+        raise ValueError("There is no map before the first goal.")
     n = len(estimate.ids)
     blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
     return SavedMap(
@@ -152,7 +173,10 @@ def saved_map(X_WM: FloatArray, graph: GoalGraph, estimate: MapEstimate, tfg_gra
         X_MA=estimate.X_MA,
         landmark_covariance=blocks,
         departure_covariance=np.array(estimate.covariance[2 * n :, 2 * n :]),
-        graph=graph,
+        graph=state.graph,
+        range_scale=state.scale,
+        suspects=state.suspects,
+        suspect_count=state.suspect_count,
         tfg_graph=tfg_graph,
         tfg=tfg,
     )
@@ -175,6 +199,24 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
         X_MA=saved.X_MA,
         observation=graph.observations[-1],
         entropy=saved.entropy,
+    )
+
+
+def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
+    """The state of an estimator that goes on with a saved map: to the bit as the one that the map was taken from.
+
+    state: gives what is no part of the map, the odometry model and messages under way; that of a new estimator, or any
+    right after a goal. The robot is taken to stand at the map's last departure pose.
+    """
+    estimate = restored_estimate(saved)
+    return dataclasses.replace(
+        state,
+        graph=saved.graph,
+        map=estimate,
+        localizer=start_localizer(state.model, estimate),
+        scale=saved.range_scale,
+        suspects=saved.suspects,
+        suspect_count=saved.suspect_count,
     )
 
 
