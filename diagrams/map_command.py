@@ -88,7 +88,7 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     length = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T)
     area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
     rows = [
-        ("world frame", f"the map's origin lies at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
+        ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
         ("goals", f"{saved.stage} goals, the last at {saved.stamp:.1f} s"),
         ("landmarks", f"{len(saved.ids)} landmarks"),
         ("deviation", _deviation(saved)),

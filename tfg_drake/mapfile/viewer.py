@@ -123,8 +123,9 @@ def _view(saved: SavedMap) -> tuple[float, float, float, float]:
     tfg = saved.tfg
     shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
     points = transform(saved.X_WM, np.vstack(shown))
-    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 0.5, points.max(axis=0) + 0.5
-    return x_min, y_min, x_max, y_max
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.5 + 0.02 * float(np.max(high - low))
+    return low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin
 
 
 def _commands(saved: SavedMap) -> Iterator[bytes]:
