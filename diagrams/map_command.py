@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from tfg_drake.diagrams.command_line import bad_input, wait_for_enter
@@ -14,7 +13,6 @@ from tfg_drake.diagrams.command_line import bad_input, wait_for_enter
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
 
-KINDS = ("edges between landmarks", "wall ends at a landmark", "surfaces without one")
 SUFFIXES = (".g2o", ".csv", ".png", ".pdf", ".html")
 
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map file, such as a run's map.npz.")]
@@ -32,6 +30,8 @@ def info(map_file: MapArgument) -> None:
     """Say what is in a map."""
     from rich.console import Console
     from rich.table import Table
+
+    from tfg_drake.mapfile.summary import map_rows
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in map_rows(_load(map_file), map_file.stat().st_size):
@@ -60,6 +60,7 @@ def export(
     from tfg_drake.files import write_atomic
     from tfg_drake.mapfile.g2o import g2o_text
     from tfg_drake.mapfile.landmark_table import landmark_csv
+    from tfg_drake.mapfile.summary import map_rows
 
     suffix = out.suffix.lower()
     if suffix not in SUFFIXES:
@@ -79,55 +80,6 @@ def export(
         bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
 
 
-def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
-    """What `info` prints: names and values. size: of the file, bytes."""
-    from tfg_drake.geometry.star import covered_area
-
-    tfg = saved.tfg
-    x, y, theta = saved.X_WM
-    length = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T)
-    area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    rows = [
-        ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
-        ("goals", f"{saved.stage} goals, the last at {saved.stamp:.1f} s"),
-        ("landmarks", f"{len(saved.ids)} landmarks"),
-        ("deviation", _deviation(saved)),
-        ("entropy", f"{saved.entropy:.1f} nats"),
-    ]
-    for kind, name in enumerate(KINDS):
-        chosen = tfg.segment_kind == kind
-        count = np.count_nonzero(saved.tfg_graph.surfaces.kind == kind)
-        rows.append(("surfaces" if kind == 0 else "", f"{count} {name}, {length[chosen].sum():.1f} m"))
-    rows += [
-        ("free space", f"{area:.0f} m2"),
-        ("frontiers", f"{len(tfg.frontiers)} open, {tfg.frontier_length.sum():.1f} m"),
-        ("calibration", _calibration(saved)),
-        ("file size", f"{size / 1000.0:.0f} kB"),
-    ]
-    return rows
-
-
-def _deviation(saved: SavedMap) -> str:
-    """Standard deviations of the landmarks along their worst direction."""
-    if not len(saved.ids):
-        return "-"
-    sigma = np.sqrt(np.linalg.eigvalsh(saved.landmark_covariance)[:, -1])
-    worst = int(np.argmax(sigma))
-    return f"1\u03c3 of a landmark {np.median(sigma):.3f} m median, {sigma[worst]:.3f} m worst (tag {saved.ids[worst]})"
-
-
-def _calibration(saved: SavedMap) -> str:
-    """What the map's estimator has learnt of the tag sensor."""
-    scale = saved.range_scale
-    if not scale.pairs:
-        return "none"
-    share, offset = scale.mean
-    return (
-        f"tag ranges {100.0 * share:+.2f} % (1\u03c3 {100.0 * scale.sigma:.2f} %), tags {100.0 * offset:.1f} cm before"
-        " their surface"
-    )
-
-
 def _load(path: Path) -> SavedMap:
     from tfg_drake.mapfile.saved_map import MapFileError, load_map
 
@@ -138,6 +90,7 @@ def _load(path: Path) -> SavedMap:
 
 
 def _page(saved: SavedMap, path: Path) -> str:
+    from tfg_drake.mapfile.summary import map_rows
     from tfg_drake.mapfile.viewer import ViewerMissing, scene_page
 
     rows = dict(map_rows(saved, path.stat().st_size))

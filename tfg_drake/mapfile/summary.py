@@ -1,0 +1,58 @@
+"""What is in a map, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.geometry.star import covered_area
+from tfg_drake.mapfile.saved_map import SavedMap
+
+# Of surfaces, by number.
+KINDS = ("edges between landmarks", "wall ends at a landmark", "surfaces without one")
+
+
+def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
+    """Names and values, as a table for people; a name may be "". size: of the file, bytes."""
+    tfg = saved.tfg
+    x, y, theta = saved.X_WM
+    length = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T)
+    area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    rows = [
+        ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
+        ("goals", f"{saved.stage} goals, the last at {saved.stamp:.1f} s"),
+        ("landmarks", f"{len(saved.ids)} landmarks"),
+        ("deviation", _deviation(saved)),
+        ("entropy", f"{saved.entropy:.1f} nats"),
+    ]
+    for kind, name in enumerate(KINDS):
+        chosen = tfg.segment_kind == kind
+        count = np.count_nonzero(saved.tfg_graph.surfaces.kind == kind)
+        rows.append(("surfaces" if kind == 0 else "", f"{count} {name}, {length[chosen].sum():.1f} m"))
+    rows += [
+        ("free space", f"{area:.0f} m2"),
+        ("frontiers", f"{len(tfg.frontiers)} open, {tfg.frontier_length.sum():.1f} m"),
+        ("calibration", _calibration(saved)),
+        ("file size", f"{size / 1000.0:.0f} kB"),
+    ]
+    return rows
+
+
+def _deviation(saved: SavedMap) -> str:
+    """Standard deviations of the landmarks along their worst direction."""
+    if not len(saved.ids):
+        return "-"
+    sigma = np.sqrt(np.linalg.eigvalsh(saved.landmark_covariance)[:, -1])
+    worst = int(np.argmax(sigma))
+    return f"1\u03c3 of a landmark {np.median(sigma):.3f} m median, {sigma[worst]:.3f} m worst (tag {saved.ids[worst]})"
+
+
+def _calibration(saved: SavedMap) -> str:
+    """What the map's estimator has learnt of the tag sensor."""
+    scale = saved.range_scale
+    if not scale.pairs:
+        return "none"
+    share, offset = scale.mean
+    return (
+        f"tag ranges {100.0 * share:+.2f} % (1\u03c3 {100.0 * scale.sigma:.2f} %), tags {100.0 * offset:.1f} cm before"
+        " their surface"
+    )
