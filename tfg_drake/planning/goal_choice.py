@@ -10,8 +10,9 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
-from tfg_drake.planning.information_gain import Gains, information_gain
+from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
+from tfg_drake.planning.information_gain import Gains, information_gain, share_seen
+from tfg_drake.tfg.graph import PASSABLE_MARGIN
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
@@ -63,8 +64,9 @@ def choose(
 ) -> GoalChoice:
     """The choice at one stage: estimate, tfg and roadmap are of the same stage.
 
-    Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees a live
-    frontier, whatever its gain, and what promises more than explorer.stop_gain.
+    Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees as much
+    live frontier as an opening that the robot just fits through, whatever its gain, and what promises more than
+    explorer.stop_gain.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -92,11 +94,21 @@ def choose(
     # Frontiers that could be seen from where the robot would fit, were it surer of its place.
     barred = roadmap.points[roadmap.enterable & ~roadmap.reachable]
     barred_frontiers = np.unique(expected_frontiers(barred, tfg, sensor).index)
+    opening = 2.0 * (robot.radius + PASSABLE_MARGIN)
     return decide(
-        estimate.stage, candidates, points, gains, value, frontiers.count > 0,
+        estimate.stage, candidates, points, gains, value, seen_length(points, frontiers, tfg, sensor) >= opening,
         float(tfg.frontier_length[barred_frontiers].sum()), tfg.given_up_length, float(tfg.frontier_length.sum()),
         explorer.stop_gain,
     )  # fmt: skip
+
+
+def seen_length(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
+    """Length (c,), m, of the live frontier that each of the points (c, 2), m in M, sees, less where the view ends soon
+    behind it."""
+    point = np.repeat(np.arange(len(points)), frontiers.count)
+    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
+    length = tfg.frontier_length[frontiers.index] * share_seen(distance, sensor)
+    return np.asarray(np.bincount(point, length, minlength=len(points)), dtype=np.float64)
 
 
 def decide(

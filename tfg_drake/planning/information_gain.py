@@ -68,6 +68,11 @@ def _share_seen(dx: float, dy: float, reach: FloatArray) -> float:
     return float(min(1.0, max(0.0, (reach[0] - math.sqrt(dx * dx + dy * dy)) / reach[1])))
 
 
+def share_seen(distance: FloatArray, sensor: TagSensorConfig) -> FloatArray:
+    """As _share_seen, for frontier points at distances (n,), m."""
+    return np.clip((sensor.range - distance) / (FRONTIER_DEPTH * sensor.range), 0.0, 1.0)
+
+
 @njit(cache=True)
 def exact_gain(
     points: FloatArray,
