@@ -73,7 +73,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         "map_variables": {
             "landmarks": len(estimate.ids) if estimate is not None else 0,
             "poses": 2 * len(mission.departures),  # arrival and departure
-            "calibration": 0,
+            "calibration": 1,  # the range scale
         },
         "map_bytes": map_bytes,
         "estimator_cpu_s": mission.estimator_cpu,

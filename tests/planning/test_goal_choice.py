@@ -50,7 +50,7 @@ def test_a_frontier_where_the_robot_does_not_fit_is_named_and_closed():
     done = verdict([5], [1], [0], frontier=3.25)
     assert done.verdict == "complete"
     assert done.reason == (
-        "No frontier is left but 3.2 m that the robot cannot get to, and no place promises more than 20 nats."
+        "No frontier is left but 3.2 m out of reach or not worth it, and no place promises more than 20 nats."
     )
 
 

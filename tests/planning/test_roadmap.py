@@ -155,7 +155,7 @@ def test_what_was_travelled_stays_open_with_little_to_spare():
 def test_routes_agree_with_their_own_path_and_prefer_room():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     ways = routes(state, tfg, estimate.X_MD, ROBOT)
-    message = roadmap_message(state, ways, ROBOT.radius)
+    message = roadmap_message(state, ways, ROBOT, 0.01)
     assert message.stage == 2
     reachable = message.reachable
     assert (message.enterable >= reachable).all()

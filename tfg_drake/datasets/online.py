@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tfg_drake.datasets.recording import Recording
-from tfg_drake.messages import FloatArray, MapEstimate, Odometry, message
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Odometry, message
 from tfg_drake.slam import estimator
 
 # A piece of the way ends after this length, m, once something has been seen.
@@ -25,11 +25,13 @@ class OnlineRun:
     """stamps: (f,) s and X_MB: (f, 3), the pose after every frame, and now and then between frames, as it was estimated
     then; M is the odometry's origin.
 
-    map: the map at the end, None where nothing was seen.
+    seen: (f,) whether landmarks had just been seen; elsewhere the robot reckons blindly. map: the map at the end, None
+    where nothing was seen.
     """
 
     stamps: FloatArray
     X_MB: FloatArray
+    seen: BoolArray
     map: MapEstimate | None
 
 
@@ -42,19 +44,20 @@ def run_online(
     """
     report = on_progress or (lambda _share: None)
     state = estimator.initial_state(recording.model, path_keyframe_period=math.inf)
-    stamps, X_MB = [], []
+    stamps, X_MB, noted_seen = [], [], []
     frames = iter(recording.detections)
     frame = next(frames, None)
     length, unnoted, seen = 0.0, 0.0, False
     last: Odometry | None = None
     total = max(len(recording.odometry), 1)
     for number, odometry in enumerate(recording.odometry):
-        fresh = False
+        fresh, sighted = False, False
         # The estimator takes a frame when odometry beyond it has come.
         while frame is not None and frame.stamp < odometry.stamp:
             state = estimator.process_detections(state, frame)
-            seen, fresh = seen or len(frame.ids) > 0, True
+            sighted, fresh = sighted or len(frame.ids) > 0, True
             frame = next(frames, None)
+        seen = seen or sighted
         state = estimator.process_odometry(state, odometry)
         if last is not None and not odometry.at_rest:
             length += float(np.hypot(*(odometry.X_OB - last.X_OB)[:2]))
@@ -65,6 +68,7 @@ def run_online(
             pose = estimator.pose_estimate(state)
             stamps.append(pose.stamp)
             X_MB.append(pose.X_MB)
+            noted_seen.append(sighted)
         if seen and length >= piece_length:
             state = estimator.close_piece(state, odometry.stamp)
             length, seen = 0.0, False
@@ -73,4 +77,9 @@ def run_online(
     if seen and last is not None:
         state = estimator.close_piece(state, last.stamp)
     report(1.0)
-    return OnlineRun(np.array(stamps), np.array(X_MB).reshape(-1, 3), estimator.map_estimate(state))
+    return OnlineRun(
+        np.array(stamps),
+        np.array(X_MB).reshape(-1, 3),
+        np.array(noted_seen, dtype=bool),
+        estimator.map_estimate(state),
+    )

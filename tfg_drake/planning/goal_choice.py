@@ -12,7 +12,6 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
 from tfg_drake.planning.information_gain import Gains, information_gain, share_seen
-from tfg_drake.tfg.graph import PASSABLE_MARGIN
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
@@ -20,6 +19,8 @@ OVERHEAD = 1.0
 NOTHING_AFTER = 5
 # The robot never turns again within this of where it has turned before, m: it would see the same once more.
 APART = 0.3
+# Less live frontier than this is not worth a visit, m.
+ENOUGH_FRONTIER = 0.24
 
 
 def empty_choice() -> GoalChoice:
@@ -64,9 +65,8 @@ def choose(
 ) -> GoalChoice:
     """The choice at one stage: estimate, tfg and roadmap are of the same stage.
 
-    Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees as much
-    live frontier as an opening that the robot just fits through, whatever its gain, and what promises more than
-    explorer.stop_gain.
+    Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees enough
+    live frontier, whatever its gain, and what promises more than explorer.stop_gain.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -94,9 +94,9 @@ def choose(
     # Frontiers that could be seen from where the robot would fit, were it surer of its place.
     barred = roadmap.points[roadmap.enterable & ~roadmap.reachable]
     barred_frontiers = np.unique(expected_frontiers(barred, tfg, sensor).index)
-    opening = 2.0 * (robot.radius + PASSABLE_MARGIN)
+    enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
     return decide(
-        estimate.stage, candidates, points, gains, value, seen_length(points, frontiers, tfg, sensor) >= opening,
+        estimate.stage, candidates, points, gains, value, enough,
         float(tfg.frontier_length[barred_frontiers].sum()), tfg.given_up_length, float(tfg.frontier_length.sum()),
         explorer.stop_gain,
     )  # fmt: skip
@@ -137,7 +137,7 @@ def decide(
         reason = f"{gain[pick]:.1f} nats are expected at the rate of {value[pick]:.2f} nats per second."
     elif len(candidates) == 0:
         verdict, reason = "stuck", "The robot cannot reach any other place."
-    elif barred_length > 0.0:
+    elif barred_length >= ENOUGH_FRONTIER:
         verdict = "stuck"
         reason = f"{barred_length:.1f} m of frontier lie behind passages too narrow for the uncertainty of the map."
     elif given_up_length > 0.0:
@@ -145,7 +145,7 @@ def decide(
         reason = f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
     else:
         verdict = "complete"
-        but = f" but {frontier_length:.1f} m that the robot cannot get to," if frontier_length > 0.0 else ""
+        but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length > 0.0 else ""
         reason = f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."
     return GoalChoice(
         stage=stage,

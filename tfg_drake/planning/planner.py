@@ -109,7 +109,7 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
     return dataclasses.replace(
         state,
         nodes=nodes,
-        roadmap=roadmap_message(nodes, ways, parameters.robot.radius),
+        roadmap=roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability),
         obstacles=np.zeros((0, 4)),
         driven=estimate.X_MD[None, :2],
     )

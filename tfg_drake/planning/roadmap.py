@@ -21,7 +21,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.geometry.distance import clearance, segment_distance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap, message
-from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
+from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, predicted_deviation, required_clearance
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
@@ -440,23 +440,24 @@ def _connect(
     return near[chosen].astype(np.int64), has[chosen]
 
 
-def enterable(state: RoadmapState, ways: Routes, radius: float) -> BoolArray:
-    """Nodes (n,) that a robot of this radius (m) that knew its place and the map exactly could get to."""
+def enterable(state: RoadmapState, ways: Routes, robot: RobotConfig, collision_probability: float) -> BoolArray:
+    """Nodes (n,) that a robot that knew its place and the map exactly could get to: it still strays from its path."""
     n = len(state.points)
-    fits = state.free & (state.edge_clearance >= radius)
+    need = required_clearance(robot.radius, np.array(TRACKING_DEVIATION), collision_probability)
+    fits = state.usable | (state.free & (state.edge_clearance >= need))
     a, b = state.edges[fits].T
     _, label = connected_components(csr_matrix((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
     return np.isin(label, label[np.isfinite(ways.cost)])
 
 
-def roadmap_message(state: RoadmapState, ways: Routes, radius: float) -> Roadmap:
-    """What the goal selector and the pictures need of a roadmap and the routes through it; radius: the robot's, m."""
+def roadmap_message(state: RoadmapState, ways: Routes, robot: RobotConfig, collision_probability: float) -> Roadmap:
+    """What the goal selector and the pictures need of a roadmap and the routes through it."""
     return Roadmap(
         stage=state.stage,
         points=state.points,
         edges=state.edges[state.usable],
         reachable=np.isfinite(ways.cost),
-        enterable=enterable(state, ways, radius),
+        enterable=enterable(state, ways, robot, collision_probability),
         travel_time=ways.time,
     )
 

@@ -271,14 +271,15 @@ def live_frontiers(
 ) -> FrontierPoints:
     """The frontier points in the map frame that are still worth a visit. segments: (m, 4) all surfaces there, m.
 
-    Those that explorer.frontier_attempts goals have tried in vain are left out; what fewer have tried counts for less.
+    Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
+    a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     shadows = _open_shadows(graph, estimate, segments)
     poorly_seen = join(graph.uninspected, graph.unseen_backs)
     points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    return select(dataclasses.replace(points, length=points.length * np.maximum(left, 0.0)), left > 0.0)
+    return select(dataclasses.replace(points, length=points.length * left**2), left > 0.0)
 
 
 def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
