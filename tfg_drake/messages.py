@@ -172,9 +172,10 @@ class TfgMap:
     from the unknown back to where the frontier was seen from; where it lies in front of a surface not seen well
     enough, that surface's normal. Every piece of surface was seen from its left. star_offsets: (k + 1,) and
     star_vertices: (v, 2): star j, the free polygon seen from goal j, has the vertices star_offsets[j]:star_offsets[j
-    + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up_length: m of open frontier,
-    room for the robot, that was tried in vain as often as the explorer tries. viewpoints: (v, 2) places in M, m, from
-    where tags that the map lacks were seen on the way.
+    + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up: (g, 2) points of
+    open frontier that were tried in vain as often as the explorer tries, wide enough for the robot, given_up_length:
+    (g,) m, given_up_normal: (g, 2). viewpoints: (v, 2) places in M, m, from where tags that the map lacks were seen on
+    the way.
     """
 
     stage: int
@@ -188,7 +189,9 @@ class TfgMap:
     star_offsets: IntArray
     star_vertices: FloatArray
     star_centers: FloatArray
-    given_up_length: float = 0.0
+    given_up: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    given_up_length: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    given_up_normal: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     viewpoints: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
 
 

@@ -137,6 +137,19 @@ def test_no_goal_is_chosen_where_the_robot_has_turned_before():
     assert best.node not in again.goal().candidates
 
 
+def test_an_opening_tried_in_vain_counts_only_where_the_robot_can_come_up_to_it():
+    estimate, tfg = half_known_room()
+    tfg = dataclasses.replace(
+        tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE, given_up_length=np.array([0.8]),
+        given_up_normal=np.array([[1.0, 0.0]]),
+    )  # fmt: skip
+    for place, verdict in (([-4.35, 0.0], "stuck"), ([-9.0, 0.0], "complete"), ([4.8, 0.0], "complete")):
+        selector = Selector()
+        known = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9))
+        selector.ready(map=known, tfg=dataclasses.replace(tfg, given_up=np.array([place])))
+        assert selector.goal().verdict == verdict
+
+
 def test_a_sliver_of_frontier_is_not_worth_a_visit():
     estimate, tfg = half_known_room()
     estimate = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9))

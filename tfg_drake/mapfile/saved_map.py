@@ -144,6 +144,9 @@ REGISTRY: Registry = {
         "star_offsets": ("k+1",),
         "star_vertices": ("v", 2),
         "star_centers": ("k", 2),
+        "given_up": ("g", 2),
+        "given_up_length": ("g",),
+        "given_up_normal": ("g", 2),
         "viewpoints": ("p", 2),
     },
 }

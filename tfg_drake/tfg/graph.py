@@ -243,7 +243,9 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         star_centers=star_centers,
-        given_up_length=given_up,
+        given_up=given_up.p,
+        given_up_length=given_up.length,
+        given_up_normal=given_up.normal,
         viewpoints=place_points(graph.viewpoints, estimate.X_MA).p,
     )
 
@@ -295,14 +297,14 @@ def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) ->
     return np.array([graph.tried_count[rows].max(initial=0) for rows in near], dtype=np.int64)
 
 
-def _openings(points: FrontierPoints, robot: RobotConfig) -> float:
-    """Length of the frontier points that hang together widely enough for the robot to pass, m."""
+def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
+    """The frontier points that hang together widely enough for the robot to pass."""
     if not len(points.p):
-        return 0.0
+        return points
     neighbours = cKDTree(points.p).sparse_distance_matrix(cKDTree(points.p), TRIED_DISTANCE)
     _, label = connected_components(neighbours, directed=False)
     length = np.bincount(label, points.length)
-    return float(length[length >= 2.0 * (robot.radius + PASSABLE_MARGIN)].sum())
+    return select(points, length[label] >= 2.0 * (robot.radius + PASSABLE_MARGIN))
 
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
