@@ -354,7 +354,7 @@ def _look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorSta
     found = relocalize(estimate, seen)
     X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
     if found is None:
-        if state.contradictions == CONTRADICTIONS:
+        if not state.carried:
             _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", seen.stamp)
             # What it met before it was moved stands elsewhere, seen from here.
             state = _carried(dataclasses.replace(state, localizer=without_local(state.localizer)))

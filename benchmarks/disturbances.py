@@ -1,0 +1,153 @@
+"""A robot that is moved behind its wheels' back: how soon it knows where it is again, and what the map suffers.
+
+    python benchmarks/disturbances.py slip --seeds 50
+    python benchmarks/disturbances.py kidnap --seeds 50 --scenario paper
+
+Once a mission, at a random time after its third goal, the robot is put elsewhere and neither wheels nor gyro notice:
+slip, 0.5 m in a random direction and 30 degrees; kidnap, any reachable pose with five mapped tags in view. A row a
+seed: seconds with three mapped tags in view until the error of the online position stays below 0.1 m, that error after
+a minute, and the landmarks' RMSE before and at the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor, as_completed
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import Simulator
+from threadpoolctl import threadpool_limits
+
+from tfg_drake.diagrams.run import MakeMissionDiagram
+from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld
+from tfg_drake.geometry.distance import point_distance
+from tfg_drake.geometry.se2 import compose, inverse, transform
+from tfg_drake.metrics import landmark_rmse
+from tfg_drake.simulation.differential_drive import THETA, X, Y
+from tfg_drake.simulation.odometry import TRUTH
+from tfg_drake.simulation.tag_sensor import visible_tags
+from tfg_drake.world.reachability import make_grid, reachable_cells
+
+SLIP, SLIP_ANGLE = 0.5, np.deg2rad(30.0)
+ROOM = 0.1
+FOUND = 0.1
+PATIENCE = 60.0
+
+
+class Disturbed:
+    """One mission, simulated in small steps."""
+
+    def __init__(self, name: str, seed: int) -> None:
+        self.scenario = LoadScenario(FindScenario(name))
+        self.scenario.seed = seed
+        self.world = MakeWorld(self.scenario.world)
+        diagram, _, _ = MakeMissionDiagram(self.scenario, self.world, None, name)
+        self.simulator = Simulator(diagram)
+        self.context = self.simulator.get_mutable_context()
+        diagram.SetRandomContext(self.context, RandomGenerator(seed))
+        self.explorer = diagram.GetSubsystemByName("explorer")
+        station = diagram.GetSubsystemByName("station")
+        self.plant = station.GetSubsystemByName("differential_drive_plant")
+        self.odometry = station.GetSubsystemByName("odometry")
+        self.rng = np.random.default_rng(seed)
+
+    def port(self, name: str):
+        """The explorer's message at a port."""
+        return self.explorer.GetOutputPort(name).Eval(self.explorer.GetMyContextFromRoot(self.context))
+
+    def pose(self) -> np.ndarray:
+        """The true pose X_WB (3,)."""
+        context = self.plant.GetMyContextFromRoot(self.context)
+        return np.array(context.get_discrete_state_vector().value()[[X, Y, THETA]])
+
+    def put(self, X_WB: np.ndarray) -> None:
+        """Puts the robot elsewhere; its odometry takes that for where it was all along."""
+        for system, rows in ((self.plant, [X, Y, THETA]), (self.odometry, [TRUTH, TRUTH + 1, TRUTH + 2])):
+            context = system.GetMyMutableContextFromRoot(self.context)
+            state = np.array(context.get_discrete_state_vector().value())
+            state[rows] = X_WB
+            context.SetDiscreteState(state)
+
+    def advance(self, seconds: float) -> None:
+        self.simulator.AdvanceTo(self.context.get_time() + seconds)
+
+    def error(self) -> float:
+        X_WB = compose(self.world.start, self.port("pose").X_MB)
+        return float(np.hypot(*(X_WB[:2] - self.pose()[:2])))
+
+    def mapped_in_view(self, X_WB: np.ndarray) -> int:
+        return len(np.intersect1d(self.world.tag_ids[visible_tags(self.world, X_WB, self.scenario.tags)],
+                                  self.port("map").ids))  # fmt: skip
+
+    def map_rmse(self) -> float:
+        estimate = self.port("map")
+        row = np.searchsorted(self.world.tag_ids, estimate.ids)
+        return landmark_rmse(estimate.p_ML, transform(inverse(self.world.start), self.world.p_WT[row]))
+
+    def place(self, kind: str) -> np.ndarray | None:
+        """Where the robot is put, X_WB (3,): free of walls by ROOM; None where there is no such place."""
+        here = self.pose()
+        grid = make_grid(self.world)
+        cells = grid.centers(reachable_cells(grid, self.world, self.scenario.robot.radius))
+        for _ in range(500):
+            if kind == "slip":
+                direction = self.rng.uniform(-np.pi, np.pi)
+                angle = self.rng.choice([-1.0, 1.0]) * SLIP_ANGLE
+                there = here + np.array([SLIP * np.cos(direction), SLIP * np.sin(direction), angle])
+                enough = True
+            else:
+                there = np.append(cells[self.rng.integers(len(cells))], self.rng.uniform(-np.pi, np.pi))
+                enough = self.mapped_in_view(there) >= 5
+            room = point_distance(there[None, :2], self.world.walls)[0] - self.scenario.robot.radius
+            if enough and room >= ROOM:
+                return there
+        return None
+
+
+def run_seed(kind: str, name: str, seed: int) -> dict:
+    """Figures of one mission."""
+    with threadpool_limits(limits=1):
+        run = Disturbed(name, seed)
+        while run.port("mission").stage < 3:
+            run.advance(1.0)
+        run.advance(float(run.rng.uniform(0.0, 60.0)))
+        there = run.place(kind)
+        if there is None:
+            return {"seed": seed, "seconds": np.nan}
+        before = run.map_rmse()
+        run.put(there)
+        in_view, lost_until, elapsed = 0.0, 0.0, 0.0
+        while in_view < PATIENCE and elapsed < 4.0 * PATIENCE and run.port("mission").phase != "done":
+            run.advance(0.25)
+            elapsed += 0.25
+            in_view += 0.25 * (run.mapped_in_view(run.pose()) >= 3)
+            if run.error() >= FOUND:
+                lost_until = in_view
+        return {"seed": seed, "seconds": lost_until, "error": run.error(), "before": before, "after": run.map_rmse()}
+
+
+def main() -> None:
+    """Run, print a row as each mission ends, then the worst."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=["slip", "kidnap"])
+    parser.add_argument("--scenario", default="paper")
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    print("seed  found after s  error m  map RMSE before  after", flush=True)
+    results = []
+    with ProcessPoolExecutor(options.jobs) as pool:
+        jobs = [pool.submit(run_seed, options.kind, options.scenario, seed) for seed in range(options.seeds)]
+        for done in as_completed(jobs):
+            r = done.result()
+            results.append(r)
+            print(f"{r['seed']:>4}  {r['seconds']:>13.2f}  {r.get('error', np.nan):>7.3f}  "
+                  f"{r.get('before', np.nan):>15.3f}  {r.get('after', np.nan):.3f}", flush=True)  # fmt: skip
+    good = [r for r in results if r["seconds"] < PATIENCE and r["error"] < FOUND]
+    print(f"{len(good)} of {len(results)} found themselves within {PATIENCE:g} s of three mapped tags in view; "
+          f"median {np.nanmedian([r['seconds'] for r in results]):.2f} s")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
