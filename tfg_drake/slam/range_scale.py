@@ -8,6 +8,7 @@ tag's centre lies an unknown constant o in front of its surface.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from tfg_drake.messages import FloatArray, LaserScan, TagDetections, message
 
@@ -33,7 +34,7 @@ class RangeScale:
     @property
     def mean(self) -> FloatArray:
         """(2,) of r and o (m)."""
-        return np.asarray(np.linalg.solve(self.information, self.vector))
+        return np.asarray(_mean(self.information, self.vector))
 
     @property
     def sigma(self) -> float:
@@ -48,34 +49,71 @@ def unknown_scale() -> RangeScale:
 
 def compare(scale: RangeScale, detections: TagDetections, scan: LaserScan) -> RangeScale:
     """The scale after one frame of tags, ranges as measured, and the scan of the same instant."""
-    step = scan.angles[1] - scan.angles[0] if len(scan.angles) > 1 else np.inf
-    position = (detections.bearing - scan.angles[0]) / step if len(scan.angles) > 1 else np.full(0, 0.0)
-    inside = (position >= 0.0) & (position < len(scan.angles) - 1)
-    z, at = detections.range[inside], position[inside]
-    if not len(z):
+    if len(scan.angles) < 2 or not len(detections.ids):
         return scale
-    i = at.astype(np.int64)
-    before, after = scan.ranges[i], scan.ranges[i + 1]
-    with np.errstate(invalid="ignore"):
-        distance = before + (at - i) * (after - before)
-        slant = np.abs(after - before) / (step * distance)
-        usable = np.isfinite(distance) & (slant < STEEPEST) & (np.abs(after - before) < SAME_SURFACE * distance)
-    z, distance, slant = z[usable], distance[usable], slant[usable]
-    variance = (
-        detections.sigma_range[inside][usable] ** 2
-        + (slant * distance * detections.sigma_bearing[inside][usable]) ** 2
-        + scan.sigma**2
+    information, vector, pairs = _compare(
+        scale.information,
+        scale.vector,
+        detections.range,
+        detections.bearing,
+        detections.sigma_range,
+        detections.sigma_bearing,
+        scan.angles,
+        scan.ranges,
+        scan.sigma,
     )
-    J = np.stack([distance, np.ones_like(distance)], axis=1)
-    covariance = np.linalg.inv(scale.information)
-    error = z - distance - J @ scale.mean
-    good = error**2 <= GATE**2 * (variance + np.einsum("ni,ij,nj->n", J, covariance, J))
-    J, weight = J[good], 1.0 / variance[good]
-    return RangeScale(
-        scale.information + J.T @ (weight[:, None] * J),
-        scale.vector + J.T @ (weight * (z - distance)[good]),
-        scale.pairs + int(np.count_nonzero(good)),
-    )
+    return RangeScale(information, vector, scale.pairs + pairs) if pairs else scale
+
+
+@njit(cache=True)
+def _mean(information: FloatArray, vector: FloatArray) -> FloatArray:
+    a, b, c = information[0, 0], information[0, 1], information[1, 1]
+    determinant = a * c - b * b
+    return np.array([(c * vector[0] - b * vector[1]) / determinant, (a * vector[1] - b * vector[0]) / determinant])
+
+
+@njit(cache=True)
+def _compare(
+    information: FloatArray,
+    vector: FloatArray,
+    range_: FloatArray,
+    bearing: FloatArray,
+    sigma_range: FloatArray,
+    sigma_bearing: FloatArray,
+    angles: FloatArray,
+    ranges: FloatArray,
+    sigma_scan: float,
+) -> tuple[FloatArray, FloatArray, int]:
+    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and their number."""
+    step = angles[1] - angles[0]
+    mean = _mean(information, vector)
+    determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
+    more, more_vector, pairs = information.copy(), vector.copy(), 0
+    for k in range(len(range_)):
+        at = (bearing[k] - angles[0]) / step
+        if not 0.0 <= at < len(angles) - 1:
+            continue
+        i = int(at)
+        across = ranges[i + 1] - ranges[i]
+        distance = ranges[i] + (at - i) * across
+        if not (np.isfinite(distance) and abs(across) < SAME_SURFACE * distance):
+            continue
+        slant = abs(across) / (step * distance)
+        if slant >= STEEPEST:
+            continue
+        variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2
+        predicted = information[1, 1] * distance**2 - 2.0 * information[0, 1] * distance + information[0, 0]
+        error = range_[k] - distance - mean[0] * distance - mean[1]
+        if error * error > GATE**2 * (variance + predicted / determinant):
+            continue
+        more[0, 0] += distance * distance / variance
+        more[0, 1] += distance / variance
+        more[1, 0] += distance / variance
+        more[1, 1] += 1.0 / variance
+        more_vector[0] += distance * (range_[k] - distance) / variance
+        more_vector[1] += (range_[k] - distance) / variance
+        pairs += 1
+    return more, more_vector, pairs
 
 
 def corrected(detections: TagDetections, scale: RangeScale) -> TagDetections:
