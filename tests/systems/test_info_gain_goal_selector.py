@@ -143,10 +143,16 @@ def test_an_opening_tried_in_vain_counts_only_where_the_robot_can_come_up_to_it(
         tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE, given_up_length=np.array([0.8]),
         given_up_normal=np.array([[1.0, 0.0]]),
     )  # fmt: skip
-    for place, verdict in (([-4.35, 0.0], "stuck"), ([-9.0, 0.0], "complete"), ([4.8, 0.0], "complete")):
+    crack = np.array([[-3.4, -4.0, -3.4, -0.15], [-3.4, 0.15, -3.4, 4.0]])
+    cracked = np.vstack([tfg.segments, crack])
+    for place, segments, verdict in (
+        ([-4.35, 0.0], tfg.segments, "stuck"),
+        ([-4.35, 0.0], cracked, "complete"),
+        ([-9.0, 0.0], tfg.segments, "complete"),
+    ):
         selector = Selector()
         known = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9))
-        selector.ready(map=known, tfg=dataclasses.replace(tfg, given_up=np.array([place])))
+        selector.ready(map=known, tfg=dataclasses.replace(tfg, segments=segments, given_up=np.array([place])))
         assert selector.goal().verdict == verdict
 
 

@@ -9,9 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags, visible_targets
+from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
 from tfg_drake.planning.information_gain import Gains, information_gain, share_seen
+from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
@@ -19,8 +21,8 @@ OVERHEAD = 1.0
 NOTHING_AFTER = 5
 # The robot never turns again within this of where it has turned before, m: it would see the same once more.
 APART = 0.3
-# A frontier point is at hand from a place this near with a line of sight, m.
-AT_HAND = 1.5
+# The robot could drive straight up to the edge of a frontier from a place this near, m.
+AT_HAND = 1.0
 # Less live frontier than this is not worth a visit, m.
 ENOUGH_FRONTIER = 0.24
 
@@ -99,21 +101,26 @@ def choose(
     enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
     return decide(
         estimate.stage, candidates, points, gains, value, enough,
-        float(tfg.frontier_length[barred_frontiers].sum()), _given_up_at_hand(tfg, roadmap),
+        float(tfg.frontier_length[barred_frontiers].sum()), _given_up_at_hand(tfg, roadmap, robot.radius),
         float(tfg.frontier_length.sum()),
         explorer.stop_gain,
     )  # fmt: skip
 
 
-def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap) -> float:
-    """Length (m) of the open frontier that was tried in vain and that the robot could come up to.
+def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap, radius: float) -> float:
+    """Length (m) of the open frontier that was tried in vain and that a robot of this radius (m) could drive up to.
 
     What it only ever saw through a crack does not keep the mission from being complete.
     """
-    at_hand = visible_targets(
-        roadmap.points[roadmap.enterable], tfg.given_up, tfg.given_up_normal, tfg.segments, AT_HAND, 0.5 * math.pi, 0.0
-    )[1]
-    return float(tfg.given_up_length[np.unique(at_hand)].sum())
+    places = roadmap.points[roadmap.enterable]
+    before = tfg.given_up + (PUSH + ROOT) * tfg.given_up_normal
+    if not len(places) or not len(before):
+        return 0.0
+    near = cKDTree(places).query_ball_point(before, AT_HAND)
+    point = np.repeat(np.arange(len(before)), [len(rows) for rows in near])
+    ways = np.hstack([places[np.concatenate([np.array(rows, dtype=np.int64) for rows in near])], before[point]])
+    passable = clearance(ways, tfg.segments, radius) >= radius
+    return float(tfg.given_up_length[np.unique(point[passable])].sum())
 
 
 def seen_length(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
