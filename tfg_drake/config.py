@@ -57,6 +57,9 @@ class TagSensorConfig:
     bearing_noise: float = 0.01
     # Probability that a visible tag is detected in a frame.
     detection_probability: float = 1.0
+    # Probability that a detection is a gross error in range and bearing, or bears another tag's id. Not told either.
+    outlier_probability: float = 0.0
+    wrong_id_probability: float = 0.0
     # Ratio of measured to true range (1: none). The estimator is not told.
     range_scale: float = 1.0
 

@@ -107,3 +107,19 @@ def test_no_tags():
     assert ids_seen(make_world([])) == []
     assert no_detections().stamp == -np.inf
     assert no_detections().ids.shape == (0,)
+
+
+def test_gross_errors_and_misread_ids_come_as_often_as_asked():
+    world = make_world([[i, 5, 0.01 * i, np.pi] for i in range(4000)])
+    world = World(world.walls, world.tag_ids, np.tile([5.0, 0.0], (4000, 1)), world.tag_facing, world.start)
+    normals = np.random.default_rng(0).normal(size=(4000, NOISE_PER_TAG))
+    config = TagSensorConfig(detection_probability=0.8, outlier_probability=0.1, wrong_id_probability=0.05)
+    clean = detect(world, np.zeros(3), 0.0, normals, TagSensorConfig(detection_probability=0.8))
+    spoilt = detect(world, np.zeros(3), 0.0, normals, config)
+    moved, misread = spoilt.range != clean.range, spoilt.ids != clean.ids
+    assert moved.mean() == pytest.approx(0.1, abs=0.02)
+    assert misread.mean() == pytest.approx(0.05, abs=0.015)
+    assert not (moved & misread).any()
+    assert spoilt.range[moved].std() == pytest.approx(10.0 / np.sqrt(12.0), rel=0.1)
+    assert np.isin(spoilt.ids, world.tag_ids).all()
+    assert len(np.unique(spoilt.ids[misread])) > 0.8 * misread.sum()

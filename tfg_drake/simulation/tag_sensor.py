@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numba import njit
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
@@ -18,6 +18,8 @@ from tfg_drake.world.world import World
 _ON_SURFACE = 0.01
 # Standard normal numbers a tag needs in each frame: range, bearing, detection.
 NOISE_PER_TAG = 3
+# Standard deviation of a gross error's bearing, rad; its range may be anything.
+OUTLIER_BEARING = 0.3
 
 
 @njit(cache=True)
@@ -62,10 +64,11 @@ def visible_tags(world: World, X_WB: FloatArray, config: TagSensorConfig) -> Int
 def detect(
     world: World, X_WB: FloatArray, stamp: float, standard_normal: FloatArray, config: TagSensorConfig
 ) -> TagDetections:
-    """One frame of the sensor at the true pose X_WB (3,), the ids ascending.
+    """One frame of the sensor at the true pose X_WB (3,), the true ids ascending.
 
     standard_normal: (n, NOISE_PER_TAG) numbers, row for row with world.tag_ids. The stated standard deviations are
-    those of the noise: range_noise + range_noise_per_metre * r at the true range r, and bearing_noise.
+    those of the noise: range_noise + range_noise_per_metre * r at the true range r, and bearing_noise; gross errors and
+    misread ids come on top.
     """
     rows = visible_tags(world, X_WB, config)
     rows = rows[standard_normal[rows, 2] < ndtri(config.detection_probability)]
@@ -75,10 +78,23 @@ def detect(
     sigma_range = config.range_noise + config.range_noise_per_metre * distance
     sigma_bearing = np.full(len(rows), config.bearing_noise)
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - X_WB[2] + sigma_bearing * standard_normal[rows, 1]
+    measured = np.maximum(0.0, config.range_scale * distance + sigma_range * standard_normal[rows, 0])
+    ids = world.tag_ids[rows]
+    # The number that let the tag be detected is uniform below the detection probability: its lowest part makes gross
+    # errors, the next misread ids, and the place within its part says which.
+    chance = ndtr(standard_normal[rows, 2]) / config.detection_probability
+    if config.outlier_probability > 0.0:
+        bad = chance < config.outlier_probability
+        measured[bad] = config.range * chance[bad] / config.outlier_probability
+        bearing[bad] += OUTLIER_BEARING * standard_normal[rows[bad], 1]
+    if config.wrong_id_probability > 0.0:
+        share = (chance - config.outlier_probability) / config.wrong_id_probability
+        wrong = (share >= 0.0) & (share < 1.0)
+        ids[wrong] = world.tag_ids[(share[wrong] * len(world.tag_ids)).astype(np.int64)]
     return TagDetections(
         stamp=stamp,
-        ids=world.tag_ids[rows],
-        range=np.maximum(0.0, config.range_scale * distance + sigma_range * standard_normal[rows, 0]),
+        ids=ids,
+        range=measured,
         bearing=wrap_angle(bearing),
         sigma_range=sigma_range,
         sigma_bearing=sigma_bearing,
