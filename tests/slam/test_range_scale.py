@@ -51,6 +51,16 @@ def test_a_corrected_range_is_the_true_one():
     np.testing.assert_array_equal(corrected(detections, scale).bearing, detections.bearing)
 
 
+def test_a_scale_that_may_well_be_true_is_not_corrected():
+    rng = np.random.default_rng(1)
+    scale = unknown_scale()
+    for _ in range(100):
+        scale = compare(scale, *frame(rng, 1.0))
+    detections, _ = frame(rng, 1.0)
+    assert scale.pairs > 1000
+    assert corrected(detections, scale) is detections
+
+
 def test_without_a_pair_nothing_is_learnt():
     nothing = LaserScan(0.0, np.zeros(0), np.zeros(0), 10.0, 0.015)
     free = LaserScan(0.0, ANGLES, np.full(len(ANGLES), np.inf), 10.0, 0.015)

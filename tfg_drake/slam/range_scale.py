@@ -17,6 +17,8 @@ SCALE_SIGMA = 0.01
 OFFSET_SIGMA = 0.02
 # Pairs that differ by more than this many standard deviations are of two different things.
 GATE = 4.0
+# A scale error is corrected when it is this many standard deviations from none.
+SIGNIFICANT = 4.0
 # Surfaces seen more slantwise than this are left out (tangent of 60 degrees): a bearing error becomes a range error.
 STEEPEST = 1.75
 # Neighbouring rays belong to one surface when their ranges differ by less than this share.
@@ -39,7 +41,8 @@ class RangeScale:
     @property
     def sigma(self) -> float:
         """Standard deviation of r."""
-        return float(np.sqrt(np.linalg.inv(self.information)[0, 0]))
+        (a, b), (_, c) = self.information.tolist()
+        return float(np.sqrt(c / (a * c - b * b)))
 
 
 def unknown_scale() -> RangeScale:
@@ -117,8 +120,12 @@ def _compare(
 
 
 def corrected(detections: TagDetections, scale: RangeScale) -> TagDetections:
-    """The detections with the scale's expected error taken out of their ranges."""
-    if scale.pairs == 0 or not len(detections.ids):
+    """The detections with the scale's expected error taken out of their ranges, where it is beyond doubt.
+
+    A correction that is itself in doubt would tie all tags of a goal together by an error that their covariance does
+    not know.
+    """
+    if scale.pairs == 0 or not len(detections.ids) or abs(scale.mean[0]) < SIGNIFICANT * scale.sigma:
         return detections
     return TagDetections(
         stamp=detections.stamp,
