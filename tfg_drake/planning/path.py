@@ -30,7 +30,7 @@ PATH_STEP = 0.1
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
-MAPPED_WITHIN = 0.15
+MAPPED_WITHIN = 0.08
 # Returns this far off still belong to the obstacle that blocks the path, m.
 OBSTACLE_REACH = 1.0
 

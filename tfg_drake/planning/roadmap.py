@@ -39,9 +39,9 @@ PASSAGE_WIDTH = 1.5
 # A node keeps this much more than the robot's radius from any surface, m.
 NODE_MARGIN = 0.05
 # The least margin of a way that the robot has driven before, m.
-TRAVELLED_MARGIN = 0.0
+TRAVELLED_MARGIN = 0.02
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
-CHORD = 0.02
+CHORD = 0.01
 SAME_NODE = 0.15
 # Edges are looked up in the free space at this interval, m.
 FREE_STEP = 0.25
