@@ -31,11 +31,12 @@ from tfg_drake import __version__
 from tfg_drake.cpu_meter import cpu_totals
 from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
 from tfg_drake.diagrams.report import write_report
+from tfg_drake.diagrams.run_folder import logging_to, make_run_folder
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose
-from tfg_drake.geometry.star import inside_any
+from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
@@ -108,9 +109,9 @@ def explore(
     Raises:
         OSError: the folder cannot be written.
     """
-    folder = _make_folder(out_dir, name, scenario.seed)
+    folder = make_run_folder(out_dir, f"{name}-{scenario.seed}")
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with threadpool_limits(limits=1), _logging_to(folder / "log.txt"):
+    with threadpool_limits(limits=1), logging_to(folder / "log.txt"):
         write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, seed %d", __version__, name, scenario.seed)
         mission = Mission(scenario, meshcat, f"{name}, seed {scenario.seed}")
@@ -248,7 +249,7 @@ class Mission:
         self.pose = self._eval(self._explorer, "pose", PoseEstimate)
         tfg = self._eval(self._explorer, "tfg", TfgMap)
         if measure_area and tfg is not self.tfg:
-            self._area = _area_of_stars(tfg)
+            self._area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers, cell=0.25)
         self.tfg = tfg
         estimate = self._eval(self._explorer, "map", MapEstimate)
         if estimate.stage > len(self.departures):
@@ -342,47 +343,6 @@ def MakeMissionDiagram(
     diagram = builder.Build()
     diagram.set_name("mission")
     return diagram, truth_log, pose_log
-
-
-def _area_of_stars(tfg: TfgMap, cell: float = 0.25) -> float:
-    """Area of the union of the free polygons, m^2, by counting cells."""
-    if not len(tfg.star_vertices):
-        return 0.0
-    low, high = tfg.star_vertices.min(axis=0), tfg.star_vertices.max(axis=0)
-    x, y = (np.arange(low[i] + 0.5 * cell, high[i], cell) for i in range(2))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    inside = inside_any(points, tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    return float(cell**2 * np.count_nonzero(inside))
-
-
-def _make_folder(out_dir: Path | None, name: str, seed: int) -> Path:
-    """The run's folder; a default name that is taken gets a number."""
-    if out_dir is not None:
-        out_dir.mkdir(parents=True, exist_ok=True)
-        return out_dir
-    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{name}-{seed}"
-    for suffix in ("", *(f"-{i}" for i in range(2, 1000))):
-        folder = Path("runs") / (stem + suffix)
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir(parents=True)
-            return folder
-    raise FileExistsError(f"runs/{stem}: name another folder")
-
-
-@contextlib.contextmanager
-def _logging_to(path: Path) -> Iterator[None]:
-    handler = logging.FileHandler(path, mode="w", encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logger = logging.getLogger("tfg_drake")
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
-        logger.removeHandler(handler)
-        handler.close()
 
 
 @contextlib.contextmanager

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
-import logging
 import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.online import run_online
 from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
+from tfg_drake.diagrams.run_folder import logging_to, make_run_folder
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.slam.batch_smoother import smooth
@@ -96,9 +95,9 @@ def run_slam(
     cpu, wall = time.process_time(), time.monotonic()
     loaded = load_dataset(dataset, robot)
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
-    folder = _make_folder(out, name)
+    folder = make_run_folder(out, name)
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with threadpool_limits(limits=1), _logging_to(folder / "log.txt"):
+    with threadpool_limits(limits=1), logging_to(folder / "log.txt"):
         if isinstance(loaded, PoseGraph):
             figures = _solve_graph(loaded, dataset, name, folder, report)
         else:
@@ -236,36 +235,9 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
     }
 
 
-@contextlib.contextmanager
-def _logging_to(path: Path) -> Iterator[None]:
-    """What the estimator remarks on the way goes to a file."""
-    handler = logging.FileHandler(path, mode="w", encoding="utf-8")
-    logger = logging.getLogger("tfg_drake")
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        handler.close()
-
-
 def _no_truth() -> GroundTruth:
     return GroundTruth(np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
 def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _make_folder(out: Path | None, name: str) -> Path:
-    """The run's folder; a default name that is taken gets a number."""
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        return out
-    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{name}"
-    for suffix in ("", *(f"-{i}" for i in range(2, 1000))):
-        folder = Path("runs") / (stem + suffix)
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir(parents=True)
-            return folder
-    raise FileExistsError(f"runs/{stem}: name another folder")

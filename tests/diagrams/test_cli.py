@@ -17,17 +17,6 @@ world:
 """
 
 
-def call(capsys, *arguments):
-    """Exit code, standard output, standard error."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        with pytest.raises(SystemExit) as caught:
-            cli.main(list(arguments))
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    return (caught.value.code, *capsys.readouterr())
-
-
 @pytest.fixture
 def room(tmp_path):
     path = tmp_path / "room.yaml"
@@ -54,8 +43,8 @@ def room(tmp_path):
         ("", "missing command; see tfg-drake --help"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(capsys, arguments, complaint):
-    assert call(capsys, *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
+def test_bad_input_is_one_line_and_exit_code_2(call, arguments, complaint):
+    assert call(*arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
 
 
 @pytest.mark.parametrize(
@@ -70,15 +59,15 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, arguments, complaint):
         ("explore --set explorer.stop_gian=1", "--set explorer.stop_gian=1: "),
     ],
 )
-def test_other_bad_input_too(capsys, arguments, beginning):
-    code, out, err = call(capsys, *arguments.split())
+def test_other_bad_input_too(call, arguments, beginning):
+    code, out, err = call(*arguments.split())
     assert (code, out) == (2, "")
     assert err.startswith(f"tfg-drake: {beginning}")
     assert err.count("\n") == 1
 
 
-def test_bad_input_leaves_no_folder_behind(capsys, tmp_path):
-    call(capsys, "explore", "nowhere", "--out", str(tmp_path / "run"))
+def test_bad_input_leaves_no_folder_behind(call, tmp_path):
+    call("explore", "nowhere", "--out", str(tmp_path / "run"))
     assert not (tmp_path / "run").exists()
 
 
@@ -93,9 +82,9 @@ def test_help_is_quick_and_names_every_option():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_a_mission_from_the_command_line(capsys, room, tmp_path):
+def test_a_mission_from_the_command_line(call, room, tmp_path):
     arguments = ["explore", room, "--tag-spacing", "1", "--headless", "--json", "--out", str(tmp_path / "run")]
-    code, out, err = call(capsys, *arguments, "--set", "explorer.samples=100", "--seed", "5", "--max-time", "200")
+    code, out, err = call(*arguments, "--set", "explorer.samples=100", "--seed", "5", "--max-time", "200")
     assert (code, err) == (0, "")
     summary = json.loads(out.splitlines()[-1])
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
@@ -179,22 +168,22 @@ def test_a_second_ctrl_c_leaves_at_once(room, tmp_path):
     assert err == "\ntfg-drake: interrupted; nothing more is written\n"
 
 
-def test_a_fault_ends_with_one_line_and_exit_code_3(capsys, monkeypatch, room, tmp_path):
+def test_a_fault_ends_with_one_line_and_exit_code_3(call, monkeypatch, room, tmp_path):
     def fail(_scenario):
         raise ValueError("no way\nmore")
 
     monkeypatch.setattr("tfg_drake.diagrams.run.MakeTfgExplorer", fail)
-    code, out, err = call(capsys, "explore", room, "--headless", "--out", str(tmp_path))
+    code, out, err = call("explore", room, "--headless", "--out", str(tmp_path))
     assert (code, out.splitlines()[0]) == (3, "outcome     fault: ValueError at 0.00 s: no way")
     assert err == f"tfg-drake: ValueError at 0.00 s: no way; the traceback is in {tmp_path}/log.txt\n"
 
 
-def test_a_mistake_outside_the_simulation_is_one_line_too(capsys, monkeypatch, room, tmp_path):
+def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, room, tmp_path):
     def fail(*_arguments):
         raise ValueError("no way\nmore")
 
     monkeypatch.setattr("tfg_drake.diagrams.run.write_report", fail)
-    code, _, err = call(capsys, "explore", room, "--headless", "--max-time", "1", "--out", str(tmp_path))
+    code, _, err = call("explore", room, "--headless", "--max-time", "1", "--out", str(tmp_path))
     assert code == 3
     assert err.startswith("tfg-drake: internal error: ValueError: no way more (test_cli.py, line ")
     assert err.count("\n") == 1

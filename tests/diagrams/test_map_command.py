@@ -1,7 +1,6 @@
 import os
 import pty
 import select
-import signal
 import subprocess
 import sys
 import urllib.request
@@ -9,7 +8,6 @@ import urllib.request
 import gtsam
 import pytest
 
-from tfg_drake.diagrams import cli
 from tfg_drake.mapfile.saved_map import save_map
 
 INFO = """\
@@ -28,26 +26,15 @@ file size    {size} kB
 """
 
 
-def call(capsys, *arguments):
-    """Exit code, standard output, standard error."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    return (caught.value.code, *capsys.readouterr())
-
-
 @pytest.fixture
 def path(tmp_path, small_map):
     save_map(tmp_path / "map.npz", small_map)
     return tmp_path / "map.npz"
 
 
-def test_info(capsys, path, small_map, monkeypatch):
+def test_info(call, path, small_map, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    code, out, err = call(capsys, "map", "info", path)
+    code, out, err = call("map", "info", path)
     assert (code, err) == (0, "")
     median, worst = out.split("landmark ")[1].split(" m median, ")[0], out.split("median, ")[1].split(" m worst")[0]
     assert 0.0 < float(median) <= float(worst) < 0.1
@@ -58,7 +45,7 @@ def test_info(capsys, path, small_map, monkeypatch):
     assert [line.rstrip() for line in out.splitlines()] == expected.splitlines()
 
 
-def test_export(capsys, path, tmp_path):
+def test_export(call, path, tmp_path):
     starts = {
         ".png": b"\x89PNG",
         ".pdf": b"%PDF",
@@ -68,11 +55,11 @@ def test_export(capsys, path, tmp_path):
     }
     for suffix, start in starts.items():
         out = tmp_path / f"out{suffix}"
-        assert call(capsys, "map", "export", path, out) == (0, "", "")
+        assert call("map", "export", path, out) == (0, "", "")
         first = out.read_bytes()
         assert first.startswith(start)
         if suffix != ".html":  # whose objects have names of their own every time
-            assert call(capsys, "map", "export", path, out) == (0, "", "")
+            assert call("map", "export", path, out) == (0, "", "")
             assert out.read_bytes() == first
     factors, values = gtsam.readG2o(str(tmp_path / "out.g2o"), False)
     assert (factors.size(), values.size()) == (3, 8)
@@ -93,16 +80,16 @@ def test_export(capsys, path, tmp_path):
         ("", "missing command; see tfg-drake map --help"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(capsys, path, monkeypatch, arguments, complaint):
+def test_bad_input_is_one_line_and_exit_code_2(call, path, monkeypatch, arguments, complaint):
     monkeypatch.chdir(path.parent)
     (path.parent / "text.npz").write_text("a map\n")
-    assert call(capsys, "map", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
+    assert call("map", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
 
 
-def test_without_meshcat(capsys, path, monkeypatch):
+def test_without_meshcat(call, path, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshcat", None)
     complaint = "tfg-drake: the package meshcat is missing: pip install tfg_drake[viewer]\n"
-    assert call(capsys, "map", "view", path) == (2, "", complaint)
+    assert call("map", "view", path) == (2, "", complaint)
 
 
 # A process in which there is no Drake.

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.diagrams import run
+from tfg_drake.diagrams.run_folder import make_run_folder
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.trajectory import read_tum
@@ -181,7 +182,7 @@ def test_a_caller_may_end_a_mission(tmp_path):
 def test_default_folders_do_not_collide(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(run.time, "strftime", lambda _format: "20260101-120000")
-    folders = [run._make_folder(None, "paper", 4).name for _ in range(2)]
+    folders = [make_run_folder(None, "paper-4").name for _ in range(2)]
     assert folders == ["20260101-120000-paper-4", "20260101-120000-paper-4-2"]
 
 

@@ -1,23 +1,9 @@
 """tfg-drake slam from the command line."""
 
 import json
-import signal
 
 import numpy as np
 import pytest
-
-from tfg_drake.diagrams import cli
-
-
-def call(capsys, *arguments):
-    """Exit code, standard output, standard error."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        with pytest.raises(SystemExit) as caught:
-            cli.main(list(arguments))
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    return (caught.value.code, *capsys.readouterr())
 
 
 @pytest.fixture
@@ -47,9 +33,9 @@ def mrclam(tmp_path):
     return folder
 
 
-def test_a_recording_is_run_judged_and_kept(capsys, tmp_path, mrclam):
+def test_a_recording_is_run_judged_and_kept(call, tmp_path, mrclam):
     out = tmp_path / "run"
-    code, printed, complaint = call(capsys, "slam", str(mrclam), "--out", str(out), "--json")
+    code, printed, complaint = call("slam", str(mrclam), "--out", str(out), "--json")
     assert (code, complaint) == (0, "")
     summary = json.loads((out / "summary.json").read_text())
     assert json.loads(printed.splitlines()[-1]) == summary
@@ -71,10 +57,10 @@ def test_a_recording_is_run_judged_and_kept(capsys, tmp_path, mrclam):
     assert len((out / "online.tum").read_text().splitlines()) == 239  # no odometry beyond the last frame
 
 
-def test_a_graph_is_solved(capsys, tmp_path):
+def test_a_graph_is_solved(call, tmp_path):
     path = tmp_path / "two.g2o"
     path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 0 1 2 0 0 1 0 0 1 0 1\n")
-    code, printed, complaint = call(capsys, "slam", str(path), "--out", str(tmp_path / "run"), "--json")
+    code, printed, complaint = call("slam", str(path), "--out", str(tmp_path / "run"), "--json")
     assert (code, complaint) == (0, "")
     summary = json.loads(printed.splitlines()[-1])
     assert summary["method"] == "batch"
@@ -84,15 +70,15 @@ def test_a_graph_is_solved(capsys, tmp_path):
     assert "VERTEX_SE2 1 1.5" in (tmp_path / "run" / "solved.g2o").read_text()
 
 
-def test_a_loose_graph_is_named(capsys, tmp_path):
+def test_a_loose_graph_is_named(call, tmp_path):
     path = tmp_path / "loose.g2o"
     path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 2 3 1 0 0 1 0 0 1 0 1\n")
-    code, _, complaint = call(capsys, "slam", str(path), "--out", str(tmp_path / "run"))
+    code, _, complaint = call("slam", str(path), "--out", str(tmp_path / "run"))
     expected = f"tfg-drake: {path}: pose 2 is tied to no earlier pose; add an edge or the vertices' values\n"
     assert (code, complaint) == (2, expected)
 
 
-def test_what_is_no_data_set_is_named(capsys, tmp_path, mrclam):
+def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
     out = ["--out", str(tmp_path / "run")]
     text = tmp_path / "notes.txt"
     text.write_text("")
@@ -115,7 +101,7 @@ def test_what_is_no_data_set_is_named(capsys, tmp_path, mrclam):
         ),
         ([str(graph), "--robot", "1"], f"--robot 1: {graph} has one robot only; leave --robot out"),
     ]:
-        code, _, complaint = call(capsys, "slam", *arguments, *out)
+        code, _, complaint = call("slam", *arguments, *out)
         assert (code, complaint) == (2, f"tfg-drake: {expected}\n")
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
-from tfg_drake.planning.information_gain import _share_seen, exact_gain, odometry_covariance, turn_noise
+from tfg_drake.planning.information_gain import exact_gain, odometry_covariance, share_seen, turn_noise
 
 
 def whitened(p_AL, noise):
@@ -76,7 +76,7 @@ NOISE = turn_noise(TagSensorConfig(), 1.0)
 
 @pytest.mark.parametrize(("distance", "share"), [(1.0, 1.0), (5.0, 1.0), (7.5, 0.5), (10.0, 0.0), (12.0, 0.0)])
 def test_a_frontier_counts_by_the_depth_of_view_behind_it(distance, share):
-    assert _share_seen(distance, 0.0, np.array([10.0, 5.0])) == pytest.approx(share)
+    assert share_seen(distance, np.array([10.0, 5.0])) == pytest.approx(share)
 
 
 @pytest.mark.parametrize("seed", range(10))

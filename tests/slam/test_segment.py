@@ -6,9 +6,9 @@ from gtsam.symbol_shorthand import B, C, L
 
 from tfg_drake.geometry import se2
 from tfg_drake.slam import segment as segment_module
+from tfg_drake.slam.odometry_factor import odometry_factor
 from tfg_drake.slam.odometry_model import arc, odometry_model
 from tfg_drake.slam.segment import segment_factor, start_segment, step_segment
-from tfg_drake.slam.turn import _odometry_error
 
 
 def simulate(drive, seed, noise, steps=400, tags=60):
@@ -48,9 +48,8 @@ def test_against_a_batch_with_flat_landmarks(drive, monkeypatch):
         detections = frame.detections
         if i > 0:
             dt = max(frame.stamp - frames[i - 1].stamp, 1e-9)
-            unit = gtsam.noiseModel.Unit.Create(3)
-            odometry_error = _odometry_error(i - 1, arc(frames[i - 1].X_OB, frame.X_OB), dt, model.noise)
-            graph.add(gtsam.CustomFactor(unit, [B(i - 1), B(i), C(0)], odometry_error))
+            increment = arc(frames[i - 1].X_OB, frame.X_OB)
+            graph.add(odometry_factor(B(i - 1), B(i), C(0), increment, dt, model.noise))
         for j, tag in enumerate(detections.ids):
             noise = gtsam.noiseModel.Diagonal.Sigmas([detections.sigma_bearing[j], detections.sigma_range[j]])
             bearing = gtsam.Rot2.fromAngle(detections.bearing[j])

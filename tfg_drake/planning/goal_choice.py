@@ -12,7 +12,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
-from tfg_drake.planning.information_gain import Gains, information_gain, share_seen
+from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain, share_seen
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
@@ -128,7 +128,7 @@ def seen_length(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSen
     behind it."""
     point = np.repeat(np.arange(len(points)), frontiers.count)
     distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
-    length = tfg.frontier_length[frontiers.index] * share_seen(distance, sensor)
+    length = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
     return np.asarray(np.bincount(point, length, minlength=len(points)), dtype=np.float64)
 
 

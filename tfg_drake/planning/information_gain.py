@@ -63,14 +63,17 @@ def _whitened(dx: float, dy: float, noise: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def _share_seen(dx: float, dy: float, reach: FloatArray) -> float:
-    """How much of what a frontier point stands for is seen from (dx, dy) away: the depth of view left behind it."""
-    return float(min(1.0, max(0.0, (reach[0] - math.sqrt(dx * dx + dy * dy)) / reach[1])))
+def share_seen(distance: FloatArray | float, reach: FloatArray) -> FloatArray:
+    """How much of what a frontier point stands for is seen from a distance (m): the depth of view left behind it.
+
+    distance: (n,) or a number, m. reach: (sensor range, depth), m, as in exact_gain.
+    """
+    return np.minimum(1.0, np.maximum(0.0, (reach[0] - distance) / reach[1]))  # type: ignore[no-any-return]
 
 
-def share_seen(distance: FloatArray, sensor: TagSensorConfig) -> FloatArray:
-    """As _share_seen, for frontier points at distances (n,), m."""
-    return np.clip((sensor.range - distance) / (FRONTIER_DEPTH * sensor.range), 0.0, 1.0)
+def frontier_reach(sensor: TagSensorConfig) -> FloatArray:
+    """(sensor range, depth), m: a frontier counts in full where the view goes on behind it by this depth."""
+    return np.array([sensor.range, FRONTIER_DEPTH * sensor.range])
 
 
 @njit(cache=True)
@@ -176,7 +179,7 @@ def exact_gain(
             K[:, :2] = -G_u
             K[1, 2] = -1.0 / noise[3]
             D = np.eye(2) + prior_sigma * prior_sigma * (G_u @ G_u.T)
-            count = new_count[u] * _share_seen(p_MU[u, 0] - x, p_MU[u, 1] - y, reach)
+            count = new_count[u] * share_seen(math.sqrt((p_MU[u, 0] - x) ** 2 + (p_MU[u, 1] - y) ** 2), reach)
             log_new += count * math.log(D[0, 0] * D[1, 1] - D[0, 1] * D[1, 0])
             B_new += count * (K.T @ K)
             B_new_given_prior += count * (K.T @ np.linalg.solve(D, K))
@@ -274,6 +277,6 @@ def information_gain(
         explorer.density * tfg.frontier_length,
         explorer.prior_sigma,
         turn_noise(sensor, explorer.turn_rate),
-        np.array([sensor.range, FRONTIER_DEPTH * sensor.range]),
+        frontier_reach(sensor),
     )
     return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])

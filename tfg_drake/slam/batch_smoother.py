@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 from collections.abc import Callable
 
 import gtsam
@@ -19,6 +18,7 @@ from gtsam.symbol_shorthand import C, L, X
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Odometry, TagDetections, message
+from tfg_drake.slam.odometry_factor import odometry_factor
 from tfg_drake.slam.odometry_model import (
     OdometryModel,
     arc,
@@ -227,41 +227,12 @@ def _graph(model: OdometryModel, problem: _Problem, kept: BoolArray) -> gtsam.No
     graph.add(_origin(problem))
     prior = gtsam.noiseModel.Diagonal.Sigmas(model.calibration_sigma.copy())
     graph.add(gtsam.PriorFactorVector(C(0), np.zeros(3), prior))
-    unit = gtsam.noiseModel.Unit.Create(3)
     for i in range(len(problem.stamps) - 1):
-        increment = arc(problem.X_OB[i], problem.X_OB[i + 1])
-        error = _odometry_error(i, increment, problem.clock[i + 1] - problem.clock[i], model.noise)
-        graph.add(gtsam.CustomFactor(unit, [X(i), X(i + 1), C(0)], error))
+        increment, dt = arc(problem.X_OB[i], problem.X_OB[i + 1]), problem.clock[i + 1] - problem.clock[i]
+        graph.add(odometry_factor(X(i), X(i + 1), C(0), increment, dt, model.noise))
     for j in np.flatnonzero(kept):
         graph.add(_sighting(problem, int(j)))
     return graph
-
-
-ErrorFunction = Callable[[gtsam.CustomFactor, gtsam.Values, "list[FloatArray] | None"], FloatArray]
-
-
-def _odometry_error(i: int, increment: FloatArray, dt: float, noise: FloatArray) -> ErrorFunction:
-    """Whitened error of one increment on (X(i), X(i + 1), C(0)): the motion between the poses minus the corrected
-    odometry, in the frame X(i)."""
-    covariance = predict_increment(increment, dt, np.zeros(3), noise)[2]
-    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
-
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None) -> FloatArray:
-        X_0, X_1 = values.atPose2(X(i)), values.atPose2(X(i + 1))
-        predicted, on_calibration, _covariance = predict_increment(increment, dt, values.atVector(C(0)), noise)
-        dx, dy, turn = X_1.x() - X_0.x(), X_1.y() - X_0.y(), X_1.theta() - X_0.theta()
-        c, s = math.cos(X_0.theta()), math.sin(X_0.theta())
-        x, y = c * dx + s * dy, -s * dx + c * dy
-        if jacobians is not None:
-            # Pose2 moves in its own frame: X (+) d = X Exp(d).
-            jacobians[0] = whitener @ np.array([[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]])
-            c, s = math.cos(turn), math.sin(turn)
-            jacobians[1] = whitener @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            jacobians[2] = -whitener @ on_calibration
-        heading = math.remainder(turn - predicted[2], 2.0 * math.pi)
-        return np.asarray(whitener @ np.array([x - predicted[0], y - predicted[1], heading]))
-
-    return error
 
 
 def _origin(problem: _Problem) -> gtsam.PriorFactorPose2:

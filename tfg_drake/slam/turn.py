@@ -6,9 +6,6 @@ goal poses and tags, the turn's other poses eliminated (the paper's sec. III, "m
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-
 import gtsam
 import numpy as np
 import scipy.linalg
@@ -16,7 +13,8 @@ from gtsam.symbol_shorthand import B, C, L
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, TagDetections, message
-from tfg_drake.slam.odometry_model import OdometryModel, arc, predict_increment
+from tfg_drake.slam.odometry_factor import odometry_factor
+from tfg_drake.slam.odometry_model import OdometryModel, arc
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 5.5
@@ -152,10 +150,9 @@ def _graph(
     graph.add(
         gtsam.PriorFactorVector(C(0), np.zeros(3), gtsam.noiseModel.Diagonal.Sigmas(model.calibration_sigma.copy()))
     )
-    unit = gtsam.noiseModel.Unit.Create(3)
     for i in range(len(clock) - 1):
-        error = _odometry_error(i, arc(X_OB[i], X_OB[i + 1]), clock[i + 1] - clock[i], model.noise)
-        graph.add(gtsam.CustomFactor(unit, [B(i), B(i + 1), C(0)], error))
+        increment, dt = arc(X_OB[i], X_OB[i + 1]), clock[i + 1] - clock[i]
+        graph.add(odometry_factor(B(i), B(i + 1), C(0), increment, dt, model.noise))
     huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_SIGMAS)
     for j in np.flatnonzero(kept):
         bearing, distance, sigma_bearing, sigma_range = z[j]
@@ -166,33 +163,6 @@ def _graph(
             gtsam.BearingRangeFactor2D(B(int(node[j])), L(int(ids[j])), gtsam.Rot2.fromAngle(bearing), distance, noise)
         )
     return graph
-
-
-ErrorFunction = Callable[[gtsam.CustomFactor, gtsam.Values, "list[FloatArray] | None"], FloatArray]
-
-
-def _odometry_error(i: int, increment: FloatArray, dt: float, noise: FloatArray) -> ErrorFunction:
-    """Whitened error of one increment on (B(i), B(i + 1), C(0)): the motion between the poses minus the corrected
-    odometry, in the frame B(i)."""
-    covariance = predict_increment(increment, dt, np.zeros(3), noise)[2]
-    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
-
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None) -> FloatArray:
-        X_0, X_1 = values.atPose2(B(i)), values.atPose2(B(i + 1))
-        predicted, on_calibration, _covariance = predict_increment(increment, dt, values.atVector(C(0)), noise)
-        dx, dy, turn = X_1.x() - X_0.x(), X_1.y() - X_0.y(), X_1.theta() - X_0.theta()
-        c, s = math.cos(X_0.theta()), math.sin(X_0.theta())
-        x, y = c * dx + s * dy, -s * dx + c * dy
-        if jacobians is not None:
-            # Pose2 moves in its own frame: X (+) d = X Exp(d).
-            jacobians[0] = whitener @ np.array([[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]])
-            c, s = math.cos(turn), math.sin(turn)
-            jacobians[1] = whitener @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            jacobians[2] = -whitener @ on_calibration
-        heading = math.remainder(turn - predicted[2], 2.0 * math.pi)
-        return np.asarray(whitener @ np.array([x - predicted[0], y - predicted[1], heading]))
-
-    return error
 
 
 def _solve(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values) -> gtsam.Values:

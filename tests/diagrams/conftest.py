@@ -1,0 +1,23 @@
+"""The command line, called in this process."""
+
+import signal
+
+import pytest
+
+from tfg_drake.diagrams import cli
+
+
+@pytest.fixture
+def call(capsys):
+    """tfg-drake with some arguments: its exit code, standard output and standard error."""
+
+    def run(*arguments):
+        handler = signal.getsignal(signal.SIGINT)
+        try:
+            with pytest.raises(SystemExit) as caught:
+                cli.main([str(argument) for argument in arguments])
+        finally:
+            signal.signal(signal.SIGINT, handler)
+        return (caught.value.code, *capsys.readouterr())
+
+    return run
