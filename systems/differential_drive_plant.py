@@ -12,7 +12,7 @@ from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.world.world import World
 
-PERIOD = 1.0 / 64.0
+PERIOD = 1.0 / 32.0
 
 
 class DifferentialDrivePlant(LeafSystem):

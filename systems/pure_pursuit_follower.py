@@ -76,11 +76,11 @@ class PurePursuitFollower(LeafSystem):
 
     @metered("follower")
     def _Update(self, context: Context, discrete: DiscreteValues) -> EventStatus:
-        x = context.get_discrete_state_vector().value().copy()
+        x = context.get_discrete_state_vector().value().tolist()
         mission = eval_message(self._mission, context, MissionStatus)
         pose = eval_message(self._pose, context, PoseEstimate)
         x[STAMP] = context.get_time()
-        x[[SPEED, TURN_RATE]] = 0.0
+        x[SPEED] = x[TURN_RATE] = 0.0
         if mission.phase == "observe":
             self._Turn(x, mission, pose)
         elif mission.phase == "follow":
@@ -93,21 +93,21 @@ class PurePursuitFollower(LeafSystem):
         discrete.get_mutable_vector().SetFromVector(x)
         return EventStatus.Succeeded()
 
-    def _Turn(self, x: np.ndarray, mission: MissionStatus, pose: PoseEstimate) -> None:
+    def _Turn(self, x: list[float], mission: MissionStatus, pose: PoseEstimate) -> None:
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
-            x[[TURN_SINCE, TURNED, HEADING]] = mission.since, 0.0, heading
+            x[TURN_SINCE], x[TURNED], x[HEADING] = mission.since, 0.0, heading
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
         if mission.stage == 0 and x[STAMP] < mission.since + self._first_look:
             return
         x[TURN_RATE] = turn_in_place(x[TURNED], 2.0 * math.pi, self._turn_rate, self._robot)
 
-    def _Follow(self, x: np.ndarray, path: Path, pose: PoseEstimate) -> None:
+    def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> None:
         if x[PATH] != path.id:
-            x[[PATH, PROGRESS, TURNING, FINISHED, OBEYED]] = path.id, 0.0, 1.0, 0.0, x[STAMP]
+            x[PATH], x[PROGRESS], x[TURNING], x[FINISHED], x[OBEYED] = path.id, 0.0, 1.0, 0.0, x[STAMP]
         if x[FINISHED]:
             return
         command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)
-        x[[SPEED, TURN_RATE, PROGRESS]] = command.speed, command.turn_rate, command.progress
-        x[[TURNING, FINISHED]] = command.turning, command.finished
+        x[SPEED], x[TURN_RATE], x[PROGRESS] = command.speed, command.turn_rate, command.progress
+        x[TURNING], x[FINISHED] = command.turning, command.finished

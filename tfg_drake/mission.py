@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus
+from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus, replace
 
 # A follower status older than this after a phase began may still speak of the phase before, s.
 SETTLING_TIME = 0.125
@@ -65,18 +65,18 @@ def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
         resume = "plan" if status.resume_phase == "follow" else status.resume_phase
         since = status.since if resume == "observe" else inputs.time
         replans = status.replans + (status.resume_phase == "follow")
-        return dataclasses.replace(status, phase=resume, resume_phase="", since=since, replans=replans)
+        return replace(status, phase=resume, resume_phase="", since=since, replans=replans)
     if held:
-        return dataclasses.replace(status, phase="paused", resume_phase=status.phase)
+        return replace(status, phase="paused", resume_phase=status.phase)
     return _PHASES[status.phase](status, inputs)
 
 
 def _begin(status: MissionStatus, inputs: MissionInputs, phase: str, **changes: int) -> MissionStatus:
-    return dataclasses.replace(status, phase=phase, since=inputs.time, **changes)  # type: ignore[arg-type]
+    return replace(status, phase=phase, since=inputs.time, **changes)  # type: ignore[arg-type]
 
 
 def _end(status: MissionStatus, inputs: MissionInputs, outcome: str, reason: str) -> MissionStatus:
-    return dataclasses.replace(status, phase="done", since=inputs.time, outcome=outcome, reason=reason)
+    return replace(status, phase="done", since=inputs.time, outcome=outcome, reason=reason)
 
 
 def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
@@ -105,7 +105,7 @@ def _plan(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
         return status
     if len(path.points):
         return _begin(status, inputs, "follow", path_id=path.id)
-    return _give_up_goal(dataclasses.replace(status, path_id=path.id), inputs)
+    return _give_up_goal(replace(status, path_id=path.id), inputs)
 
 
 def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message
+from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.slam import goal_graph
 from tfg_drake.slam.estimator import EstimatorState
 from tfg_drake.slam.goal_graph import GoalGraph
@@ -212,7 +212,7 @@ def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
     right after a goal. The robot is taken to stand at the map's last departure pose.
     """
     estimate = restored_estimate(saved)
-    return dataclasses.replace(
+    return replace(
         state,
         graph=saved.graph,
         map=estimate,

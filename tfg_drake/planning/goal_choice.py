@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain, share_seen
 from tfg_drake.tfg.frontier import PUSH, ROOT
@@ -74,7 +73,7 @@ def choose(
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
-        return dataclasses.replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
+        return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     from_goal, _ = cKDTree(estimate.X_MA[:, :2]).query(roadmap.points)
     nodes = np.flatnonzero(roadmap.reachable & (from_goal >= APART))
     sees = expected_frontiers(roadmap.points[nodes], tfg, sensor).count

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from tfg_drake.geometry.se2 import compose
@@ -19,6 +17,7 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
     message,
+    replace,
 )
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
@@ -89,7 +88,7 @@ def step(
     if mission.phase == "follow" and state.status.free and scan.stamp > state.scan_stamp:
         state = _watch(state, tfg, pose, scan, parameters.robot.radius)
     if pose.stage == state.nodes.stage and _moved(state, pose):
-        state = dataclasses.replace(state, driven=np.vstack([state.driven, pose.X_MB[:2]]))
+        state = replace(state, driven=np.vstack([state.driven, pose.X_MB[:2]]))
     return state
 
 
@@ -106,7 +105,7 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
         reached = nodes.points[np.isfinite(ways.cost)]
         if len(tfg.frontiers) == 0 or len(expected_frontiers(reached, tfg, parameters.sensor).index):
             break
-    return dataclasses.replace(
+    return replace(
         state,
         nodes=nodes,
         roadmap=roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability),
@@ -127,16 +126,16 @@ def _plan(
     X_MB = pose.X_MB if pose.stage == estimate.stage else estimate.X_MD
     points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, state.obstacles)
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
-    return dataclasses.replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
+    return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
 
 
 def _watch(state: PlannerState, tfg: TfgMap, pose: PoseEstimate, scan: LaserScan, radius: float) -> PlannerState:
     X_MS = pose_at(pose, scan.stamp)
-    seen = dataclasses.replace(state, scan_stamp=scan.stamp)
+    seen = replace(state, scan_stamp=scan.stamp)
     if path_is_free(state.path.points, scan, X_MS, radius, tfg.segments):
         return seen
     met = unmapped_obstacles(state.path.points, scan, X_MS, radius, tfg.segments)
-    return dataclasses.replace(
+    return replace(
         seen, status=PathStatus(path_id=state.path.id, free=False), obstacles=np.vstack([state.obstacles, met])
     )
 

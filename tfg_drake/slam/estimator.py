@@ -11,7 +11,6 @@ is suddenly elsewhere (a slip, a push, a kidnapping).
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 
 import numpy as np
@@ -29,6 +28,7 @@ from tfg_drake.messages import (
     PoseEstimate,
     TagDetections,
     message,
+    replace,
 )
 from tfg_drake.slam import goal_graph
 from tfg_drake.slam.goal_graph import GoalGraph
@@ -75,6 +75,7 @@ CONFIRMATIONS = 3
 MOVED = 2
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
+NO_TAGS = np.empty((0, 2))
 
 _log = logging.getLogger("tfg_drake.slam")
 
@@ -168,14 +169,14 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
     """The state after one odometry message; one that is not newer than the last is ignored."""
     if state.newest is None:
         first = first_reckoning(odometry)
-        state = dataclasses.replace(
+        state = replace(
             state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
         )
         return _open_piece(state)
     if odometry.stamp <= state.newest.stamp:
         return state
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
-    state = dataclasses.replace(state, newest=odometry, odometry=(*state.odometry, reckoning))
+    state = replace(state, newest=odometry, odometry=(*state.odometry, reckoning))
     state = _process_pending(state)
     before = state.odometry[-2].stamp
     if before - state.stamp > LONGEST_STEP:
@@ -192,14 +193,14 @@ def process_detections(state: EstimatorState, detections: TagDetections) -> Esti
     if impossible:
         _log.warning("%.2f s: %d impossible or ambiguous sightings ignored", detections.stamp, impossible)
     pending = sorted((*state.pending, detections), key=lambda frame: frame.stamp)
-    return _process_pending(dataclasses.replace(state, pending=tuple(pending)))
+    return _process_pending(replace(state, pending=tuple(pending)))
 
 
 def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
     """The state with one more scan to compare the frame of its instant with."""
     if not np.isfinite(scan.stamp) or (state.scans and scan.stamp <= state.scans[-1].stamp):
         return state
-    return dataclasses.replace(state, scans=(*state.scans, scan)[-SCANS:])
+    return replace(state, scans=(*state.scans, scan)[-SCANS:])
 
 
 def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -213,7 +214,7 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     if state.turn is not None:
         raise ValueError("A turn is open already.")
     state = _end_piece(_step_to(state, stamp))
-    return dataclasses.replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)), piece=None)
+    return replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)), piece=None)
 
 
 def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -240,7 +241,7 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     state = _step_to(state, stamp)
     piece = state.piece
     assert piece is not None
-    return _add_goal(state, dataclasses.replace(piece, X_DA=np.zeros(3), segment_covariance=goal_graph.JOINT))
+    return _add_goal(state, replace(piece, X_DA=np.zeros(3), segment_covariance=goal_graph.JOINT))
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -253,10 +254,10 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         if stamp > state.stamp:
             increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
     X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
-    new_ids, p_MU = state.localizer.filter.local_ids, local_tags(state.localizer)
+    new_ids, p_MU = state.localizer.filter.local_ids, NO_TAGS
     if len(new_ids) > 0:
         new = _absent(new_ids, state.graph.ids)
-        new_ids, p_MU = new_ids[new], p_MU[new]
+        new_ids, p_MU = new_ids[new], local_tags(state.localizer)[new]
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,
@@ -285,10 +286,7 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
     """The state after all waiting frames that odometry has passed."""
     while state.pending and state.odometry and state.pending[0].stamp < state.odometry[-1].stamp:
         frame, pending = state.pending[0], state.pending[1:]
-        if frame.stamp >= state.stamp:
-            state = _step(state, frame, pending)
-        else:
-            state = dataclasses.replace(state, pending=pending)
+        state = _step(state, frame, pending) if frame.stamp >= state.stamp else replace(state, pending=pending)
     return state
 
 
@@ -316,16 +314,16 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     segment, turn, piece = state.segment, state.turn, state.piece
     instant = TurnFrame(stamp, clock, X_OB, frame)
     if turn is not None:
-        turn = dataclasses.replace(turn, frames=(*turn.frames, instant))
+        turn = replace(turn, frames=(*turn.frames, instant))
     elif piece is not None:
-        piece = dataclasses.replace(piece, frames=(*piece.frames, instant))
+        piece = replace(piece, frames=(*piece.frames, instant))
     else:
         segment = step_segment(segment, state.model, increment, dt, seen)
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
     contradictions = state.contradictions
     if known >= LEAST_KNOWN:
         contradictions = contradictions + 1 if ignored > MOST_IGNORED * known else 0
-    state = dataclasses.replace(
+    state = replace(
         state,
         odometry=state.odometry[before:],
         pending=pending,
@@ -357,27 +355,27 @@ def _look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorSta
         if not state.carried:
             _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", seen.stamp)
             # What it met before it was moved stands elsewhere, seen from here.
-            state = _carried(dataclasses.replace(state, localizer=without_local(state.localizer)))
+            state = _carried(replace(state, localizer=without_local(state.localizer)))
         return state
     pose, agreeing = found
     error = se2.between(X_MB, pose)
     distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
     if distance < SAME_PLACE[0] and angle < SAME_PLACE[1]:
-        return dataclasses.replace(state, contradictions=0)
+        return replace(state, contradictions=0)
     _log.warning(
         "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
         seen.stamp, distance, angle, int(np.count_nonzero(agreeing)),
     )  # fmt: skip
     localizer = restart_localizer(state.model, estimate, pose, select(seen, agreeing))
-    return _carried(dataclasses.replace(state, localizer=localizer, contradictions=0))
+    return _carried(replace(state, localizer=localizer, contradictions=0))
 
 
 def _carried(state: EstimatorState) -> EstimatorState:
     """The state with what was measured since the last goal given up: something moved the robot meanwhile."""
-    state = dataclasses.replace(state, carried=True, way=(), segment=start_segment(state.model))
+    state = replace(state, carried=True, way=(), segment=start_segment(state.model))
     if state.turn is not None:
-        state = dataclasses.replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)))
-    return dataclasses.replace(state, piece=None) if state.piece is None else _open_piece(state)
+        state = replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)))
+    return replace(state, piece=None) if state.piece is None else _open_piece(state)
 
 
 def _segment(state: EstimatorState) -> tuple[FloatArray, FloatArray]:
@@ -398,23 +396,21 @@ def _open_piece(state: EstimatorState) -> EstimatorState:
     """The state with a new piece of the way open, where pieces are mapped."""
     if state.path_keyframe_period == 0.0:
         return state
-    return dataclasses.replace(state, piece=OpenTurn(_instant(state), (), np.zeros(3), goal_graph.JOINT))
+    return replace(state, piece=OpenTurn(_instant(state), (), np.zeros(3), goal_graph.JOINT))
 
 
 def _end_piece(state: EstimatorState) -> EstimatorState:
     """The state with the open piece of the way solved and put to the others, unless the robot was carried."""
     piece = state.piece
     if piece is None or state.carried or state.map is None or state.stamp <= piece.begin.stamp:
-        return dataclasses.replace(state, piece=None) if piece is not None else state
+        return replace(state, piece=None) if piece is not None else state
     solution = _solve(state, piece)
-    return dataclasses.replace(state, piece=None, way=(*state.way, solution.observation))
+    return replace(state, piece=None, way=(*state.way, solution.observation))
 
 
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
-    frames = tuple(
-        dataclasses.replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames
-    )
+    frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
     solution = solve_turn(state.model, turn.begin, frames, _instant(state))
     seen = sum(1 for frame in frames if len(frame.detections.ids))
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
@@ -439,7 +435,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
     graph, estimate = goal_graph.solve(graph, state.stamp, solution.observation)
-    state = dataclasses.replace(
+    state = replace(
         state,
         turn=None,
         piece=None,

@@ -8,7 +8,6 @@ kept as plain arrays and built in GTSAM for each solve. The map estimate is its 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 from collections.abc import Callable
 
@@ -18,7 +17,7 @@ import scipy.linalg
 from gtsam.symbol_shorthand import A, D, L
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message
+from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
 from tfg_drake.slam.departure_frame import in_departure_frame
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out.
@@ -149,7 +148,7 @@ def _further(travelled: FloatArray, uncertainty: FloatArray, piece: GoalObservat
 def forget(graph: GoalGraph, ids: IntArray) -> GoalGraph:
     """The graph without some landmarks, as if they had never been seen: they stand elsewhere now."""
     keep = ~np.isin(graph.ids, ids)
-    return dataclasses.replace(
+    return replace(
         graph,
         observations=tuple(without_tags(observation, ids) for observation in graph.observations),
         ids=graph.ids[keep],
@@ -185,7 +184,7 @@ def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple
     k = len(graph.observations)
     X_MA = np.array([_pose(values, A(i)) for i in range(k)])
     X_MA[0] = 0.0
-    graph = dataclasses.replace(
+    graph = replace(
         graph,
         X_MA=X_MA,
         X_MD=np.array([_pose(values, D(i)) for i in range(k)]),

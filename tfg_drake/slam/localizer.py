@@ -7,14 +7,13 @@ carries X_MD along, so that the pose in M has its full covariance too.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message
+from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message, replace
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
@@ -53,7 +52,7 @@ def restart_localizer(
     mean, covariance = filter_.mean.copy(), filter_.covariance.copy()
     mean[:POSE] = se2.between(map_estimate.X_MD, X_MB)
     covariance[:POSE, :POSE] = np.diag(ANYWHERE) ** 2
-    filter_ = dataclasses.replace(filter_, mean=mean, covariance=covariance)
+    filter_ = replace(filter_, mean=mean, covariance=covariance)
     filter_, _, _ = pose_filter.step(filter_, model, np.zeros(3), 0.0, detections)
     return Localizer(localizer.X_MD, filter_)
 

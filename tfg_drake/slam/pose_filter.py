@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message, replace
 from tfg_drake.slam.odometry_model import OdometryModel, predict_increment, wrap
 
 POSE = 3
@@ -103,16 +103,7 @@ def step(
         detections.sigma_range,
         detections.sigma_bearing,
     )
-    moved = PoseFilter(
-        mean=mean,
-        covariance=covariance,
-        cross=cross,
-        local_ids=local_ids,
-        last_seen=last_seen,
-        map_ids=filter_.map_ids,
-        p_DL=filter_.p_DL,
-        considered=filter_.considered,
-    )
+    moved = replace(filter_, mean=mean, covariance=covariance, cross=cross, local_ids=local_ids, last_seen=last_seen)
     return moved, known, ignored
 
 
@@ -121,15 +112,13 @@ def keep_local(filter_: PoseFilter, keep: BoolArray) -> PoseFilter:
     if np.all(keep):
         return filter_
     rows = np.concatenate([np.ones(CORE, dtype=bool), np.repeat(keep, 2)])
-    return PoseFilter(
+    return replace(
+        filter_,
         mean=filter_.mean[rows],
         covariance=filter_.covariance[np.ix_(rows, rows)],
         cross=filter_.cross[rows],
         local_ids=filter_.local_ids[keep],
         last_seen=filter_.last_seen[keep],
-        map_ids=filter_.map_ids,
-        p_DL=filter_.p_DL,
-        considered=filter_.considered,
     )
 
 

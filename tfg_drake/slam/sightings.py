@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
-from tfg_drake.messages import BoolArray, TagDetections
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections
 
 
 def sanitized(detections: TagDetections) -> tuple[TagDetections, int]:
     """The detections without those that are not finite, have no positive range or deviation, or share their id with
     another one of the frame (which of the two is wrong cannot be told); and how many those were."""
-    _, index, count = np.unique(detections.ids, return_inverse=True, return_counts=True)
-    values = np.stack(
-        [detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing], axis=-1
-    ).reshape(-1, 4)
-    good = np.isfinite(values).all(axis=1) & (values[:, [0, 2, 3]] > 0.0).all(axis=1)
-    good &= count[index] == 1
+    good = _good(detections.ids, detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing)
     if good.all():
         return detections, 0
     return select(detections, good), int(np.count_nonzero(~good))
+
+
+@njit(cache=True)
+def _good(
+    ids: IntArray, range_: FloatArray, bearing: FloatArray, sigma_range: FloatArray, sigma_bearing: FloatArray
+) -> BoolArray:
+    good = np.empty(len(ids), dtype=np.bool_)
+    for i in range(len(ids)):
+        good[i] = (
+            0.0 < range_[i] < np.inf
+            and np.isfinite(bearing[i])
+            and 0.0 < sigma_range[i] < np.inf
+            and 0.0 < sigma_bearing[i] < np.inf
+            and np.sum(ids == ids[i]) == 1
+        )
+    return good
 
 
 def select(detections: TagDetections, keep: BoolArray) -> TagDetections:

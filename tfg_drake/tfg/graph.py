@@ -7,7 +7,6 @@ all anchored to landmarks or goals, so that they move with the map when a loop c
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -18,7 +17,7 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import drift_between
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
@@ -69,7 +68,7 @@ def no_sightings() -> Sightings:
 
 def note_sightings(sightings: Sightings, pose: PoseEstimate) -> Sightings:
     """The sightings with those tags of the robot's pose estimate that are new among them; itself if there are none."""
-    new = ~np.isin(pose.new_ids, sightings.ids)
+    new = (pose.new_ids[:, None] != sightings.ids).all(axis=1)
     if not new.any():
         return sightings
     return Sightings(
@@ -197,7 +196,7 @@ def update(
     def unseen_faces(found: tuple[FloatArray, FloatArray], length: float) -> FrontierPoints:
         p, normal = transform(X_AM, found[0]), found[1] @ rotation(float(X_AM[2])).T
         points = points_of(goal, p, normal, np.full(len(p), length))
-        return dataclasses.replace(points, on_surface=np.ones(len(p), dtype=bool))
+        return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
     updated = TfgGraph(
         estimate.stage,
@@ -281,7 +280,7 @@ def live_frontiers(
     points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    return select(dataclasses.replace(points, length=points.length * left**2), left > 0.0)
+    return select(replace(points, length=points.length * left**2), left > 0.0)
 
 
 def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
@@ -423,7 +422,7 @@ def _count_attempts(
             first.append(p)
     added = transform(inverse(estimate.X_MA[-1]), np.array(first).reshape(-1, 2))
     nothing = np.zeros(len(added))
-    return dataclasses.replace(
+    return replace(
         after,
         tried=join(after.tried, points_of(after.stage - 1, added, np.zeros_like(added), nothing)),
         tried_count=np.concatenate([after.tried_count + again, np.ones(len(added), dtype=np.int64)]),
