@@ -241,12 +241,17 @@ def test_returns_of_a_mapped_wall_do_not_block_a_door():
 
 def test_passages_are_the_middle_of_narrow_gaps():
     segments = two_rooms(0.8)
-    ends = np.unique(segments.reshape(-1, 2), axis=0)
-    found = passages(ends, segments, 0.5, 1.5)
+    found = passages(segments, 0.5, 1.5)
     assert np.hypot(*found.T).min() < 1e-9
     assert np.hypot(*(found - [0.5, 0.0]).T).min() < 1e-9
-    assert len(passages(ends, segments, 0.9, 0.95)) == 0
-    assert len(passages(np.zeros((0, 2)), np.zeros((0, 4)), 0.5, 1.5)) == 0
+    assert len(passages(segments, 0.9, 0.95)) == 0
+    assert len(passages(np.zeros((0, 4)), 0.5, 1.5)) == 0
+
+
+def test_a_gap_between_an_end_and_the_side_of_a_wall_is_a_passage_too():
+    segments = np.array([[-5.0, 0.0, 5.0, 0.0], [0.0, 0.8, 0.0, 3.0]])
+    found = passages(segments, 0.5, 1.5)
+    np.testing.assert_allclose(found, [[0.5, 0.4], [0.0, 0.4], [-0.5, 0.4]], atol=1e-12)
 
 
 def test_an_empty_map_has_a_roadmap_of_open_space():

@@ -14,15 +14,21 @@ from tfg_drake.messages import FloatArray
 
 
 @njit(cache=True)
-def point_segment_distance(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
-    """Distance (m) from the point (x, y) to the segment (x0, y0)-(x1, y1)."""
+def nearest_on_segment(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> tuple[float, float]:
+    """The point of the segment (x0, y0)-(x1, y1) that is nearest to (x, y)."""
     dx, dy = x1 - x0, y1 - y0
     length_squared = dx * dx + dy * dy
     t = 0.0
     if length_squared > 0.0:
         t = min(1.0, max(0.0, ((x - x0) * dx + (y - y0) * dy) / length_squared))
-    ex, ey = x0 + t * dx - x, y0 + t * dy - y
-    return math.sqrt(ex * ex + ey * ey)
+    return x0 + t * dx, y0 + t * dy
+
+
+@njit(cache=True)
+def point_segment_distance(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
+    """Distance (m) from the point (x, y) to the segment (x0, y0)-(x1, y1)."""
+    nx, ny = nearest_on_segment(x, y, x0, y0, x1, y1)
+    return math.sqrt((nx - x) ** 2 + (ny - y) ** 2)
 
 
 @njit(cache=True)

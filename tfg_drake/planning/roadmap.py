@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.distance import clearance, segment_distance
+from tfg_drake.geometry.distance import clearance, nearest_on_segment, segment_distance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap, message
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, predicted_deviation, required_clearance
@@ -122,35 +122,50 @@ def thin(proposals: FloatArray, spacing: FloatArray, nodes: FloatArray) -> BoolA
 
 
 @njit(cache=True)
-def passages(ends: FloatArray, segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
+def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
+    """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long."""
+    found = np.empty((64, 4))
+    count = 0
+    for i in range(len(ends)):
+        x, y = ends[i, 0], ends[i, 1]
+        for j in range(len(segments)):
+            ax, ay, bx, by = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
+            if max(ax, bx) < x - widest or min(ax, bx) > x + widest:
+                continue
+            if max(ay, by) < y - widest or min(ay, by) > y + widest:
+                continue
+            qx, qy = nearest_on_segment(x, y, ax, ay, bx, by)
+            if not narrowest <= math.hypot(qx - x, qy - y) <= widest:
+                continue
+            if count == len(found):
+                grown = np.empty((2 * count, 4))
+                grown[:count] = found
+                found = grown
+            found[count, 0], found[count, 1], found[count, 2], found[count, 3] = x, y, qx, qy
+            count += 1
+    return found[:count].copy()
+
+
+def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
     """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind.
 
-    A gap joins two ends (n, 2) of the segments (m, 4), is between narrowest and widest (m) wide, and nothing is nearer
-    to its middle than its two sides.
+    A gap joins an end of one of the segments (m, 4) with the nearest point of another, is between narrowest and widest
+    (m) wide, and nothing is nearer to its middle than its two sides.
     """
-    found = np.empty((64, 2))
-    count = 0
-    box = np.empty(4)
-    for i in range(len(ends)):
-        for j in range(i):
-            dx, dy = ends[j, 0] - ends[i, 0], ends[j, 1] - ends[i, 1]
-            if abs(dx) > widest or abs(dy) > widest:
-                continue
-            width = math.sqrt(dx * dx + dy * dy)
-            if width < narrowest or width > widest:
-                continue
-            x, y = ends[i, 0] + 0.5 * dx, ends[i, 1] + 0.5 * dy
-            box[0], box[1], box[2], box[3] = x, y, x, y
-            if clearance(box.reshape(1, 4), segments, 0.5 * width)[0] < 0.475 * width:
-                continue
-            if count + 3 > len(found):
-                grown = np.empty((2 * len(found), 2))
-                grown[:count] = found[:count]
-                found = grown
-            for k in range(-1, 2):
-                found[count, 0], found[count, 1] = x - 0.5 * k * dy / width, y + 0.5 * k * dx / width
-                count += 1
-    return found[:count].copy()
+    ends = np.unique(segments.reshape(-1, 2), axis=0)
+    gaps = _gaps(ends, segments, narrowest, widest)
+    if not len(gaps):
+        return np.zeros((0, 2))
+    middle, across = 0.5 * (gaps[:, :2] + gaps[:, 2:]), gaps[:, 2:] - gaps[:, :2]
+    width = np.hypot(*across.T)
+    # Most have an end near their middle; that is quick to see.
+    nearest, _ = cKDTree(ends).query(middle)
+    keep = np.flatnonzero(nearest >= 0.475 * width)
+    room = clearance(np.hstack([middle[keep]] * 2), segments, 0.5 * widest)
+    keep = keep[room >= 0.475 * width[keep]]
+    middle = middle[keep]
+    along = 0.5 * np.stack([-across[keep, 1], across[keep, 0]], axis=1) / width[keep, None]
+    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
@@ -186,7 +201,7 @@ def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int
 def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, effort: int) -> tuple[FloatArray, FloatArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) each must keep."""
     need = radius + NODE_MARGIN
-    gaps = passages(np.unique(tfg.segments.reshape(-1, 2), axis=0), tfg.segments, 2 * need, PASSAGE_WIDTH)
+    gaps = passages(tfg.segments, 2 * need, PASSAGE_WIDTH)
     normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * effort, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))

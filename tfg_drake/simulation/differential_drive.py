@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import RobotConfig
+from tfg_drake.geometry.distance import nearest_on_segment
 from tfg_drake.messages import FloatArray
 
 # Entries of the state: the time (s) it holds at, the pose X_WB, forward speed and turn rate, rising edges of contact so
@@ -39,18 +40,6 @@ def advance(pose: FloatArray, speed: float, turn_rate: float, duration: float) -
 
 
 @njit(cache=True)
-def _nearest_on_wall(walls: FloatArray, i: int, x: float, y: float) -> tuple[float, float]:
-    """The point of wall i nearest to (x, y)."""
-    ax, ay = walls[i, 0], walls[i, 1]
-    dx, dy = walls[i, 2] - ax, walls[i, 3] - ay
-    length_squared = dx * dx + dy * dy
-    t = 0.0
-    if length_squared > 0.0:
-        t = min(1.0, max(0.0, ((x - ax) * dx + (y - ay) * dy) / length_squared))
-    return ax + t * dx, ay + t * dy
-
-
-@njit(cache=True)
 def _near(walls: FloatArray, i: int, x: float, y: float, distance: float) -> bool:
     """Whether wall i's bounding box is within distance of (x, y) on both axes."""
     return bool(
@@ -67,7 +56,7 @@ def _deepest(walls: FloatArray, x: float, y: float, reach: float) -> tuple[float
     least, px, py = np.inf, 0.0, 0.0
     for i in range(walls.shape[0]):
         if _near(walls, i, x, y, reach):
-            qx, qy = _nearest_on_wall(walls, i, x, y)
+            qx, qy = nearest_on_segment(x, y, walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
             distance = math.hypot(x - qx, y - qy)
             if distance < least:
                 least, px, py = distance, qx, qy
@@ -106,7 +95,7 @@ def _bumper_bits(walls: FloatArray, pose: FloatArray, reach: float) -> int:
     bits = 0
     for i in range(walls.shape[0]):
         if _near(walls, i, pose[0], pose[1], reach):
-            qx, qy = _nearest_on_wall(walls, i, pose[0], pose[1])
+            qx, qy = nearest_on_segment(pose[0], pose[1], walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
             if math.hypot(qx - pose[0], qy - pose[1]) <= reach:
                 bearing = math.atan2(qy - pose[1], qx - pose[0]) - pose[2]
                 bearing = math.pi - (math.pi - bearing) % (2.0 * math.pi)
