@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import shapely
 
-from tfg_drake.planning.expected_view import visible_targets
+from tfg_drake.planning.expected_view import View, visible_targets
 
 STEEPEST = np.radians(75)
 
@@ -51,3 +51,11 @@ def test_incidence_and_range_bound_the_view():
 def test_nothing_to_see_and_nowhere_to_see_it_from():
     assert view([[0, 0]], np.zeros((0, 2)), np.zeros((0, 2)), []) == [[]]
     assert view(np.zeros((0, 2)), [[1, 0]], [[-1, 0]], []) == []
+
+
+def test_the_view_from_some_of_the_points():
+    view_of_four = View(np.array([0, 2, 2, 5, 6]), np.array([3, 4, 0, 1, 2, 7]))
+    some = view_of_four.of(np.array([0, 1, 3]))
+    assert (some.offsets.tolist(), some.index.tolist()) == ([0, 2, 2, 3], [3, 4, 7])
+    none = view_of_four.of(np.zeros(0, dtype=np.int64))
+    assert (none.offsets.tolist(), none.index.tolist()) == ([0], [])

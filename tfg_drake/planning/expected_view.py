@@ -35,6 +35,13 @@ class View:
         """Targets seen from each point, (c,)."""
         return np.diff(self.offsets)
 
+    def of(self, points: IntArray) -> View:
+        """The view from some of the points, (k,) rows."""
+        count = self.count[points]
+        offsets = np.append(0, np.cumsum(count))
+        row = np.repeat(self.offsets[points] - offsets[:-1], count) + np.arange(offsets[-1])
+        return View(offsets, self.index[row])
+
 
 @njit(cache=True)
 def visible_targets(

@@ -76,11 +76,11 @@ def choose(
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     from_goal, _ = cKDTree(estimate.X_MA[:, :2]).query(roadmap.points)
     nodes = np.flatnonzero(roadmap.reachable & (from_goal >= APART))
-    sees = expected_frontiers(roadmap.points[nodes], tfg, sensor).count
-    candidates = thin_candidates(nodes, sees, explorer.samples)
+    seen = expected_frontiers(roadmap.points[nodes], tfg, sensor)
+    candidates = thin_candidates(nodes, seen.count, explorer.samples)
     points = roadmap.points[candidates]
     time = roadmap.travel_time[candidates]
-    frontiers = expected_frontiers(points, tfg, sensor)
+    frontiers = seen.of(np.searchsorted(nodes, candidates))
     gains = information_gain(
         points,
         robot.max_speed * time,
