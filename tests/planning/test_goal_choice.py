@@ -6,14 +6,14 @@ from tfg_drake.planning.goal_choice import decide, thin_candidates
 from tfg_drake.planning.information_gain import Gains
 
 
-def verdict(gain, value, sees, frontier=0.0, barred=0.0, given_up=0.0, stop_gain=20.0):
+def verdict(gain, value, sees, frontier=0.0, barred=0.0, given_up=0.0, cut_off=False, stop_gain=20.0):
     gain = np.asarray(gain, dtype=float)
     n = len(gain)
     gains = Gains(exploitation=gain, exploration=np.zeros(n), pose_price=np.zeros(n))
     points = np.stack([np.arange(n), np.zeros(n)], axis=1).astype(float)
     candidates = 10 + np.arange(n)
     value, sees = np.asarray(value, dtype=float), np.asarray(sees, dtype=bool)
-    return decide(5, candidates, points, gains, value, sees, barred, given_up, frontier, stop_gain)
+    return decide(5, candidates, points, gains, value, sees, barred, given_up, frontier, cut_off, stop_gain)
 
 
 def test_the_best_gain_per_time_wins_and_the_first_of_equals():
@@ -52,6 +52,14 @@ def test_a_frontier_where_the_robot_does_not_fit_is_named_and_closed():
     assert done.reason == (
         "No frontier is left but 3.2 m out of reach or not worth it, and no place promises more than 20 nats."
     )
+
+
+def test_a_robot_cut_off_from_its_start_is_stuck_while_there_is_a_frontier():
+    stuck = verdict([5], [1], [0], frontier=3.25, cut_off=True)
+    assert stuck.verdict == "stuck"
+    assert stuck.reason == "The robot cannot get back to where it began, and 3.2 m of frontier are left."
+    assert verdict([25], [1], [0], frontier=3.25, cut_off=True).verdict == "goal"
+    assert verdict([5], [1], [0], cut_off=True).verdict == "complete"
 
 
 def test_nowhere_to_go_is_stuck():

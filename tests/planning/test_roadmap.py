@@ -152,6 +152,16 @@ def test_what_was_travelled_stays_open_with_little_to_spare():
     assert np.isfinite(ways.cost[nearest(state, (-4, 0.1))])
 
 
+def test_a_way_that_the_map_now_finds_too_narrow_is_open_only_to_go_home():
+    segments = two_rooms(0.37)
+    driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
+    state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)
+    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost[nearest(state, (-4, 0.1))])
+    estimate, tfg = known(segments, [(-4, 0.1, 0), (3, 0, 0), (-4, 1, 0)])
+    state = extend(state, tfg, estimate, PARAMETERS)
+    assert not np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost[nearest(state, (3, 0))])
+
+
 def test_routes_agree_with_their_own_path_and_prefer_room():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     ways = routes(state, tfg, estimate.X_MD, ROBOT)

@@ -98,10 +98,11 @@ def choose(
     barred = roadmap.points[roadmap.enterable & ~roadmap.reachable]
     barred_frontiers = np.unique(expected_frontiers(barred, tfg, sensor).index)
     enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
+    _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     return decide(
         estimate.stage, candidates, points, gains, value, enough,
         float(tfg.frontier_length[barred_frontiers].sum()), _given_up_at_hand(tfg, roadmap, robot.radius),
-        float(tfg.frontier_length.sum()),
+        float(tfg.frontier_length.sum()), not roadmap.reachable[home],
         explorer.stop_gain,
     )  # fmt: skip
 
@@ -141,6 +142,7 @@ def decide(
     barred_length: float,
     given_up_length: float,
     frontier_length: float,
+    cut_off: bool,
     stop_gain: float,
 ) -> GoalChoice:
     """The verdict on candidates (c,) at points (c, 2) with gains and value (c,); the first of equals wins.
@@ -148,6 +150,7 @@ def decide(
     barred_length: m of live frontier that the robot could see from places it would fit into but may not try to reach.
     given_up_length: m of open frontier that was tried too often.
     frontier_length: m of live frontier, seen or not: what remains when nothing else does is closed to this robot.
+    cut_off: the robot cannot get back to where it began.
     """
     gain = gains.gain
     worth = sees_frontier | (gain > stop_gain)
@@ -157,6 +160,9 @@ def decide(
         reason = f"{gain[pick]:.1f} nats are expected at the rate of {value[pick]:.2f} nats per second."
     elif len(candidates) == 0:
         verdict, reason = "stuck", "The robot cannot reach any other place."
+    elif cut_off and frontier_length >= ENOUGH_FRONTIER:
+        verdict = "stuck"
+        reason = f"The robot cannot get back to where it began, and {frontier_length:.1f} m of frontier are left."
     elif barred_length >= ENOUGH_FRONTIER:
         verdict = "stuck"
         reason = f"{barred_length:.1f} m of frontier lie behind passages too narrow for the uncertainty of the map."

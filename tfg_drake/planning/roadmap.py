@@ -38,8 +38,9 @@ FRONTIER_DARTS = 5
 PASSAGE_WIDTH = 1.5
 # A node keeps this much more than the robot's radius from any surface, m.
 NODE_MARGIN = 0.05
-# The least margin of a way that the robot has driven before, m.
-TRAVELLED_MARGIN = 0.02
+# The least margin of a way that the robot has driven before, m: the first, or else the next where a robot would be cut
+# off from where it began. It came by that way, whatever the newest map says of it.
+TRAVELLED_MARGINS = (0.02, 0.0, -0.05)
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
@@ -324,14 +325,19 @@ def extend(
     need = required_clearance(
         parameters.robot.radius, sigma[edges].max(axis=1), parameters.explorer.collision_probability
     )
-    # Where the robot has been it can go again, but for the corners that chords of its path cut.
-    need = np.where(was_travelled, np.minimum(need, parameters.robot.radius + TRAVELLED_MARGIN), need)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
-    wide = has >= need
     free = was_free | was_travelled
     ask = ~free & (has >= parameters.robot.radius)
     free[ask] = in_free_space(lines[ask], tfg)
+    home, here = cKDTree(points).query(estimate.X_MA[[0, -1], :2])[1]
+    for margin in TRAVELLED_MARGINS:
+        # Where the robot has been it can go again, but for the corners that chords of its path cut.
+        required = np.where(was_travelled, np.minimum(need, parameters.robot.radius + margin), need)
+        usable = free & (has >= required)
+        component = _components(edges[usable], len(points))
+        if component[home] == component[here]:
+            break
     return RoadmapState(
         stage=estimate.stage,
         anchor=anchor,
@@ -341,9 +347,15 @@ def extend(
         free=free,
         points=points,
         edge_clearance=has,
-        edge_required=need,
-        usable=wide & free,
+        edge_required=required,
+        usable=usable,
     )
+
+
+def _components(edges: IntArray, count: int) -> IntArray:
+    """The connected component (count,) of each node under edges (e, 2)."""
+    graph = csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def _resolve(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
@@ -460,8 +472,7 @@ def enterable(state: RoadmapState, ways: Routes, robot: RobotConfig, collision_p
     n = len(state.points)
     need = required_clearance(robot.radius, np.array(TRACKING_DEVIATION), collision_probability)
     fits = state.usable | (state.free & (state.edge_clearance >= need))
-    a, b = state.edges[fits].T
-    _, label = connected_components(csr_matrix((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
+    label = _components(state.edges[fits], n)
     return np.isin(label, label[np.isfinite(ways.cost)])
 
 
