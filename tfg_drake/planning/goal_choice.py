@@ -12,6 +12,7 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain, share_seen
+from tfg_drake.planning.roadmap import NODE_MARGIN
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
@@ -101,14 +102,15 @@ def choose(
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     return decide(
         estimate.stage, candidates, points, gains, value, enough,
-        float(tfg.frontier_length[barred_frontiers].sum()), _given_up_at_hand(tfg, roadmap, robot.radius),
+        float(tfg.frontier_length[barred_frontiers].sum()), _given_up_at_hand(tfg, roadmap, robot.radius + NODE_MARGIN),
         float(tfg.frontier_length.sum()), not roadmap.reachable[home],
         explorer.stop_gain,
     )  # fmt: skip
 
 
-def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap, radius: float) -> float:
-    """Length (m) of the open frontier that was tried in vain and that a robot of this radius (m) could drive up to.
+def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
+    """Length (m) of the open frontier that was tried in vain and that a robot that needs so much room (m) to every
+    side could drive up to.
 
     What it only ever saw through a crack does not keep the mission from being complete.
     """
@@ -119,7 +121,7 @@ def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap, radius: float) -> float:
     near = cKDTree(places).query_ball_point(before, AT_HAND)
     point = np.repeat(np.arange(len(before)), [len(rows) for rows in near])
     ways = np.hstack([places[np.concatenate([np.array(rows, dtype=np.int64) for rows in near])], before[point]])
-    passable = clearance(ways, tfg.segments, radius) >= radius
+    passable = clearance(ways, tfg.segments, need) >= need
     return float(tfg.given_up_length[np.unique(point[passable])].sum())
 
 

@@ -40,7 +40,7 @@ PASSAGE_WIDTH = 1.5
 NODE_MARGIN = 0.05
 # The least margin of a way that the robot has driven before, m: the first, or else the next where a robot would be cut
 # off from where it began. It came by that way, whatever the newest map says of it.
-TRAVELLED_MARGINS = (0.02, 0.0, -0.05)
+TRAVELLED_MARGINS = (0.02, 0.0, -0.05, -math.inf)
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
