@@ -127,7 +127,7 @@ def test_missing_and_foreign_files(tmp_path):
     foreign = tmp_path / "other.npz"
     np.savez(foreign, a=np.zeros(3))
     assert error_of(foreign) == "FILE is not a map of tfg-drake"
-    np.savez(foreign, schema=np.array("2"))
+    np.savez(foreign, schema=np.array("3"))
     assert error_of(foreign) == "FILE is not a map of tfg-drake"
     np.save(tmp_path / "array.npy", np.zeros(3))
     assert error_of(tmp_path / "array.npy") == DAMAGED
@@ -154,8 +154,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(7)}, "FILE has map schema 7; this version reads schema 2: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 2: make the map anew"),
+        ({"schema": np.int64(7)}, "FILE has map schema 7; this version reads schema 3: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 3: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),

@@ -22,12 +22,13 @@ from tfg_drake.slam.estimator import EstimatorState
 from tfg_drake.slam.goal_graph import GoalGraph
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.range_scale import RangeScale
+from tfg_drake.slam.segment import start_segment
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 2
+SCHEMA = 3
 
 
 class MapFileError(Exception):
@@ -41,10 +42,11 @@ class SavedMap:
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. entropy:
     of the landmarks, nats. X_MA: (k, 3) arrival poses of the goals. landmark_covariance: (n, 2, 2) marginal covariance
     of each landmark in M, m^2, and departure_covariance: (3, 3) of the last departure pose, for whoever needs no more.
-    graph: the estimator's factors and values. range_scale: what it knows of the tag sensor's ranges. suspects: (s,) ids
-    of landmarks that contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the
-    topological feature graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between
-    the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
+    graph: the estimator's factors and values. odometry_calibration: (3,), odometry_covariance: (3, 3) and range_scale:
+    what it knows of the odometry, see OdometryModel, and of the tag sensor's ranges. suspects: (s,) ids of landmarks
+    that contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the topological
+    feature graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between the two, of
+    the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
 
     X_WM: FloatArray
@@ -55,6 +57,8 @@ class SavedMap:
     landmark_covariance: FloatArray
     departure_covariance: FloatArray
     graph: GoalGraph
+    odometry_calibration: FloatArray
+    odometry_covariance: FloatArray
     range_scale: RangeScale
     suspects: IntArray
     suspect_count: IntArray
@@ -87,6 +91,8 @@ REGISTRY: Registry = {
         "X_MA": ("k", 3),
         "landmark_covariance": ("n", 2, 2),
         "departure_covariance": (3, 3),
+        "odometry_calibration": (3,),
+        "odometry_covariance": (3, 3),
         "suspects": ("s",),
         "suspect_count": ("s",),
     },
@@ -177,6 +183,8 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         landmark_covariance=blocks,
         departure_covariance=np.array(estimate.covariance[2 * n :, 2 * n :]),
         graph=state.graph,
+        odometry_calibration=state.model.calibration,
+        odometry_covariance=state.model.calibration_covariance,
         range_scale=state.scale,
         suspects=state.suspects,
         suspect_count=state.suspect_count,
@@ -208,15 +216,20 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
 def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
     """The state of an estimator that goes on with a saved map: to the bit as the one that the map was taken from.
 
-    state: gives what is no part of the map, the odometry model and messages under way; that of a new estimator, or any
-    right after a goal. The robot is taken to stand at the map's last departure pose.
+    state: gives what is no part of the map, the noise of the odometry and messages under way; that of a new estimator,
+    or any right after a goal. The robot is taken to stand at the map's last departure pose.
     """
     estimate = restored_estimate(saved)
+    model = replace(
+        state.model, calibration=saved.odometry_calibration, calibration_covariance=saved.odometry_covariance
+    )
     return replace(
         state,
+        model=model,
         graph=saved.graph,
         map=estimate,
-        localizer=start_localizer(state.model, estimate),
+        localizer=start_localizer(model, estimate),
+        segment=start_segment(model),
         scale=saved.range_scale,
         suspects=saved.suspects,
         suspect_count=saved.suspect_count,

@@ -48,6 +48,7 @@ from tfg_drake.slam.odometry_model import (
     first_reckoning,
     interpolate,
     interpolate_clock,
+    learnt,
     odometry_model,
     reckon,
 )
@@ -416,7 +417,7 @@ def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
     doubtful &= _absent(solution.observation.ids, state.graph.ids)
     observation = goal_graph.without_tags(solution.observation, solution.observation.ids[doubtful])
-    return TurnSolution(observation=observation, sightings=solution.sightings[~doubtful], dropped=solution.dropped)
+    return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
 
 
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
@@ -435,8 +436,13 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
     graph, estimate = goal_graph.solve(graph, state.stamp, solution.observation)
+    model = state.model
+    if state.turn is not None:
+        # A turn in place ends where it began and tells the gyro's scale; on the way a slip could pass for a scale.
+        model = learnt(model, solution.calibration, solution.calibration_covariance)
     state = replace(
         state,
+        model=model,
         turn=None,
         piece=None,
         way=(),
@@ -444,8 +450,8 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         contradictions=0,
         graph=graph,
         map=estimate,
-        localizer=start_localizer(state.model, estimate),
-        segment=start_segment(state.model),
+        localizer=start_localizer(model, estimate),
+        segment=start_segment(model),
         rejected=rejected,
         dropped=solution.dropped,
         suspects=suspects,

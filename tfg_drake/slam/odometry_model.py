@@ -1,8 +1,8 @@
 """What an odometry increment says about the motion, and how far it can be wrong.
 
 The measured distance is (1 + s) times the true one plus a random walk, the measured turn (1 + g) times the true one
-plus a bias b times the time plus a random walk. The calibration c = (s, b, g) is constant during a run; its members
-are states of the filters and of a turn's graph, with the prior given here, drawn anew for every turn and segment.
+plus a bias b times the time plus a random walk. The calibration c = (s, b, g) hardly changes during a run; its members
+are states of the filters and of a turn's graph. What a turn tells of it is the prior of all that comes after.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ from numba import njit
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, Odometry, message
+from tfg_drake.messages import FloatArray, Odometry, message, replace
 
 # Random walk of the position whatever the motion, m per root second: wheels slip a little when turning on the spot,
 # and no covariance becomes singular.
 POSITION_NOISE = 5e-4
 # A robot whose wheels stand may still be nudged: errors accrue at this share of their rate in motion.
 REST_SHARE = 0.01
+# From goal to goal the calibration may change by this share of its first standard deviation.
+DRIFT = 0.1
 # Least standard deviation of a member of the calibration: a known constant is still a state.
 LEAST_CALIBRATION_SIGMA = 1e-6
 
@@ -30,20 +32,32 @@ class OdometryModel:
     """What the estimator believes of the odometry.
 
     noise: (3,) random walks of distance (m per root m), heading (rad per root s) and position (m per root s).
-    calibration_sigma: (3,) prior standard deviations of the distance scale, the gyro bias (rad/s), the gyro scale.
+    calibration_sigma: (3,) standard deviations of the distance scale, the gyro bias (rad/s), the gyro scale before any
+    turn. calibration: (3,), calibration_covariance: (3, 3) what is known of them now.
     """
 
     noise: FloatArray
     calibration_sigma: FloatArray
+    calibration: FloatArray
+    calibration_covariance: FloatArray
 
 
 def odometry_model(config: OdometryConfig) -> OdometryModel:
     """The model that a configuration describes."""
     sigma = np.array([config.distance_scale, config.gyro_bias, config.gyro_scale])
+    sigma = np.maximum(sigma, LEAST_CALIBRATION_SIGMA)
     return OdometryModel(
         noise=np.array([config.distance_noise, max(config.gyro_noise, 1e-6), POSITION_NOISE]),
-        calibration_sigma=np.maximum(sigma, LEAST_CALIBRATION_SIGMA),
+        calibration_sigma=sigma,
+        calibration=np.zeros(3),
+        calibration_covariance=np.diag(sigma**2),
     )
+
+
+def learnt(model: OdometryModel, calibration: FloatArray, covariance: FloatArray) -> OdometryModel:
+    """The model after a goal that knew the calibration (3,) with a covariance (3, 3)."""
+    drift = np.diag((DRIFT * model.calibration_sigma) ** 2)
+    return replace(model, calibration=calibration, calibration_covariance=covariance + drift)
 
 
 @njit(cache=True)

@@ -48,9 +48,9 @@ class PoseFilter:
 def start(model: OdometryModel, map_ids: IntArray, p_DL: FloatArray, considered: FloatArray) -> PoseFilter:
     """A filter at the origin of its frame, known exactly, that considers n landmarks (see PoseFilter)."""
     covariance = np.zeros((CORE, CORE))
-    covariance[POSE:, POSE:] = np.diag(model.calibration_sigma**2)
+    covariance[POSE:, POSE:] = model.calibration_covariance
     return PoseFilter(
-        mean=np.zeros(CORE),
+        mean=np.concatenate([np.zeros(POSE), model.calibration]),
         covariance=covariance,
         cross=np.zeros((CORE, len(considered))),
         local_ids=np.empty(0, dtype=np.int64),

@@ -51,11 +51,13 @@ def no_detections(stamp: float) -> TagDetections:
 @message
 class TurnSolution:
     """observation: the turn's result. sightings: (n,) detections behind each of its tags. dropped: number of detections
-    left out as outliers."""
+    left out as outliers. calibration: (3,) of the odometry, calibration_covariance: (3, 3), see OdometryModel."""
 
     observation: GoalObservation
     sightings: IntArray
     dropped: int
+    calibration: FloatArray
+    calibration_covariance: FloatArray
 
 
 def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, ...], end: TurnFrame) -> TurnSolution:
@@ -90,15 +92,22 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
 
     ids, sightings = np.unique(all_ids[kept], return_counts=True)
     X_AB = np.array([_pose(values, i) for i in range(len(stamps))])
+    covariance = _joint_covariance(graph, values, ids, len(stamps))
     observation = GoalObservation(
         ids=ids,
         p_AL=np.array([values.atPoint2(L(int(tag))) for tag in ids]).reshape(-1, 2),
         X_AD=X_AB[-1],
-        covariance=_joint_covariance(graph, values, ids, len(stamps)),
+        covariance=covariance[3:, 3:],
         stamps=stamps,
         X_AB=X_AB,
     )
-    return TurnSolution(observation=observation, sightings=sightings, dropped=int(np.sum(~kept)))
+    return TurnSolution(
+        observation=observation,
+        sightings=sightings,
+        dropped=int(np.sum(~kept)),
+        calibration=values.atVector(C(0)),
+        calibration_covariance=covariance[:3, :3],
+    )
 
 
 def _nodes(
@@ -147,9 +156,8 @@ def _graph(
     """Poses B(i), calibration C(0), tags L(id): prior at A, odometry between poses, bearing and range of tags."""
     graph = gtsam.NonlinearFactorGraph()
     graph.add(gtsam.PriorFactorPose2(B(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, ORIGIN_SIGMA)))
-    graph.add(
-        gtsam.PriorFactorVector(C(0), np.zeros(3), gtsam.noiseModel.Diagonal.Sigmas(model.calibration_sigma.copy()))
-    )
+    prior = gtsam.noiseModel.Gaussian.Covariance(model.calibration_covariance)
+    graph.add(gtsam.PriorFactorVector(C(0), model.calibration, prior))
     for i in range(len(clock) - 1):
         increment, dt = arc(X_OB[i], X_OB[i + 1]), clock[i + 1] - clock[i]
         graph.add(odometry_factor(B(i), B(i + 1), C(0), increment, dt, model.noise))
@@ -195,7 +203,7 @@ def _pose(values: gtsam.Values, i: int) -> tuple[float, float, float]:
 
 
 def _joint_covariance(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ids: IntArray, nodes: int) -> FloatArray:
-    """(2n + 3, 2n + 3) covariance of (tags, X_AD) given A: the other poses and the calibration eliminated.
+    """(2n + 6, 2n + 6) covariance of (calibration, tags, X_AD) given A: the other poses eliminated.
 
     A Schur complement of GTSAM's linearised system; GTSAM's pose increments are in the body's frame, so that of D is
     rotated into A.
@@ -208,10 +216,12 @@ def _joint_covariance(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, i
         ordering.push_back(L(int(tag)))
     ordering.push_back(B(nodes - 1))
     information = graph.linearize(values).hessian(ordering)[0][3:, 3:]
-    split = 3 * (nodes - 1)
-    factor = scipy.linalg.cholesky(information[:split, :split], lower=True, check_finite=False)
-    half = scipy.linalg.solve_triangular(factor, information[:split, split:], lower=True, check_finite=False)
-    reduced = information[split:, split:] - half.T @ half
+    split = 3 * (nodes - 2)
+    reduced = information[split:, split:]
+    if split > 0:
+        factor = scipy.linalg.cholesky(information[:split, :split], lower=True, check_finite=False)
+        half = scipy.linalg.solve_triangular(factor, information[:split, split:], lower=True, check_finite=False)
+        reduced = reduced - half.T @ half
     covariance = scipy.linalg.cho_solve(
         scipy.linalg.cho_factor(reduced, check_finite=False), np.eye(len(reduced)), check_finite=False
     )
