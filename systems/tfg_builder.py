@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.cpu_meter import metered
-from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -32,9 +31,12 @@ from tfg_drake.tfg.panorama import build_panorama
 
 
 @message
-class _Buffer:
-    """Since the last goal: the scans of the running turn and the tags sighted on the way."""
+class _BuilderState:
+    """The graph and it resolved in the map; since its last goal, scans of the running turn and tags sighted on the
+    way."""
 
+    graph: TfgGraph
+    tfg: TfgMap
     scans: tuple[LaserScan, ...]
     sightings: Sightings
 
@@ -64,14 +66,14 @@ class TfgBuilder(LeafSystem):
         self._map = declare_message_input(self, "map")
         self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
-        self._buffer = self.DeclareAbstractState(AbstractValue.Make(_Buffer((), no_sightings())))
-        self._graph = self.DeclareAbstractState(AbstractValue.Make(empty_graph()))
-        self._tfg = self.DeclareAbstractState(AbstractValue.Make(empty_map()))
+        # One value: Drake copies every abstract state at every event of any system.
+        initial = _BuilderState(empty_graph(), empty_map(), (), no_sightings())
+        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
         declare_message_output(
             self,
             "tfg",
-            lambda context: state_message(context, self._tfg, TfgMap),
-            {self.abstract_state_ticket(self._tfg)},
+            lambda context: state_message(context, self._state, _BuilderState).tfg,
+            {self.abstract_state_ticket(self._state)},
         )
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
@@ -79,37 +81,30 @@ class TfgBuilder(LeafSystem):
 
     def graph(self, context: Context) -> TfgGraph:
         """The graph, in the builder's own context, in the coordinates of its landmarks and goals."""
-        return state_message(context, self._graph, TfgGraph)
+        return state_message(context, self._state, _BuilderState).graph
 
     @metered("tfg_builder")
     def _Update(self, context: Context, state: State) -> EventStatus:
-        graph = state_message(context, self._graph, TfgGraph)
+        now = state_message(context, self._state, _BuilderState)
         estimate = eval_message(self._map, context, MapEstimate)
-        if estimate.stage > graph.stage:
-            self._AddGoal(context, state, graph, estimate)
-            return EventStatus.Succeeded()
-        buffer = state_message(context, self._buffer, _Buffer)
-        collected = self._Collect(context, buffer)
-        if collected is buffer:
+        after = self._AddGoal(now, estimate) if estimate.stage > now.graph.stage else self._Collect(context, now)
+        if after is now:
             return EventStatus.DidNothing()
-        set_state_message(state, self._buffer, collected)
+        set_state_message(state, self._state, after)
         return EventStatus.Succeeded()
 
-    def _Collect(self, context: Context, buffer: _Buffer) -> _Buffer:
-        sightings = note_sightings(buffer.sightings, eval_message(self._pose, context, PoseEstimate))
-        scans = buffer.scans
+    def _Collect(self, context: Context, now: _BuilderState) -> _BuilderState:
+        sightings = note_sightings(now.sightings, eval_message(self._pose, context, PoseEstimate))
+        scans = now.scans
         if eval_message(self._mission, context, MissionStatus).phase == "observe":
             scan = eval_message(self._scan, context, LaserScan)
-            if np.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
+            if math.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
                 scans = (*scans, scan)
-        if scans is buffer.scans and sightings is buffer.sightings:
-            return buffer
-        return _Buffer(scans, sightings)
+        if scans is now.scans and sightings is now.sightings:
+            return now
+        return replace(now, scans=scans, sightings=sightings)
 
-    def _AddGoal(self, context: Context, state: State, graph: TfgGraph, estimate: MapEstimate) -> None:
-        buffer = state_message(context, self._buffer, _Buffer)
-        panorama = build_panorama(buffer.scans, estimate.observation.stamps, estimate.observation.X_AB)
-        graph = update(graph, estimate, panorama, buffer.sightings, self._tags, self._robot, self._explorer)
-        set_state_message(state, self._graph, graph)
-        set_state_message(state, self._tfg, resolve(graph, estimate, self._robot, self._explorer))
-        set_state_message(state, self._buffer, _Buffer((), no_sightings()))
+    def _AddGoal(self, now: _BuilderState, estimate: MapEstimate) -> _BuilderState:
+        panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
+        graph = update(now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer)
+        return _BuilderState(graph, resolve(graph, estimate, self._robot, self._explorer), (), no_sightings())

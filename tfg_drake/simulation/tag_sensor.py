@@ -82,7 +82,8 @@ def detect(
     ids = world.tag_ids[rows]
     # The number that let the tag be detected is uniform below the detection probability: its lowest part makes gross
     # errors, the next misread ids, and the place within its part says which.
-    chance = ndtr(standard_normal[rows, 2]) / config.detection_probability
+    gross = config.outlier_probability > 0.0 or config.wrong_id_probability > 0.0
+    chance = ndtr(standard_normal[rows, 2]) / config.detection_probability if gross else np.empty(0)
     if config.outlier_probability > 0.0:
         bad = chance < config.outlier_probability
         measured[bad] = config.range * chance[bad] / config.outlier_probability

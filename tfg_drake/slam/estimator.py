@@ -12,6 +12,7 @@ is suddenly elsewhere (a slip, a push, a kidnapping).
 from __future__ import annotations
 
 import logging
+import math
 
 import numpy as np
 
@@ -199,7 +200,7 @@ def process_detections(state: EstimatorState, detections: TagDetections) -> Esti
 
 def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
     """The state with one more scan to compare the frame of its instant with."""
-    if not np.isfinite(scan.stamp) or (state.scans and scan.stamp <= state.scans[-1].stamp):
+    if not math.isfinite(scan.stamp) or (state.scans and scan.stamp <= state.scans[-1].stamp):
         return state
     return replace(state, scans=(*state.scans, scan)[-SCANS:])
 
