@@ -35,10 +35,11 @@ def test_without_a_frontier_a_goal_must_promise_more_than_the_stop_gain():
 
 
 def test_a_frontier_behind_a_passage_too_narrow_for_the_uncertainty_is_stuck():
-    assert verdict([25], [1], [0], frontier=3.25, barred=1.25).verdict == "goal"
-    stuck = verdict([5], [1], [0], frontier=3.25, barred=1.25)
+    assert verdict([25], [1], [0], frontier=3.25, barred=30.25).verdict == "goal"
+    assert verdict([5], [1], [0], frontier=3.25, barred=19.0).verdict == "complete"
+    stuck = verdict([5], [1], [0], frontier=3.25, barred=30.25)
     assert stuck.verdict == "stuck"
-    assert stuck.reason == "1.2 m of frontier lie behind passages too narrow for the uncertainty of the map."
+    assert stuck.reason == "30.2 nats lie behind a passage too narrow for the uncertainty of the map."
 
 
 def test_an_open_frontier_that_was_given_up_is_stuck():

@@ -8,7 +8,7 @@ import pytest
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import PoseEstimate
+from tfg_drake.messages import PoseEstimate, replace
 from tfg_drake.tfg.frontier import frontier_length_total, place_points
 from tfg_drake.tfg.graph import Sightings, empty_graph, empty_map, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.polyline import sample
@@ -50,6 +50,20 @@ def test_an_empty_graph_resolves_to_an_empty_map(two_rooms) -> None:
             two_rooms.robot,
             two_rooms.explorer,
         )
+
+
+def test_a_landmark_without_a_surface_is_an_obstacle(two_rooms) -> None:
+    two_rooms.observe(TOUR[0])
+    graph, estimate = two_rooms.graph, two_rooms.estimate
+    post = np.array([1.5, 2.0])
+    ids, n = np.append(estimate.ids, 10_000), len(estimate.ids)
+    moved = replace(estimate, ids=ids, p_ML=np.vstack([estimate.p_ML, post]))
+    before = resolve(graph, estimate, two_rooms.robot, two_rooms.explorer)
+    tfg = resolve(graph, moved, two_rooms.robot, two_rooms.explorer)
+    assert len(tfg.facing) == n + 1
+    assert len(tfg.segments) == len(before.segments) + 1
+    assert (tfg.segments[-1].tolist(), tfg.segment_kind[-1]) == ([*post, *post], END)
+    assert tfg.segment_ids[-1].tolist() == [10_000, -1]
 
 
 def test_a_tour_maps_all_walls_and_nothing_else(two_rooms) -> None:

@@ -95,17 +95,51 @@ def choose(
         explorer,
     )
     value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
-    # Frontiers that could be seen from where the robot would fit, were it surer of its place.
-    barred = roadmap.points[roadmap.enterable & ~roadmap.reachable]
-    barred_frontiers = np.unique(expected_frontiers(barred, tfg, sensor).index)
     enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     return decide(
-        estimate.stage, candidates, points, gains, value, enough,
-        float(tfg.frontier_length[barred_frontiers].sum()), _given_up_at_hand(tfg, roadmap, robot.radius + NODE_MARGIN),
-        float(tfg.frontier_length.sum()), not roadmap.reachable[home],
+        estimate.stage,
+        candidates,
+        points,
+        gains,
+        value,
+        enough,
+        _barred_gain(estimate, tfg, roadmap, sensor, odometry, robot, explorer),
+        _given_up_at_hand(tfg, roadmap, robot.radius + NODE_MARGIN),
+        float(tfg.frontier_length.sum()),
+        not roadmap.reachable[home],
         explorer.stop_gain,
-    )  # fmt: skip
+    )
+
+
+def _barred_gain(
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    roadmap: Roadmap,
+    sensor: TagSensorConfig,
+    odometry: OdometryConfig,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+) -> float:
+    """The most (nats) that a place promises where the robot would fit, were it surer of its own and the map's."""
+    points = roadmap.points[roadmap.enterable & ~roadmap.reachable]
+    if not len(points) or not roadmap.reachable.any():
+        return 0.0
+    distance, nearest = cKDTree(roadmap.points[roadmap.reachable]).query(points)
+    time = roadmap.travel_time[roadmap.reachable][nearest] + distance / robot.max_speed
+    gains = information_gain(
+        points,
+        robot.max_speed * time,
+        time,
+        expected_tags(points, estimate, tfg, sensor),
+        expected_frontiers(points, tfg, sensor),
+        estimate,
+        tfg,
+        sensor,
+        odometry,
+        explorer,
+    )
+    return float(gains.gain.max())
 
 
 def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
@@ -141,7 +175,7 @@ def decide(
     gains: Gains,
     value: FloatArray,
     sees_frontier: BoolArray,
-    barred_length: float,
+    barred_gain: float,
     given_up_length: float,
     frontier_length: float,
     cut_off: bool,
@@ -149,7 +183,7 @@ def decide(
 ) -> GoalChoice:
     """The verdict on candidates (c,) at points (c, 2) with gains and value (c,); the first of equals wins.
 
-    barred_length: m of live frontier that the robot could see from places it would fit into but may not try to reach.
+    barred_gain: nats that a place promises that the robot would fit into but may not try to reach.
     given_up_length: m of open frontier that was tried too often.
     frontier_length: m of live frontier, seen or not: what remains when nothing else does is closed to this robot.
     cut_off: the robot cannot get back to where it began.
@@ -165,9 +199,9 @@ def decide(
     elif cut_off and frontier_length >= ENOUGH_FRONTIER:
         verdict = "stuck"
         reason = f"The robot cannot get back to where it began, and {frontier_length:.1f} m of frontier are left."
-    elif barred_length >= ENOUGH_FRONTIER:
+    elif barred_gain > stop_gain:
         verdict = "stuck"
-        reason = f"{barred_length:.1f} m of frontier lie behind passages too narrow for the uncertainty of the map."
+        reason = f"{barred_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
     elif given_up_length > 0.0:
         verdict = "stuck"
         reason = f"{given_up_length:.1f} m of open frontier were tried again and again in vain."

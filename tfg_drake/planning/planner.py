@@ -20,6 +20,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.expected_view import expected_frontiers
+from tfg_drake.planning.goal_choice import ENOUGH_FRONTIER, seen_length
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     RoadmapParameters,
@@ -103,7 +104,8 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
         ways = routes(nodes, tfg, estimate.X_MD, parameters.robot)
         reached = nodes.points[np.isfinite(ways.cost)]
-        if len(tfg.frontiers) == 0 or len(expected_frontiers(reached, tfg, parameters.sensor).index):
+        seen = seen_length(reached, expected_frontiers(reached, tfg, parameters.sensor), tfg, parameters.sensor)
+        if len(tfg.frontiers) == 0 or seen.max(initial=0.0) >= ENOUGH_FRONTIER:
             break
     return replace(
         state,

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
@@ -44,12 +45,14 @@ from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
-from tfg_drake.tfg.surfaces import Surfaces, add_observation, no_surfaces, place
+from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
 
 # Goals tried within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
 # An opening must be this much wider than the robot on either side, m, to be held against the mission.
 PASSABLE_MARGIN = 0.05
+# A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
+BARE_TAG = 0.1
 
 
 @message
@@ -230,11 +233,13 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     shadows = _open_shadows(graph, estimate, segments)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
+    bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), segments, BARE_TAG) >= BARE_TAG
+    posts = estimate.ids[bare]
     return TfgMap(
         stage=graph.stage,
-        segments=segments,
-        segment_kind=graph.surfaces.kind[owner],
-        segment_ids=graph.surfaces.ids[owner],
+        segments=np.vstack([segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
+        segment_kind=np.append(graph.surfaces.kind[owner], np.full(len(posts), END)),
+        segment_ids=np.vstack([graph.surfaces.ids[owner], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
         facing=facing,
         frontiers=frontier.p,
         frontier_length=frontier.length,
