@@ -5,6 +5,9 @@ Plain mutable dataclasses of plain types, so that a scenario file can be read st
 
 import dataclasses
 
+# A place for the robot to stand has this much more room to every side than its radius, m.
+NODE_MARGIN = 0.05
+
 
 @dataclasses.dataclass
 class RobotConfig:

@@ -7,12 +7,11 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain, share_seen
-from tfg_drake.planning.roadmap import NODE_MARGIN
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
@@ -79,72 +78,62 @@ def choose(
     nodes = np.flatnonzero(roadmap.reachable & (from_goal >= APART))
     seen = expected_frontiers(roadmap.points[nodes], tfg, sensor)
     candidates = thin_candidates(nodes, seen.count, explorer.samples)
-    points = roadmap.points[candidates]
-    time = roadmap.travel_time[candidates]
     frontiers = seen.of(np.searchsorted(nodes, candidates))
-    gains = information_gain(
-        points,
-        robot.max_speed * time,
-        time,
-        expected_tags(points, estimate, tfg, sensor),
-        frontiers,
-        estimate,
-        tfg,
-        sensor,
-        odometry,
-        explorer,
-    )
+
+    def expected(points: FloatArray, time: FloatArray, frontiers: View) -> Gains:
+        tags = expected_tags(points, estimate, tfg, sensor)
+        distance = robot.max_speed * time
+        return information_gain(points, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
+
+    points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
+    gains = expected(points, time, frontiers)
     value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
     enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
-    _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
-    return decide(
-        estimate.stage,
-        candidates,
-        points,
-        gains,
-        value,
-        enough,
-        _barred_gain(estimate, tfg, roadmap, sensor, odometry, robot, explorer),
-        _given_up_at_hand(tfg, roadmap, robot.radius + NODE_MARGIN),
-        float(tfg.frontier_length.sum()),
-        not roadmap.reachable[home],
-        explorer.stop_gain,
+    best = pick(gains.gain, value, enough, explorer.stop_gain)
+    if best >= 0:
+        node, p_MG, verdict = int(candidates[best]), points[best], "goal"
+        reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {value[best]:.2f} nats per second."
+    else:
+        node, p_MG = -1, np.zeros(2)
+        barred, barred_time = _barred(roadmap, robot.max_speed)
+        barred_gains = expected(barred, barred_time, expected_frontiers(barred, tfg, sensor))
+        _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
+        verdict, reason = why_end(
+            bool(len(candidates)),
+            float(barred_gains.gain.max(initial=0.0)),
+            given_up_open(tfg, roadmap, robot.radius + NODE_MARGIN),
+            float(tfg.frontier_length.sum()),
+            not roadmap.reachable[home],
+            explorer.stop_gain,
+        )
+    return GoalChoice(
+        stage=estimate.stage,
+        node=node,
+        p_MG=p_MG,
+        candidates=candidates,
+        exploitation=gains.exploitation,
+        exploration=gains.exploration,
+        pose_price=gains.pose_price,
+        gain=gains.gain,
+        value=value,
+        verdict=verdict,
+        reason=reason,
     )
 
 
-def _barred_gain(
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    roadmap: Roadmap,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    robot: RobotConfig,
-    explorer: ExplorerConfig,
-) -> float:
-    """The most (nats) that a place promises where the robot would fit, were it surer of its own and the map's."""
+def _barred(roadmap: Roadmap, speed: float) -> tuple[FloatArray, FloatArray]:
+    """Places (b, 2), m in M, where the robot would fit but which it may not try to reach, and how long (b,), s, it
+    would take at the speed (m/s), were it surer of its own place and the map's."""
+    if not roadmap.reachable.any():
+        return np.zeros((0, 2)), np.zeros(0)
     points = roadmap.points[roadmap.enterable & ~roadmap.reachable]
-    if not len(points) or not roadmap.reachable.any():
-        return 0.0
     distance, nearest = cKDTree(roadmap.points[roadmap.reachable]).query(points)
-    time = roadmap.travel_time[roadmap.reachable][nearest] + distance / robot.max_speed
-    gains = information_gain(
-        points,
-        robot.max_speed * time,
-        time,
-        expected_tags(points, estimate, tfg, sensor),
-        expected_frontiers(points, tfg, sensor),
-        estimate,
-        tfg,
-        sensor,
-        odometry,
-        explorer,
-    )
-    return float(gains.gain.max())
+    return points, roadmap.travel_time[roadmap.reachable][nearest] + distance / speed
 
 
-def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
-    """Length (m) of the open frontier that was tried in vain and that a robot that needs so much room (m) to every
-    side could drive up to.
+def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
+    """Length (m) of the frontier that was tried in vain though a robot that needs so much room (m) to every side could
+    drive up to it and through.
 
     What it only ever saw through a crack does not keep the mission from being complete.
     """
@@ -155,8 +144,9 @@ def _given_up_at_hand(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
     near = cKDTree(places).query_ball_point(before, AT_HAND)
     point = np.repeat(np.arange(len(before)), [len(rows) for rows in near])
     ways = np.hstack([places[np.concatenate([np.array(rows, dtype=np.int64) for rows in near])], before[point]])
-    passable = clearance(ways, tfg.segments, need) >= need
-    return float(tfg.given_up_length[np.unique(point[passable])].sum())
+    reached = np.unique(point[clearance(ways, tfg.segments, need) >= need])
+    through = np.hstack([before, tfg.given_up])[reached]
+    return float(tfg.given_up_length[reached[clearance(through, tfg.segments, need) >= need]].sum())
 
 
 def seen_length(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
@@ -168,57 +158,35 @@ def seen_length(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSen
     return np.asarray(np.bincount(point, length, minlength=len(points)), dtype=np.float64)
 
 
-def decide(
-    stage: int,
-    candidates: IntArray,
-    points: FloatArray,
-    gains: Gains,
-    value: FloatArray,
-    sees_frontier: BoolArray,
+def pick(gain: FloatArray, value: FloatArray, sees_frontier: BoolArray, stop_gain: float) -> int:
+    """The candidate (c,) of most value, the first of equals, among those worth going to; -1 if none is."""
+    worth = sees_frontier | (gain > stop_gain)
+    return int(np.argmax(np.where(worth, value, -np.inf))) if worth.any() else -1
+
+
+def why_end(
+    candidates: bool,
     barred_gain: float,
     given_up_length: float,
     frontier_length: float,
     cut_off: bool,
     stop_gain: float,
-) -> GoalChoice:
-    """The verdict on candidates (c,) at points (c, 2) with gains and value (c,); the first of equals wins.
+) -> tuple[str, str]:
+    """Verdict and reason where no candidate is worth going to.
 
-    barred_gain: nats that a place promises that the robot would fit into but may not try to reach.
-    given_up_length: m of open frontier that was tried too often.
-    frontier_length: m of live frontier, seen or not: what remains when nothing else does is closed to this robot.
-    cut_off: the robot cannot get back to where it began.
+    candidates: there are any. barred_gain: nats that a place promises that the robot would fit into but may not try to
+    reach. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier, seen or
+    not: what remains when nothing else does is closed to this robot. cut_off: the robot cannot get back to where it
+    began.
     """
-    gain = gains.gain
-    worth = sees_frontier | (gain > stop_gain)
-    pick, verdict = -1, "goal"
-    if worth.any():
-        pick = int(np.argmax(np.where(worth, value, -np.inf)))
-        reason = f"{gain[pick]:.1f} nats are expected at the rate of {value[pick]:.2f} nats per second."
-    elif len(candidates) == 0:
-        verdict, reason = "stuck", "The robot cannot reach any other place."
-    elif cut_off and frontier_length >= ENOUGH_FRONTIER:
-        verdict = "stuck"
-        reason = f"The robot cannot get back to where it began, and {frontier_length:.1f} m of frontier are left."
-    elif barred_gain > stop_gain:
-        verdict = "stuck"
-        reason = f"{barred_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
-    elif given_up_length > 0.0:
-        verdict = "stuck"
-        reason = f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
-    else:
-        verdict = "complete"
-        but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length > 0.0 else ""
-        reason = f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."
-    return GoalChoice(
-        stage=stage,
-        node=int(candidates[pick]) if pick >= 0 else -1,
-        p_MG=points[pick] if pick >= 0 else np.zeros(2),
-        candidates=candidates,
-        exploitation=gains.exploitation,
-        exploration=gains.exploration,
-        pose_price=gains.pose_price,
-        gain=gain,
-        value=value,
-        verdict=verdict,
-        reason=reason,
-    )
+    if not candidates:
+        return "stuck", "The robot cannot reach any other place."
+    if cut_off and frontier_length >= ENOUGH_FRONTIER:
+        left = f"{frontier_length:.1f} m of frontier are left"
+        return "stuck", f"The robot cannot get back to where it began, and {left}."
+    if barred_gain > stop_gain:
+        return "stuck", f"{barred_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
+    if given_up_length > 0.0:
+        return "stuck", f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
+    but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length > 0.0 else ""
+    return "complete", f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."

@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, segment_distance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap, message
@@ -36,8 +36,6 @@ OLDER_DARTS = 300
 FRONTIER_DARTS = 5
 # Gaps between surfaces up to this width get a node in the middle, m.
 PASSAGE_WIDTH = 1.5
-# A node keeps this much more than the robot's radius from any surface, m.
-NODE_MARGIN = 0.05
 # The least margin of a way that the robot has driven before, m: the first, or else the next where a robot would be cut
 # off from where it began. It came by that way, whatever the newest map says of it.
 TRAVELLED_MARGINS = (0.02, 0.0, -0.05, -math.inf)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
@@ -49,8 +49,6 @@ from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, 
 
 # Goals tried within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
-# An opening must be this much wider than the robot on either side, m, to be held against the mission.
-PASSABLE_MARGIN = 0.05
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
 
@@ -308,7 +306,7 @@ def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
     neighbours = cKDTree(points.p).sparse_distance_matrix(cKDTree(points.p), TRIED_DISTANCE)
     _, label = connected_components(neighbours, directed=False)
     length = np.bincount(label, points.length)
-    return select(points, length[label] >= 2.0 * (robot.radius + PASSABLE_MARGIN))
+    return select(points, length[label] >= 2.0 * (robot.radius + NODE_MARGIN))
 
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
