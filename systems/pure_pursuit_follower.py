@@ -14,7 +14,7 @@ from tfg_drake.messages import FollowerStatus, MissionStatus, Path, PoseEstimate
 from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 
-PERIOD = 1 / 32
+PERIOD = 1 / 16
 # Commands this long zero, s, before measured speeds are believed to be those of rest.
 SETTLING = 0.25
 

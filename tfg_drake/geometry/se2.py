@@ -42,6 +42,11 @@ def _inverse(X_AB: FloatArray) -> FloatArray:
     return X_BA
 
 
+@njit(cache=True)
+def _between(X_AB: FloatArray, X_AC: FloatArray) -> FloatArray:
+    return _compose(_inverse(X_AB), X_AC)
+
+
 def compose(X_AB: FloatArray, X_BC: FloatArray) -> FloatArray:
     """X_AC = X_AB X_BC; either argument may be (3,) or (n, 3)."""
     X_AB, X_BC = np.asarray(X_AB, dtype=float), np.asarray(X_BC, dtype=float)
@@ -64,7 +69,10 @@ def inverse(X_AB: FloatArray) -> FloatArray:
 
 
 def between(X_AB: FloatArray, X_AC: FloatArray) -> FloatArray:
-    """X_BC from two poses in A."""
+    """X_BC from two poses in A; either argument may be (3,) or (n, 3)."""
+    X_AB, X_AC = np.asarray(X_AB, dtype=float), np.asarray(X_AC, dtype=float)
+    if X_AB.ndim == X_AC.ndim == 1:
+        return _between(X_AB, X_AC)
     return compose(inverse(X_AB), X_AC)
 
 

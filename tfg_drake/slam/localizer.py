@@ -17,7 +17,7 @@ from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message, 
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
-from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter
+from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
 
 # Landmarks considered: the nearest to the departure pose.
 WINDOW = 300
@@ -88,15 +88,34 @@ def localized_pose(
     localizer: Localizer, model: OdometryModel, increment: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
     """X_MB (3,) and its covariance (3, 3), an odometry increment (3,) over dt seconds past the localiser's instant."""
-    X_DB, P_BB, P_BD = pose_filter.predict_pose(localizer.filter, model, increment, dt, POSE)
-    return _in_map(localizer.X_MD, localizer.filter.considered[-POSE:, -POSE:], X_DB, P_BB, P_BD)
+    filter_ = localizer.filter
+    X_MB, covariance = _in_map(
+        localizer.X_MD,
+        filter_.considered,
+        filter_.mean,
+        filter_.covariance,
+        filter_.cross,
+        increment,
+        dt,
+        model.noise,
+    )
+    return X_MB, covariance
 
 
 @njit(cache=True)
 def _in_map(
-    X_MD: FloatArray, P_DD: FloatArray, X_DB: FloatArray, P_BB: FloatArray, P_BD: FloatArray
+    X_MD: FloatArray,
+    considered: FloatArray,
+    mean: FloatArray,
+    covariance: FloatArray,
+    cross: FloatArray,
+    increment: FloatArray,
+    dt: float,
+    noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """X_MB (3,) = X_MD X_DB and its covariance (3, 3), from those of the two and the cross covariance P_BD (3, 3)."""
+    """X_MB (3,) = X_MD X_DB and its covariance (3, 3), X_DB of the filter after an odometry increment."""
+    X_DB, P_BB, P_BD = predict_pose(mean, covariance, cross, POSE, increment, dt, noise)
+    P_DD = considered[-POSE:, -POSE:].copy()
     c, s = math.cos(X_MD[2]), math.sin(X_MD[2])
     x, y = c * X_DB[0] - s * X_DB[1], s * X_DB[0] + c * X_DB[1]
     by_D, by_B = np.eye(3), np.eye(3)
@@ -104,7 +123,7 @@ def _in_map(
     by_B[0, 0], by_B[0, 1], by_B[1, 0], by_B[1, 1] = c, -s, s, c
     mixed = by_B @ P_BD @ by_D.T
     X_MB = np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + X_DB[2])])
-    return X_MB, by_D @ np.ascontiguousarray(P_DD) @ by_D.T + by_B @ P_BB @ by_B.T + mixed + mixed.T
+    return X_MB, by_D @ P_DD @ by_D.T + by_B @ P_BB @ by_B.T + mixed + mixed.T
 
 
 def local_tags(localizer: Localizer) -> FloatArray:

@@ -66,15 +66,6 @@ def start_alone(model: OdometryModel) -> PoseFilter:
     return start(model, np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 0)))
 
 
-def predict_pose(
-    filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, extra: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The pose (3,) alone after an odometry increment, its covariance (3, 3), and that with the last `extra` considered
-    quantities (3, extra)."""
-    cross = filter_.cross[:CORE, filter_.cross.shape[1] - extra :]
-    return _predict_pose(filter_.mean, filter_.covariance, cross, increment, dt, model.noise)
-
-
 def step(
     filter_: PoseFilter, model: OdometryModel, increment: FloatArray, dt: float, detections: TagDetections
 ) -> tuple[PoseFilter, int, int]:
@@ -166,10 +157,19 @@ def _predict(
 
 
 @njit(cache=True)
-def _predict_pose(
-    mean: FloatArray, covariance: FloatArray, cross: FloatArray, increment: FloatArray, dt: float, noise: FloatArray
+def predict_pose(
+    mean: FloatArray,
+    covariance: FloatArray,
+    cross: FloatArray,
+    extra: int,
+    increment: FloatArray,
+    dt: float,
+    noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    X, P, C = _predict(mean[:CORE], covariance[:CORE, :CORE], cross, increment, dt, noise)
+    """The pose (3,) alone after an odometry increment, its covariance (3, 3), and that with the last `extra` considered
+    quantities (3, extra). Other arguments as in PoseFilter and OdometryModel."""
+    C = cross[:CORE, cross.shape[1] - extra :]
+    X, P, C = _predict(mean[:CORE], covariance[:CORE, :CORE], C, increment, dt, noise)
     return X[:POSE].copy(), P[:POSE, :POSE].copy(), C[:POSE].copy()
 
 
