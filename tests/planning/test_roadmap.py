@@ -12,6 +12,7 @@ from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     CHORD,
+    EFFORTS,
     SPACING,
     RoadmapParameters,
     _chords,
@@ -142,6 +143,20 @@ def test_more_effort_gives_more_nodes():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0)])
     more = extend(state, tfg, estimate, PARAMETERS, effort=2)
     assert len(more.points) > 1.5 * len(state.points)
+
+
+def test_the_last_effort_accepts_a_door_that_is_a_little_too_narrow():
+    goals = [(-4, 0, 0)]
+    cautious = dataclasses.replace(PARAMETERS, explorer=ExplorerConfig(collision_probability=1e-4))
+    widths = {}
+    for effort in EFFORTS:
+        for width in (0.44, 0.5, 0.56):
+            estimate, tfg = known(two_rooms(width), goals)
+            state = extend(empty_roadmap(), tfg, estimate, cautious, effort=effort)
+            reached = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost)
+            if (state.points[reached, 0] > 0.3).any():
+                widths[effort] = min(widths.get(effort, 9.0), width)
+    assert widths == {1: 0.56, 2: 0.56, 3: 0.5}
 
 
 def test_what_was_travelled_stays_open_with_little_to_spare():

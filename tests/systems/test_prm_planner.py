@@ -5,6 +5,7 @@ from pydrake.systems.analysis import Simulator
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import GoalChoice, GoalObservation, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.planner import OBSTACLE_MEMORY
 from tfg_drake.systems.prm_planner import PrmPlanner
 
 CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig()
@@ -123,6 +124,35 @@ def test_roadmap_then_path_then_a_watch_on_it():
     assert planner.output("status").free
     place = 1.2 * np.array([np.cos(bearing), np.sin(bearing)])
     assert np.hypot(*(around.points - place).T).min() > 0.18
+
+
+def test_what_blocked_the_way_is_kept_for_some_stages():
+    planner = Planner()
+    planner.observed()
+    planner.set(goal=choice(planner.output("roadmap"), (3, 0)), mission=MissionStatus("plan", 1, 0.0))
+    planner.run()
+    ahead = planner.output("path").points[15]
+    bearing = np.arctan2(ahead[1], ahead[0])
+    met = 1.2 * np.array([np.cos(bearing), np.sin(bearing)])
+    blocked = np.where(np.abs(scan().angles - bearing) < 0.1, 1.2, np.inf)
+    planner.set(mission=MissionStatus("follow", 1, 0.0, path_id=1), scan=scan(1.1, blocked))
+    planner.run()
+    assert not planner.output("status").free
+
+    def nearest(stage):
+        estimate, tfg = maps(stage)
+        planner.set(map=estimate, tfg=tfg, pose=pose(stage), mission=MissionStatus("choose", stage, 0.0))
+        planner.run()
+        goal = choice(planner.output("roadmap"), (3, 0), stage)
+        planner.set(goal=goal, mission=MissionStatus("plan", stage, 0.0))
+        planner.run()
+        path = planner.output("path")
+        assert path.stage == stage
+        return np.hypot(*(path.points - met).T).min()
+
+    assert nearest(2) > CONFIGS[0].radius
+    assert nearest(1 + OBSTACLE_MEMORY) > CONFIGS[0].radius
+    assert nearest(2 + OBSTACLE_MEMORY) < 0.1
 
 
 def test_an_unreachable_goal_gives_an_empty_path_with_a_new_id():

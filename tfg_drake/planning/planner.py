@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.geometry.se2 import compose
+from tfg_drake.config import TagSensorConfig
+from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.messages import (
+    BoolArray,
     FloatArray,
     GoalChoice,
+    IntArray,
     LaserScan,
     MapEstimate,
     MissionStatus,
@@ -23,16 +26,20 @@ from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.goal_choice import ENOUGH_FRONTIER, seen_length
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
+    EFFORTS,
     RoadmapParameters,
     RoadmapState,
     empty_roadmap,
     extend,
+    place_in_map,
     roadmap_message,
     routes,
 )
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
+# What is met on the way is kept for this many stages: it may be too small for the map, or walk away.
+OBSTACLE_MEMORY = 10
 
 
 @message
@@ -40,8 +47,9 @@ class PlannerState:
     """All that the planner remembers.
 
     nodes: the roadmap itself. roadmap, path, status: what it says of it. replans: the mission's count when the path
-    was planned. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. scan_stamp: s, of the
-    newest scan the path was checked against. driven: (d, 2) where the robot has been at this stage, m in M.
+    was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the goals
+    obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the robot
+    has been at this stage, m in M.
     """
 
     nodes: RoadmapState
@@ -50,6 +58,7 @@ class PlannerState:
     status: PathStatus
     replans: int
     obstacles: FloatArray
+    obstacle_goal: IntArray
     scan_stamp: float
     driven: FloatArray
 
@@ -65,6 +74,7 @@ def initial_state() -> PlannerState:
         status=PathStatus(path_id=0, free=True),
         replans=0,
         obstacles=np.zeros((0, 4)),
+        obstacle_goal=np.zeros(0, dtype=np.int64),
         scan_stamp=-np.inf,
         driven=np.zeros((0, 2)),
     )
@@ -87,7 +97,7 @@ def step(
     if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
         return _plan(state, estimate, tfg, pose, goal, mission, parameters)
     if mission.phase == "follow" and state.status.free and scan.stamp > state.scan_stamp:
-        state = _watch(state, tfg, pose, scan, parameters.robot.radius)
+        state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius)
     if pose.stage == state.nodes.stage and _moved(state, pose):
         state = replace(state, driven=np.vstack([state.driven, pose.X_MB[:2]]))
     return state
@@ -99,21 +109,38 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
 
 
 def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
+    state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
     nodes = state.nodes
-    for effort in (1, 2):
+    for effort in EFFORTS:
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
-        ways = routes(nodes, tfg, estimate.X_MD, parameters.robot)
-        reached = nodes.points[np.isfinite(ways.cost)]
-        seen = seen_length(reached, expected_frontiers(reached, tfg, parameters.sensor), tfg, parameters.sensor)
-        if len(tfg.frontiers) == 0 or seen.max(initial=0.0) >= ENOUGH_FRONTIER:
+        ways = routes(nodes, tfg, estimate.X_MD, parameters.robot, _obstacles(state, estimate))
+        roadmap = roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability)
+        within, beyond = _frontier_seen(roadmap, tfg, parameters.sensor)
+        if within or len(tfg.frontiers) == 0 or (effort > 1 and not beyond):
             break
-    return replace(
-        state,
-        nodes=nodes,
-        roadmap=roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability),
-        obstacles=np.zeros((0, 4)),
-        driven=estimate.X_MD[None, :2],
-    )
+    if len(state.obstacles) and beyond and not within:
+        # Before the mission ends, what lies behind them is tried once more.
+        state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
+        ways = routes(nodes, tfg, estimate.X_MD, parameters.robot)
+        roadmap = roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability)
+    return replace(state, nodes=nodes, roadmap=roadmap, driven=estimate.X_MD[None, :2])
+
+
+def _frontier_seen(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
+    """Whether a place that the robot can reach sees enough live frontier, and whether any other where it would fit."""
+    points = roadmap.points
+    enough = seen_length(points, expected_frontiers(points, tfg, sensor), tfg, sensor) >= ENOUGH_FRONTIER
+    return bool(enough[roadmap.reachable].any()), bool(enough[roadmap.enterable & ~roadmap.reachable].any())
+
+
+def _obstacles(state: PlannerState, estimate: MapEstimate) -> FloatArray:
+    """What was met on the way (b, 4), m in M."""
+    ends = place_in_map(np.repeat(state.obstacle_goal, 2), state.obstacles.reshape(-1, 2), estimate.X_MA)
+    return ends.reshape(-1, 4)
+
+
+def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
+    return replace(state, obstacles=state.obstacles[keep], obstacle_goal=state.obstacle_goal[keep])
 
 
 def _plan(
@@ -126,19 +153,25 @@ def _plan(
     parameters: RoadmapParameters,
 ) -> PlannerState:
     X_MB = pose.X_MB if pose.stage == estimate.stage else estimate.X_MD
-    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, state.obstacles)
+    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, _obstacles(state, estimate))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
     return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
 
 
-def _watch(state: PlannerState, tfg: TfgMap, pose: PoseEstimate, scan: LaserScan, radius: float) -> PlannerState:
+def _watch(
+    state: PlannerState, estimate: MapEstimate, tfg: TfgMap, pose: PoseEstimate, scan: LaserScan, radius: float
+) -> PlannerState:
     X_MS = pose_at(pose, scan.stamp)
     seen = replace(state, scan_stamp=scan.stamp)
     if path_is_free(state.path.points, scan, X_MS, radius, tfg.segments):
         return seen
     met = unmapped_obstacles(state.path.points, scan, X_MS, radius, tfg.segments)
+    in_A = transform(inverse(estimate.X_MA[-1]), met.reshape(-1, 2)).reshape(-1, 4)
     return replace(
-        seen, status=PathStatus(path_id=state.path.id, free=False), obstacles=np.vstack([state.obstacles, met])
+        seen,
+        status=PathStatus(path_id=state.path.id, free=False),
+        obstacles=np.vstack([state.obstacles, in_A]),
+        obstacle_goal=np.append(state.obstacle_goal, np.full(len(in_A), len(estimate.X_MA) - 1)),
     )
 
 

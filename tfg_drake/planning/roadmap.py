@@ -42,6 +42,10 @@ TRAVELLED_MARGINS = (0.02, 0.0, -0.05, -math.inf)
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
+# How hard a stage tries to reach a place that sees a frontier: as usual, with more and denser samples, and at last with
+# a larger probability of collision than explorer.collision_probability. The scan watches every path anyway.
+EFFORTS = (1, 2, 3)
+LAST_PROBABILITY = 0.1
 # Edges are looked up in the free space at this interval, m.
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
@@ -199,6 +203,7 @@ def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int
 
 def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, effort: int) -> tuple[FloatArray, FloatArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) each must keep."""
+    effort = min(effort, 2)
     need = radius + NODE_MARGIN
     gaps = passages(tfg.segments, 2 * need, PASSAGE_WIDTH)
     normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * effort, axis=0)
@@ -287,11 +292,11 @@ def extend(
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
-    driven: (d, 2) m in M, the way of the robot to the last goal. effort: 1, or 2 to sample again, more and
-    more densely, before the mission is declared done. The same arguments give the same roadmap.
+    driven: (d, 2) m in M, the way of the robot to the last goal. effort: one of EFFORTS, all but the first for
+    before the mission is declared done. The same arguments give the same roadmap.
     """
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
-    nodes = _resolve(state.anchor, state.p_AN, estimate.X_MA)
+    nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
     travelled, chain = _travelled_nodes(nodes, path, estimate, tfg.segments, parameters.robot.radius)
     nodes = np.vstack([nodes, travelled])
@@ -320,9 +325,10 @@ def extend(
     sigma = predicted_deviation(
         points, estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
     )
-    need = required_clearance(
-        parameters.robot.radius, sigma[edges].max(axis=1), parameters.explorer.collision_probability
-    )
+    probability = parameters.explorer.collision_probability
+    if effort == EFFORTS[-1]:
+        probability = max(probability, LAST_PROBABILITY)
+    need = required_clearance(parameters.robot.radius, sigma[edges].max(axis=1), probability)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
     free = was_free | was_travelled
@@ -356,7 +362,8 @@ def _components(edges: IntArray, count: int) -> IntArray:
     return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def _resolve(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
+def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
+    """p_MN (n, 2), m, of points p_AN (n, 2), each kept in the arrival frame of the goal anchor (n,); X_MA: (k, 3)."""
     X = X_MA[anchor]
     c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
     return np.stack([X[:, 0] + c * p_AN[:, 0] - s * p_AN[:, 1], X[:, 1] + s * p_AN[:, 0] + c * p_AN[:, 1]], axis=1)
