@@ -57,6 +57,12 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
     return np.sort(np.append(seeing, take(others, count - len(seeing))))
 
 
+def apart_from_goals(points: FloatArray, estimate: MapEstimate) -> BoolArray:
+    """Which of the points (n, 2), m in M, are no past goal's place, (n,)."""
+    distance, _ = cKDTree(estimate.X_MA[:, :2]).query(points)
+    return np.asarray(distance >= APART)
+
+
 def choose(
     estimate: MapEstimate,
     tfg: TfgMap,
@@ -74,8 +80,7 @@ def choose(
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
-    from_goal, _ = cKDTree(estimate.X_MA[:, :2]).query(roadmap.points)
-    nodes = np.flatnonzero(roadmap.reachable & (from_goal >= APART))
+    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, estimate))
     seen = expected_frontiers(roadmap.points[nodes], tfg, sensor)
     candidates = thin_candidates(nodes, seen.count, explorer.samples)
     frontiers = seen.of(np.searchsorted(nodes, candidates))

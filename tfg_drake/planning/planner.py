@@ -23,7 +23,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.planning.goal_choice import ENOUGH_FRONTIER, seen_length
+from tfg_drake.planning.goal_choice import ENOUGH_FRONTIER, apart_from_goals, seen_length
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     EFFORTS,
@@ -115,7 +115,7 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
         ways = routes(nodes, tfg, estimate.X_MD, parameters.robot, _obstacles(state, estimate))
         roadmap = roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability)
-        within, beyond = _frontier_seen(roadmap, tfg, parameters.sensor)
+        within, beyond = _frontier_seen(roadmap, estimate, tfg, parameters.sensor)
         if within or len(tfg.frontiers) == 0 or (effort > 1 and not beyond):
             break
     if len(state.obstacles) and beyond and not within:
@@ -126,10 +126,12 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
     return replace(state, nodes=nodes, roadmap=roadmap, driven=estimate.X_MD[None, :2])
 
 
-def _frontier_seen(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
-    """Whether a place that the robot can reach sees enough live frontier, and whether any other where it would fit."""
+def _frontier_seen(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
+    """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
+    fit."""
     points = roadmap.points
     enough = seen_length(points, expected_frontiers(points, tfg, sensor), tfg, sensor) >= ENOUGH_FRONTIER
+    enough &= apart_from_goals(points, estimate)
     return bool(enough[roadmap.reachable].any()), bool(enough[roadmap.enterable & ~roadmap.reachable].any())
 
 

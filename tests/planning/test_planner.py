@@ -1,0 +1,29 @@
+import numpy as np
+
+from tfg_drake.config import TagSensorConfig
+from tfg_drake.messages import GoalObservation, MapEstimate, Roadmap, replace
+from tfg_drake.planning.planner import _frontier_seen
+from tfg_drake.tfg.graph import empty_map
+
+IDS = np.zeros(0, dtype=np.int64)
+NONE = np.zeros((0, 2))
+
+
+def test_a_past_goal_is_no_place_to_see_a_frontier_from():
+    observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
+    estimate = MapEstimate(1, 0.0, IDS, NONE, np.zeros(3), np.eye(3), np.zeros((1, 3)), observation, 0.0)
+    frontiers = np.array([[3.0, -0.2], [3.0, 0.2]])
+    normals = np.tile([-1.0, 0.0], (2, 1))
+    tfg = replace(empty_map(), frontiers=frontiers, frontier_length=np.full(2, 0.4), frontier_normal=normals)
+    # The goal's own place, one beside it that sees the frontier, and one that does not.
+    points = np.array([[0.1, 0.0], [1.0, 0.0], [6.0, 0.0]])
+
+    def seen(reachable):
+        reachable = np.array(reachable, dtype=bool)
+        roadmap = Roadmap(1, points, np.zeros((0, 2), dtype=int), reachable, np.ones(3, dtype=bool), np.zeros(3))
+        return _frontier_seen(roadmap, estimate, tfg, TagSensorConfig())
+
+    assert seen([1, 1, 1]) == (True, False)
+    assert seen([1, 0, 1]) == (False, True)
+    assert seen([0, 0, 0]) == (False, True)
+    assert seen([1, 1, 0]) == (True, False)
