@@ -39,6 +39,7 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
@@ -50,8 +51,6 @@ PLANNER = (*STAGE, "follower", "mission_sequencer")
 
 # Simulated time between two looks at the mission, s; a stage takes several times as long.
 STEP = 1.0
-# Between two poses of a trajectory, true and estimated, s.
-LOG_PERIOD = 1.0 / 8.0
 
 _log = logging.getLogger("tfg_drake.run")
 
@@ -196,7 +195,7 @@ class Mission:
         return self.status.since if self.status.phase == "done" else self.time
 
     def true_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,) in s and true poses X_WB (n, 3), one every LOG_PERIOD, up to the end."""
+        """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, up to the end."""
         if self._context is None:
             return np.zeros(0), np.zeros((0, 3))
         log = self._truth_log.FindLog(self._context)
@@ -205,7 +204,7 @@ class Mission:
         return stamps[lived], data[:3, lived].T
 
     def estimated_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one every LOG_PERIOD, to the end."""
+        """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period, to the end."""
         if self._context is None:
             return np.zeros(0), np.zeros((0, 3))
         data = self._pose_log.FindLog(self._context).data()
@@ -335,8 +334,8 @@ def MakeMissionDiagram(
 
     pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
     builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
-    pose_log = LogVectorOutput(pose_vector.get_output_port(), builder, LOG_PERIOD)
-    truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, LOG_PERIOD)
+    pose_log = LogVectorOutput(pose_vector.get_output_port(), builder, ODOMETRY_PERIOD)
+    truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
 
     if meshcat is not None:
         TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius, title)
