@@ -2,7 +2,7 @@ import numpy as np
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.messages import GoalObservation, MapEstimate, Roadmap, replace
-from tfg_drake.planning.planner import _frontier_seen
+from tfg_drake.planning.planner import frontier_in_sight
 from tfg_drake.tfg.graph import empty_map
 
 IDS = np.zeros(0, dtype=np.int64)
@@ -21,7 +21,7 @@ def test_a_past_goal_is_no_place_to_see_a_frontier_from():
     def seen(reachable):
         reachable = np.array(reachable, dtype=bool)
         roadmap = Roadmap(1, points, np.zeros((0, 2), dtype=int), reachable, np.ones(3, dtype=bool), np.zeros(3))
-        return _frontier_seen(roadmap, estimate, tfg, TagSensorConfig())
+        return frontier_in_sight(roadmap, estimate, tfg, TagSensorConfig())
 
     assert seen([1, 1, 1]) == (True, False)
     assert seen([1, 0, 1]) == (False, True)

@@ -141,7 +141,7 @@ def test_moves_with_the_map():
 
 def test_more_effort_gives_more_nodes():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0)])
-    more = extend(state, tfg, estimate, PARAMETERS, effort=2)
+    more = extend(state, tfg, estimate, PARAMETERS, effort=1)
     assert len(more.points) > 1.5 * len(state.points)
 
 
@@ -149,14 +149,14 @@ def test_the_last_effort_accepts_a_door_that_is_a_little_too_narrow():
     goals = [(-4, 0, 0)]
     cautious = dataclasses.replace(PARAMETERS, explorer=ExplorerConfig(collision_probability=1e-4))
     widths = {}
-    for effort in EFFORTS:
+    for effort in range(len(EFFORTS)):
         for width in (0.44, 0.5, 0.56):
             estimate, tfg = known(two_rooms(width), goals)
             state = extend(empty_roadmap(), tfg, estimate, cautious, effort=effort)
             reached = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost)
             if (state.points[reached, 0] > 0.3).any():
                 widths[effort] = min(widths.get(effort, 9.0), width)
-    assert widths == {1: 0.56, 2: 0.56, 3: 0.5}
+    assert widths == {0: 0.56, 1: 0.56, 2: 0.5}
 
 
 def test_what_was_travelled_stays_open_with_little_to_spare():

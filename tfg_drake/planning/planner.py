@@ -111,28 +111,36 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
 def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
     nodes = state.nodes
-    for effort in EFFORTS:
+    for effort in range(len(EFFORTS)):
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
-        ways = routes(nodes, tfg, estimate.X_MD, parameters.robot, _obstacles(state, estimate))
-        roadmap = roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability)
-        within, beyond = _frontier_seen(roadmap, estimate, tfg, parameters.sensor)
-        if within or len(tfg.frontiers) == 0 or (effort > 1 and not beyond):
+        roadmap = _roadmap(nodes, tfg, estimate, parameters, _obstacles(state, estimate))
+        within, beyond = frontier_in_sight(roadmap, estimate, tfg, parameters.sensor)
+        if within or len(tfg.frontiers) == 0 or (effort > 0 and not beyond):
             break
     if len(state.obstacles) and beyond and not within:
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        ways = routes(nodes, tfg, estimate.X_MD, parameters.robot)
-        roadmap = roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability)
+        roadmap = _roadmap(nodes, tfg, estimate, parameters, state.obstacles)
     return replace(state, nodes=nodes, roadmap=roadmap, driven=estimate.X_MD[None, :2])
 
 
-def _frontier_seen(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
+def _roadmap(
+    nodes: RoadmapState, tfg: TfgMap, estimate: MapEstimate, parameters: RoadmapParameters, obstacles: FloatArray
+) -> Roadmap:
+    ways = routes(nodes, tfg, estimate.X_MD, parameters.robot, obstacles)
+    return roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability)
+
+
+def frontier_in_sight(
+    roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig
+) -> tuple[bool, bool]:
     """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
     fit."""
-    points = roadmap.points
+    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, estimate)
+    points = roadmap.points[asked]
     enough = seen_length(points, expected_frontiers(points, tfg, sensor), tfg, sensor) >= ENOUGH_FRONTIER
-    enough &= apart_from_goals(points, estimate)
-    return bool(enough[roadmap.reachable].any()), bool(enough[roadmap.enterable & ~roadmap.reachable].any())
+    reachable = roadmap.reachable[asked]
+    return bool(enough[reachable].any()), bool(enough[~reachable].any())
 
 
 def _obstacles(state: PlannerState, estimate: MapEstimate) -> FloatArray:

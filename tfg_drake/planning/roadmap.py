@@ -42,10 +42,10 @@ TRAVELLED_MARGINS = (0.02, 0.0, -0.05, -math.inf)
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
-# How hard a stage tries to reach a place that sees a frontier: as usual, with more and denser samples, and at last with
-# a larger probability of collision than explorer.collision_probability. The scan watches every path anyway.
-EFFORTS = (1, 2, 3)
-LAST_PROBABILITY = 0.1
+# How hard a stage tries to reach a place that sees a frontier, one after the other: how many times as many samples are
+# thrown and as near to each other, and the probability of a collision that is accepted, if that is more than
+# explorer.collision_probability. The scan watches every path anyway.
+EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.1))
 # Edges are looked up in the free space at this interval, m.
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
@@ -201,24 +201,23 @@ def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int
     return np.asarray(tfg.star_centers[star[which]] + r * ((1 - t) * a[which] + t * b[which]))
 
 
-def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, effort: int) -> tuple[FloatArray, FloatArray]:
+def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, density: int) -> tuple[FloatArray, FloatArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) each must keep."""
-    effort = min(effort, 2)
     need = radius + NODE_MARGIN
     gaps = passages(tfg.segments, 2 * need, PASSAGE_WIDTH)
-    normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * effort, axis=0)
+    normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * density, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
-    fringe = np.repeat(tfg.frontiers, FRONTIER_DARTS * effort, axis=0) + back * normal + aside * tangent
+    fringe = np.repeat(tfg.frontiers, FRONTIER_DARTS * density, axis=0) + back * normal + aside * tangent
     stars = len(tfg.star_centers)
-    newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * effort)
-    older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * effort**2)
+    newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * density)
+    older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
     groups = [
         (tfg.viewpoints, SAME_NODE),
         (gaps, PASSAGE_SPACING),
-        (fringe, FRONTIER_SPACING / effort),
-        (newest, SPACING / effort),
-        (older, SPACING / effort),
+        (fringe, FRONTIER_SPACING / density),
+        (newest, SPACING / density),
+        (older, SPACING / density),
     ]
     points = np.vstack([group for group, _ in groups])
     spacing = np.concatenate([np.full(len(group), value) for group, value in groups])
@@ -288,19 +287,20 @@ def extend(
     parameters: RoadmapParameters,
     *,
     driven: FloatArray | None = None,
-    effort: int = 1,
+    effort: int = 0,
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
-    driven: (d, 2) m in M, the way of the robot to the last goal. effort: one of EFFORTS, all but the first for
-    before the mission is declared done. The same arguments give the same roadmap.
+    driven: (d, 2) m in M, the way of the robot to the last goal. effort: index into EFFORTS. The same arguments give
+    the same roadmap.
     """
+    density, accepted = EFFORTS[effort]
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
     nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
     travelled, chain = _travelled_nodes(nodes, path, estimate, tfg.segments, parameters.robot.radius)
     nodes = np.vstack([nodes, travelled])
-    proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, effort)
+    proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, density)
     points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes)]])
 
     first_new = len(state.anchor)
@@ -325,9 +325,7 @@ def extend(
     sigma = predicted_deviation(
         points, estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
     )
-    probability = parameters.explorer.collision_probability
-    if effort == EFFORTS[-1]:
-        probability = max(probability, LAST_PROBABILITY)
+    probability = max(parameters.explorer.collision_probability, accepted)
     need = required_clearance(parameters.robot.radius, sigma[edges].max(axis=1), probability)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
