@@ -177,6 +177,18 @@ def test_a_way_that_the_map_now_finds_too_narrow_is_open_only_to_go_home():
     assert not np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost[nearest(state, (3, 0))])
 
 
+def test_of_two_tight_doors_driven_through_the_wider_stays_open():
+    doors = np.array([[0.0, -2.0, 0.0, -1.21], [0.0, -0.79, 0.0, 0.78], [0.0, 1.22, 0.0, 2.0]])
+    walls = two_rooms()
+    segments = np.vstack([walls[(walls[:, [0, 2]] != 0).any(axis=1)], doors])
+    driven = resample(np.array([[-4.0, -1], [3, -1], [3, 1], [-4, 1]]), 0.1)
+    state, _, _ = build(segments, [(-4, -1, 0), (-4, 1, 0)], driven)
+    a, b = state.points[state.edges[state.usable & state.travelled]].transpose(1, 0, 2)
+    crossing = a[:, 0] * b[:, 0] < 0
+    assert (0.5 * (a + b)[crossing, 1] > 0.0).all()
+    assert crossing.any()
+
+
 def test_routes_agree_with_their_own_path_and_prefer_room():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     ways = routes(state, tfg, estimate.X_MD, ROBOT)

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
@@ -36,9 +36,9 @@ OLDER_DARTS = 300
 FRONTIER_DARTS = 5
 # Gaps between surfaces up to this width get a node in the middle, m.
 PASSAGE_WIDTH = 1.5
-# The least margin of a way that the robot has driven before, m: the first, or else the next where a robot would be cut
-# off from where it began. It came by that way, whatever the newest map says of it.
-TRAVELLED_MARGINS = (0.02, 0.0, -0.05, -math.inf)
+# The least margin of a way that the robot has driven before, m, unless it leads back to where it began: the robot came
+# by that, whatever the newest map says of it.
+TRAVELLED_MARGIN = 0.02
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
@@ -329,17 +329,13 @@ def extend(
     need = required_clearance(parameters.robot.radius, sigma[edges].max(axis=1), probability)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
+    least = parameters.robot.radius + TRAVELLED_MARGIN
     free = was_free | was_travelled
     ask = ~free & (has >= parameters.robot.radius)
     free[ask] = in_free_space(lines[ask], tfg)
     home, here = cKDTree(points).query(estimate.X_MA[[0, -1], :2])[1]
-    for margin in TRAVELLED_MARGINS:
-        # Where the robot has been it can go again, but for the corners that chords of its path cut.
-        required = np.where(was_travelled, np.minimum(need, parameters.robot.radius + margin), need)
-        usable = free & (has >= required)
-        component = _components(edges[usable], len(points))
-        if component[home] == component[here]:
-            break
+    keeps = free & (has >= need)
+    usable = keeps | _needed(edges, keeps, np.where(was_travelled, has, -np.inf), least, home, here, len(points))
     return RoadmapState(
         stage=estimate.stage,
         anchor=anchor,
@@ -349,9 +345,33 @@ def extend(
         free=free,
         points=points,
         edge_clearance=has,
-        edge_required=required,
+        edge_required=np.where(usable, np.minimum(need, has), need),
         usable=usable,
     )
+
+
+def _needed(
+    edges: IntArray, keeps: BoolArray, room: FloatArray, least: float, home: int, here: int, count: int
+) -> BoolArray:
+    """Edges (e,) that stay open though too narrow, as the robot has driven them and nothing else joins their ends.
+
+    edges: (e, 2), sorted, of count nodes. keeps: (e,) have the room they need. room: (e,) m, of those driven, -inf of
+    others. Of the widest that join what falls apart else, these are the ones with room for at least `least`, m, and
+    those that lead from here home, whatever their room.
+    """
+    asked = np.flatnonzero(keeps | np.isfinite(room))
+    narrowness = np.where(keeps[asked], 1.0, 2.0 + room.max(initial=0.0) - room[asked])
+    graph = csr_matrix((narrowness, edges[asked].T), shape=(count, count))
+    tree = minimum_spanning_tree(graph)
+    row, column = tree.nonzero()
+    of_tree = np.searchsorted(edges @ [count, 1], row * count + column)
+    _, before = breadth_first_order(tree, home, directed=False)
+    way = [here]
+    while before[way[-1]] >= 0:
+        way.append(int(before[way[-1]]))
+    needed = np.zeros(len(edges), dtype=np.bool_)
+    needed[of_tree] = (room[of_tree] >= least) | np.isin(edges[of_tree], way).all(axis=1)
+    return needed & ~keeps
 
 
 def _components(edges: IntArray, count: int) -> IntArray:
