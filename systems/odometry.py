@@ -11,7 +11,7 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.odometry import initial_state, integrate, message, run_errors
 from tfg_drake.systems.ports import declare_message_output
 
-PERIOD = 1.0 / 32.0
+PERIOD = 1.0 / 16.0
 
 
 class Odometry(LeafSystem):

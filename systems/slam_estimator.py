@@ -29,7 +29,7 @@ from tfg_drake.systems.ports import (
 )
 
 # Period of the update, s: the odometry's.
-PERIOD = 1.0 / 32.0
+PERIOD = 1.0 / 16.0
 
 
 class SlamEstimator(LeafSystem):

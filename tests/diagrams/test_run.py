@@ -153,7 +153,7 @@ def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, mo
     monkeypatch.setattr(run, "PoseVector", Failing)
     summary = run.explore(room(), out_dir=tmp_path).summary
     assert summary["outcome"] == "fault"
-    assert summary["reason"] == f"{type(error).__name__} at 12.03 s: no way"
+    assert summary["reason"] == f"{type(error).__name__} at 12.06 s: no way"
     assert summary["stages"] == 1
     assert list(summary) == FIELDS
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
