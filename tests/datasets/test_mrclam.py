@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tfg_drake.datasets.mrclam import SPEED_SCALE, TURN_SCALE, integrate_commands, load_mrclam
+from tfg_drake.datasets.mrclam import COMMAND_LATENCY, SPEED_SCALE, TURN_SCALE, integrate_commands, load_mrclam
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.geometry import se2
 
@@ -49,8 +49,10 @@ def test_commands_are_integrated_exactly_on_arcs(folder):
     # 1 s straight at 0.1 m/s, 2 s on an arc of 0.1 rad/s, then rest.
     expected = np.array([0.1 + np.sin(0.2), 1.0 - np.cos(0.2), 0.2])
     np.testing.assert_allclose(run.odometry[-1].X_OB, expected, atol=1e-12)
-    assert [one.stamp for one in run.odometry] == [10.0, 11.0, 13.0, 14.0]
-    assert [one.at_rest for one in run.odometry] == [False, False, False, True]
+    # Rest until the first command takes effect.
+    late = 10.0 + COMMAND_LATENCY
+    assert [one.stamp for one in run.odometry] == [10.0, late, late + 1.0, late + 3.0, late + 4.0]
+    assert [one.at_rest for one in run.odometry] == [False, True, False, False, True]
 
 
 def test_rows_that_repeat_a_command_are_one_arc():

@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from tfg_drake.datasets.mrclam import COMMAND_LATENCY
+
 
 @pytest.fixture
 def mrclam(tmp_path):
@@ -22,7 +24,7 @@ def mrclam(tmp_path):
     for k in range(240):
         t, angle = 0.25 * k, 0.025 * k
         x, y, heading = 2.0 * np.sin(angle), -2.0 * np.cos(angle), angle
-        odometry.append(f"{t} {1.05 * 0.2} {1.09 * 0.1}\n")
+        odometry.append(f"{t - COMMAND_LATENCY} {1.05 * 0.2} {1.09 * 0.1}\n")
         truth.append(f"{t} {x} {y} {heading}\n")
         for i, p in zip(ids, p_WL, strict=True):
             d = p - (x, y)
