@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.segment_grid import cell_range, segment_grid
 from tfg_drake.messages import FloatArray
 
 
@@ -75,21 +76,25 @@ def segment_distance(edges: FloatArray, segments: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def clearance(edges: FloatArray, segments: FloatArray, reach: float) -> FloatArray:
-    """As segment_distance, but no more than reach (m): surfaces farther away are skipped by their bounding boxes."""
+    """As segment_distance, but no more than reach (m): surfaces farther away are not looked at."""
     distance = np.full(len(edges), reach)
+    frame, columns, rows, offsets, index = segment_grid(segments)
     for i in range(len(edges)):
         ax, ay, bx, by = edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3]
         left, right, low, high = min(ax, bx), max(ax, bx), min(ay, by), max(ay, by)
         best = reach
-        for j in range(len(segments)):
-            cx, cy, dx, dy = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
-            # The gap between the two bounding boxes is a lower bound of the distance.
-            if max(cx, dx) < left - best or min(cx, dx) > right + best:
-                continue
-            if max(cy, dy) < low - best or min(cy, dy) > high + best:
-                continue
-            best = min(best, segment_segment_distance(ax, ay, bx, by, cx, cy, dx, dy))
-            if best == 0.0:
-                break
+        a0, a1 = cell_range(left - best, right + best, frame[0], frame[2], columns)
+        b0, b1 = cell_range(low - best, high + best, frame[1], frame[2], rows)
+        for a in range(a0, a1):
+            # Cells of a column lie one after the other.
+            for k in range(offsets[a * rows + b0], offsets[a * rows + b1]):
+                j = index[k]
+                cx, cy, dx, dy = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
+                # The gap between the two bounding boxes is a lower bound of the distance.
+                if max(cx, dx) < left - best or min(cx, dx) > right + best:
+                    continue
+                if max(cy, dy) < low - best or min(cy, dy) > high + best:
+                    continue
+                best = min(best, segment_segment_distance(ax, ay, bx, by, cx, cy, dx, dy))
         distance[i] = best
     return distance

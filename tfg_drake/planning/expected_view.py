@@ -10,6 +10,8 @@ from numba import njit
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import segments_cross
+from tfg_drake.geometry.sectors import sector_of, segments_by_sector
+from tfg_drake.geometry.visibility import segments_within
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 
 # A landmark lies on a surface piece that passes within the map's own error of it, m.
@@ -61,21 +63,11 @@ def visible_targets(
     cos_max = math.cos(max_incidence)
     offsets = np.zeros(len(points) + 1, dtype=np.int64)
     index = np.empty(256, dtype=np.int64)
-    near = np.empty((len(segments), 4))
     count = 0
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        m = 0
-        for j in range(len(segments)):
-            s = segments[j]
-            if (
-                max(s[0], s[2]) >= x - range_max
-                and min(s[0], s[2]) <= x + range_max
-                and max(s[1], s[3]) >= y - range_max
-                and min(s[1], s[3]) <= y + range_max
-            ):
-                near[m] = s
-                m += 1
+        near = segments_within(segments, points[i], range_max)
+        sector, rows = segments_by_sector(near, x, y)
         for t in range(len(targets)):
             dx, dy = targets[t, 0] - x, targets[t, 1] - y
             if abs(dx) > range_max or abs(dy) > range_max:
@@ -85,19 +77,14 @@ def visible_targets(
                 continue
             share = max(0.0, 1.0 - tolerance / r)
             ex, ey = x + share * dx, y + share * dy
-            left, right, low, high = min(x, ex), max(x, ex), min(y, ey), max(y, ey)
             clear = True
-            for j in range(m):
-                x0, y0, x1, y1 = near[j, 0], near[j, 1], near[j, 2], near[j, 3]
-                if (x0 < left and x1 < left) or (x0 > right and x1 > right):
-                    continue
-                if (y0 < low and y1 < low) or (y0 > high and y1 > high):
-                    continue
+            k = sector_of(dx, dy)
+            for j in range(sector[k], sector[k + 1]):
+                x0, y0, x1, y1 = near[rows[j], 0], near[rows[j], 1], near[rows[j], 2], near[rows[j], 3]
                 if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
                     clear = False
                     # What hid one target often hides the next: look there first.
-                    for k in range(4):
-                        near[0, k], near[j, k] = near[j, k], near[0, k]
+                    rows[sector[k]], rows[j] = rows[j], rows[sector[k]]
                     break
             if clear:
                 if count == len(index):

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, segment_distance
+from tfg_drake.geometry.segment_grid import cell_range, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap, message
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, predicted_deviation, required_clearance
@@ -129,15 +130,23 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
     """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long."""
     found = np.empty((64, 4))
     count = 0
+    frame, columns, rows, offsets, index = segment_grid(segments)
+    near = np.empty(len(index), dtype=np.int64)
     for i in range(len(ends)):
         x, y = ends[i, 0], ends[i, 1]
-        for j in range(len(segments)):
-            ax, ay, bx, by = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
-            if max(ax, bx) < x - widest or min(ax, bx) > x + widest:
+        a0, a1 = cell_range(x - widest, x + widest, frame[0], frame[2], columns)
+        b0, b1 = cell_range(y - widest, y + widest, frame[1], frame[2], rows)
+        stop = 0
+        for a in range(a0, a1):
+            for k in range(offsets[a * rows + b0], offsets[a * rows + b1]):
+                near[stop] = index[k]
+                stop += 1
+        near[:stop].sort()
+        for k in range(stop):
+            j = near[k]
+            if k > 0 and j == near[k - 1]:
                 continue
-            if max(ay, by) < y - widest or min(ay, by) > y + widest:
-                continue
-            qx, qy = nearest_on_segment(x, y, ax, ay, bx, by)
+            qx, qy = nearest_on_segment(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3])
             if not narrowest <= math.hypot(qx - x, qy - y) <= widest:
                 continue
             if count == len(found):
