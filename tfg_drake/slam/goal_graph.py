@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import weakref
 from collections.abc import Callable
 
 import gtsam
@@ -27,6 +28,8 @@ MOST_STEPS = 20
 SMALL_STEP = 1e-3
 # Covariance of what joins two pieces of one way: nothing lies between them.
 JOINT = np.eye(3) * 1e-10
+# As good as zero.
+NOTHING = 1e-150
 
 
 @message
@@ -208,8 +211,8 @@ def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple
 def _covariance(graph: GoalGraph, linear: gtsam.GaussianFactorGraph) -> FloatArray:
     """(2n + 3, 2n + 3) covariance of all landmarks and the last departure pose.
 
-    The other poses are eliminated from GTSAM's linear system by a dense Schur complement and the rest is inverted: a
-    third of the time of gtsam.Marginals at n = 274. The origin's rows are left out: it is known.
+    The other poses, a chain, are eliminated from GTSAM's linear system by a Schur complement and the rest is inverted:
+    a third of the time of gtsam.Marginals at n = 274. The origin's rows are left out: it is known.
     """
     k, n = len(graph.observations), len(graph.ids)
     ordering = gtsam.Ordering()
@@ -224,11 +227,18 @@ def _covariance(graph: GoalGraph, linear: gtsam.GaussianFactorGraph) -> FloatArr
     split = len(information) - 2 * n - 3
     reduced = information[split:, split:]
     if split > 0:
-        factor = scipy.linalg.cholesky(information[:split, :split], lower=True, check_finite=False)
-        half = scipy.linalg.solve_triangular(factor, information[:split, split:], lower=True, check_finite=False)
+        # Only consecutive poses share a factor.
+        band = np.zeros((6, split))
+        for i in range(min(6, split)):
+            band[i, : split - i] = np.diagonal(information[:split, :split], -i)
+        factor = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+        half, _ = scipy.linalg.lapack.dtbtrs(factor, information[:split, split:], uplo="L")
+        # What a goal says of landmarks far behind dies out; numbers with squares too small for a double cost most time.
+        half[np.abs(half) < NOTHING] = 0.0
         reduced = reduced - half.T @ half
     upper, _ = scipy.linalg.lapack.dpotri(scipy.linalg.cholesky(reduced, check_finite=False))
-    covariance = np.triu(upper) + np.triu(upper, 1).T
+    covariance = upper + upper.T
+    np.fill_diagonal(covariance, np.diag(upper))
     # Pose2 increments are in the body's frame.
     R_MD = se2.rotation(float(graph.X_MD[-1, 2]))
     covariance[-3:-1] = R_MD @ covariance[-3:-1]
@@ -284,9 +294,7 @@ def _goal_error(keys: list[int], observation: GoalObservation) -> ErrorFunction:
     """Whitened error of a goal's joint observation on (A, D, L_1 .. L_n), n may be 0:
     [R_A^T (L_i - t_A) - p_AL_i; A^-1 D - X_AD]."""
     n = len(observation.ids)
-    whitener = scipy.linalg.solve_triangular(
-        np.linalg.cholesky(observation.covariance), np.eye(2 * n + 3), lower=True, check_finite=False
-    )
+    whitener = _whitener(observation)
     p_AL, X_AD = observation.p_AL, observation.X_AD
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None) -> FloatArray:
@@ -316,6 +324,20 @@ def _goal_error(keys: list[int], observation: GoalObservation) -> ErrorFunction:
         return np.asarray(whitener @ residual)
 
     return error
+
+
+# One inversion a goal, not one a goal and solve.
+_whiteners: weakref.WeakKeyDictionary[GoalObservation, FloatArray] = weakref.WeakKeyDictionary()
+
+
+def _whitener(observation: GoalObservation) -> FloatArray:
+    """W (2n + 3, 2n + 3) with W^T W the inverse of the observation's covariance."""
+    if observation not in _whiteners:
+        factor = np.linalg.cholesky(observation.covariance)
+        _whiteners[observation] = scipy.linalg.solve_triangular(
+            factor, np.eye(len(factor)), lower=True, check_finite=False
+        )
+    return _whiteners[observation]
 
 
 def _values(graph: GoalGraph) -> gtsam.Values:
