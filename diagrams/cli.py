@@ -89,7 +89,7 @@ def explore(
         try:
             result = run.explore(
                 loaded,
-                name=name if world is None else world.name.split(".")[0],
+                name=name if world is None else world.stem.removesuffix(".vectormap"),
                 world_name=scenario if world is None else str(world),
                 meshcat=meshcat,
                 realtime_rate=realtime_rate,

@@ -94,6 +94,14 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert names == ["outcome", "simulated", "driven", "landmarks", "pose error", "coverage", "safety", "files"]
 
 
+def test_a_run_in_another_world_has_the_name_of_its_file(call, tmp_path):
+    world = tmp_path / "room-0.10.yaml"
+    world.write_text(ROOM)
+    arguments = ["explore", "--world", str(world), "--headless", "--json", "--max-time", "1"]
+    _, out, _ = call(*arguments, "--out", str(tmp_path / "run"))
+    assert json.loads(out.splitlines()[-1])["scenario"] == "room-0.10"
+
+
 @pytest.mark.parametrize(
     ("outcome", "code"),
     [("complete", 0), ("budget", 0), ("time_limit", 0), ("stuck", 1), ("fault", 3), ("interrupted", 130)],
