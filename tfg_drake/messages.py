@@ -218,7 +218,8 @@ class Roadmap:
 
     stage. points: (n, 2) m. edges: (e, 2) node indices, those within the chance constraint. reachable: (n,) from where
     the robot stands, along edges. enterable: (n,) there is room enough for the robot all the way, though perhaps not
-    for its uncertainty. travel_time: (n,) expected s from the robot, turns included, inf where unreachable.
+    for its uncertainty; roomy: (n,) there is room for a robot that knows its place fairly well, too. travel_time: (n,)
+    expected s from the robot, turns included, inf where unreachable.
     """
 
     stage: int
@@ -226,6 +227,7 @@ class Roadmap:
     edges: IntArray
     reachable: BoolArray
     enterable: BoolArray
+    roomy: BoolArray
     travel_time: FloatArray
 
 

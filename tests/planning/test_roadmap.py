@@ -203,6 +203,18 @@ def test_routes_agree_with_their_own_path_and_prefer_room():
     assert np.isinf(message.travel_time[~reachable]).all()
 
 
+def test_a_lost_robot_may_not_pass_doors_that_it_would_fit_through():
+    vague = TagSensorConfig(range_noise=0.5, bearing_noise=0.3)
+    seen = {}
+    for width in (0.42, 0.5, 0.65):
+        estimate, tfg = known(two_rooms(width), [(-4, 0, 0)])
+        state = extend(empty_roadmap(), tfg, estimate, dataclasses.replace(PARAMETERS, sensor=vague))
+        message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT), ROBOT, 0.01)
+        behind = message.points[:, 0] > 0.3
+        seen[width] = [bool(where[behind].any()) for where in (message.reachable, message.enterable, message.roomy)]
+    assert seen == {0.42: [False, False, False], 0.5: [False, True, False], 0.65: [False, True, True]}
+
+
 def test_a_robot_too_near_a_wall_is_not_trapped():
     state, _, tfg = build(two_rooms(), [(-4, 1, 0)])
     for place in ([-4, -1.9, 0.0], [-5.95, 1.95, 0.0], [-4, -2.0, 0.0]):

@@ -127,11 +127,11 @@ def choose(
 
 
 def _barred(roadmap: Roadmap, speed: float) -> tuple[FloatArray, FloatArray]:
-    """Places (b, 2), m in M, where the robot would fit but which it may not try to reach, and how long (b,), s, it
-    would take at the speed (m/s), were it surer of its own place and the map's."""
+    """Places (b, 2), m in M, with room for the robot but which it may not try to reach, and how long (b,), s, it would
+    take at the speed (m/s), were it surer of its own place and the map's."""
     if not roadmap.reachable.any():
         return np.zeros((0, 2)), np.zeros(0)
-    points = roadmap.points[roadmap.enterable & ~roadmap.reachable]
+    points = roadmap.points[roadmap.roomy & ~roadmap.reachable]
     distance, nearest = cKDTree(roadmap.points[roadmap.reachable]).query(points)
     return points, roadmap.travel_time[roadmap.reachable][nearest] + distance / speed
 
@@ -179,10 +179,10 @@ def why_end(
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate is worth going to.
 
-    candidates: there are any. barred_gain: nats that a place promises that the robot would fit into but may not try to
-    reach. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier, seen or
-    not: what remains when nothing else does is closed to this robot. cut_off: the robot cannot get back to where it
-    began.
+    candidates: there are any. barred_gain: nats that a place promises that has room for the robot but that it may not
+    try to reach. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier,
+    seen or not: what remains when nothing else does is closed to this robot. cut_off: the robot cannot get back to
+    where it began.
     """
     if not candidates:
         return "stuck", "The robot cannot reach any other place."

@@ -66,10 +66,10 @@ class PlannerState:
 def initial_state() -> PlannerState:
     """Before the first goal."""
     nodes = empty_roadmap()
-    none = np.zeros(0)
+    none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
         nodes=nodes,
-        roadmap=Roadmap(0, nodes.points, nodes.edges, np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_), none),
+        roadmap=Roadmap(0, nodes.points, nodes.edges, nowhere, nowhere, nowhere, none),
         path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
         replans=0,

@@ -51,6 +51,9 @@ EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.1))
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
+# The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
+# the building that is too narrow.
+FAIR_DEVIATION = 0.05
 # Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
 OBSTACLE_MARGIN = 0.08
 
@@ -499,10 +502,12 @@ def _connect(
     return near[chosen].astype(np.int64), has[chosen]
 
 
-def enterable(state: RoadmapState, ways: Routes, robot: RobotConfig, collision_probability: float) -> BoolArray:
-    """Nodes (n,) that a robot that knew its place and the map exactly could get to: it still strays from its path."""
+def _with_room(
+    state: RoadmapState, ways: Routes, robot: RobotConfig, deviation: float, collision_probability: float
+) -> BoolArray:
+    """Nodes (n,) that a robot could get to that strayed from its path, relative to the map, by this deviation (m)."""
     n = len(state.points)
-    need = required_clearance(robot.radius, np.array(TRACKING_DEVIATION), collision_probability)
+    need = required_clearance(robot.radius, np.array(deviation), collision_probability)
     fits = state.usable | (state.free & (state.edge_clearance >= need))
     label = _components(state.edges[fits], n)
     return np.isin(label, label[np.isfinite(ways.cost)])
@@ -515,7 +520,8 @@ def roadmap_message(state: RoadmapState, ways: Routes, robot: RobotConfig, colli
         points=state.points,
         edges=state.edges[state.usable],
         reachable=np.isfinite(ways.cost),
-        enterable=enterable(state, ways, robot, collision_probability),
+        enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, collision_probability),
+        roomy=_with_room(state, ways, robot, FAIR_DEVIATION, collision_probability),
         travel_time=ways.time,
     )
 
