@@ -3,9 +3,19 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import GoalChoice, GoalObservation, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.messages import (
+    GoalChoice,
+    GoalObservation,
+    LaserScan,
+    MapEstimate,
+    MissionStatus,
+    PoseEstimate,
+    TfgMap,
+    replace,
+)
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.planning.planner import OBSTACLE_MEMORY
+from tfg_drake.planning.planner import OBSTACLE_MEMORY, initial_state, step
+from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.systems.prm_planner import PrmPlanner
 
 CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig()
@@ -153,6 +163,20 @@ def test_what_blocked_the_way_is_kept_for_some_stages():
     assert nearest(2) > CONFIGS[0].radius
     assert nearest(1 + OBSTACLE_MEMORY) > CONFIGS[0].radius
     assert nearest(2 + OBSTACLE_MEMORY) < 0.1
+
+
+def test_a_robot_shut_in_by_what_it_met_forgets_it():
+    estimate, tfg = maps(1)
+    angle = np.linspace(0.0, 2.0 * np.pi, 13)
+    ring = 0.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    met = np.hstack([ring[:-1], ring[1:]])
+    state = replace(initial_state(), obstacles=met, obstacle_goal=np.zeros(len(met), dtype=np.int64))
+    robot, odometry, sensor, explorer = CONFIGS
+    parameters = RoadmapParameters(robot, sensor, odometry, explorer, seed=1)
+    mission = MissionStatus("choose", 1, 0.0)
+    state = step(state, estimate, tfg, pose(1), empty_choice(), scan(), mission, parameters)
+    assert state.roadmap.reachable.mean() > 0.9
+    assert len(state.obstacles) == 0
 
 
 def test_an_unreachable_goal_gives_an_empty_path_with_a_new_id():

@@ -117,7 +117,8 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
         within, beyond = frontier_in_sight(roadmap, estimate, tfg, parameters.sensor)
         if within or len(tfg.frontiers) == 0 or (effort > 0 and not beyond):
             break
-    if len(state.obstacles) and beyond and not within:
+    shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, estimate)).any()
+    if len(state.obstacles) and (shut_in or (beyond and not within)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         roadmap = _roadmap(nodes, tfg, estimate, parameters, state.obstacles)
