@@ -11,12 +11,20 @@ WALLS = np.array([[4.0, -6.0, 5.0, 6.0], [-6.0, 5.0, 6.0, 5.0], [-6.0, -5.0, 6.0
 ANGLES = np.linspace(-1.08, 1.08, 249)
 
 
-def frame(rng, scale, stamp=0.0, noise=1.0, stray=0):
-    """A frame of twelve tags 1 cm in front of their walls and the scan of its instant, from a random place."""
+def inwards(walls, distance):
+    """Walls moved towards the origin."""
+    along = walls[:, 2:] - walls[:, :2]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    normal *= -np.sign((normal * walls[:, :2]).sum(axis=1))[:, None]
+    return walls + distance * np.hstack([normal, normal])
+
+
+def frame(rng, scale, stamp=0.0, noise=1.0, stray=0, before=0.01):
+    """A frame of twelve tags, before their walls, and the scan of its instant, from a random place."""
     origin, heading = rng.uniform(-2.0, 2.0, 2), rng.uniform(-np.pi, np.pi)
     ranges = cast_rays(WALLS, origin, ANGLES + heading, 10.0)
     bearing = rng.uniform(-1.0, 1.0, 12)
-    distance = cast_rays(WALLS, origin, bearing + heading, 10.0) - 0.01
+    distance = cast_rays(inwards(WALLS, before), origin, bearing + heading, 10.0)
     distance[:stray] *= rng.uniform(0.3, 0.8, stray)
     sigma = 0.02 + 0.01 * distance
     z = scale * distance + noise * sigma * rng.normal(size=12)
@@ -38,6 +46,21 @@ def test_the_scale_is_found_to_two_parts_in_a_thousand(true, stray):
     assert np.abs(errors).max() < 0.005
     assert np.abs(np.mean(errors)) < 0.0015
     assert max(sigmas) < 0.002
+
+
+@pytest.mark.parametrize("before", [-0.02, 0.0, 0.03, 0.05])
+def test_tags_before_their_surfaces_are_no_range_scale(before):
+    found = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        scale = unknown_scale()
+        for _ in range(200):
+            scale = compare(scale, *frame(rng, 1.0, before=before))
+        assert abs(scale.mean[0]) < 4.0 * scale.sigma
+        found.append(scale.mean)
+    r, o = np.mean(found, axis=0)
+    assert abs(r) < 1e-3
+    assert o == pytest.approx(before, abs=6e-3)
 
 
 def test_a_corrected_range_is_the_true_one():

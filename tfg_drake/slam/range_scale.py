@@ -1,11 +1,14 @@
 """The scale of the tag sensor's ranges, learnt from the laser scan: tags stand on the surfaces that the scan meets.
 
 A range scale error is invisible to a map of bearings and ranges alone, scales all of it and dominates every other
-error; one turn beside a scan tells it to a part in a thousand. Measured range = (1 + r) * true range + noise, and the
-tag's centre lies an unknown constant o in front of its surface.
+error; one turn beside a scan tells it to a part in a thousand. Measured range = (1 + r) * true range + noise, and tags
+stand an unknown distance o before their surfaces, so that the range to the surface is longer by o over the cosine of
+the incidence.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import njit
@@ -21,8 +24,10 @@ GATE = 4.0
 SIGNIFICANT = 4.0
 # Surfaces seen more slantwise than this are left out (tangent of 60 degrees): a bearing error becomes a range error.
 STEEPEST = 1.75
-# Neighbouring rays belong to one surface when their ranges differ by less than this share.
+# Neighbouring rays belong to one surface when their ranges differ by less than this share; the surface is the line
+# through this many of them on either side.
 SAME_SURFACE = 0.1
+RAYS = 4
 
 
 @message
@@ -76,6 +81,28 @@ def _mean(information: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
+def _surface(at: float, step: float, ranges: FloatArray) -> tuple[float, float]:
+    """Distance (m) to the surface at a fraction of rays `at`, and the tangent of the incidence; nan without a surface.
+
+    One over the range is a sinusoid of the angle along a line, straight over a few rays.
+    """
+    first = math.floor(at) - RAYS + 1
+    if not (first >= 0 and first + 2 * RAYS <= len(ranges)):
+        return math.nan, math.nan
+    total, slope = 0.0, 0.0
+    for i in range(first, first + 2 * RAYS):
+        if not np.isfinite(ranges[i]) or ranges[i] <= 0.0:
+            return math.nan, math.nan
+        if i > first and not abs(ranges[i] - ranges[i - 1]) < SAME_SURFACE * ranges[i]:
+            return math.nan, math.nan
+        total += 1.0 / ranges[i]
+        slope += (i - first - RAYS + 0.5) / ranges[i]
+    slope /= RAYS * (4 * RAYS * RAYS - 1) / 6.0
+    inverse = total / (2 * RAYS) + slope * (at - first - RAYS + 0.5)
+    return 1.0 / inverse, abs(slope) / (step * inverse)
+
+
+@njit(cache=True)
 def _compare(
     information: FloatArray,
     vector: FloatArray,
@@ -94,27 +121,22 @@ def _compare(
     more, more_vector, pairs = information.copy(), vector.copy(), 0
     for k in range(len(range_)):
         at = (bearing[k] - angles[0]) / step
-        if not 0.0 <= at < len(angles) - 1:
+        distance, slant = _surface(at, step, ranges)
+        if not slant < STEEPEST:
             continue
-        i = int(at)
-        across = ranges[i + 1] - ranges[i]
-        distance = ranges[i] + (at - i) * across
-        if not (np.isfinite(distance) and abs(across) < SAME_SURFACE * distance):
-            continue
-        slant = abs(across) / (step * distance)
-        if slant >= STEEPEST:
-            continue
-        variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2
-        predicted = information[1, 1] * distance**2 - 2.0 * information[0, 1] * distance + information[0, 0]
-        error = range_[k] - distance - mean[0] * distance - mean[1]
+        lever = -math.sqrt(1.0 + slant * slant)
+        variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2 / RAYS
+        predicted = information[1, 1] * distance**2 - 2.0 * information[0, 1] * distance * lever
+        predicted += information[0, 0] * lever**2
+        error = range_[k] - distance - mean[0] * distance - mean[1] * lever
         if error * error > GATE**2 * (variance + predicted / determinant):
             continue
         more[0, 0] += distance * distance / variance
-        more[0, 1] += distance / variance
-        more[1, 0] += distance / variance
-        more[1, 1] += 1.0 / variance
+        more[0, 1] += distance * lever / variance
+        more[1, 0] += distance * lever / variance
+        more[1, 1] += lever * lever / variance
         more_vector[0] += distance * (range_[k] - distance) / variance
-        more_vector[1] += (range_[k] - distance) / variance
+        more_vector[1] += lever * (range_[k] - distance) / variance
         pairs += 1
     return more, more_vector, pairs
 
