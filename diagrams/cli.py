@@ -280,7 +280,10 @@ class _ProgressDisplay:
             self._live.update(Text(progress_line(progress), no_wrap=True, overflow="ellipsis"))
         elif time.monotonic() >= self._next_line:
             self._next_line += LINE_INTERVAL
-            print(progress_line(progress), flush=True)
+            try:
+                print(progress_line(progress), flush=True)
+            except BrokenPipeError:
+                self._next_line = math.inf  # Nobody reads on; the mission's folder is still wanted.
 
 
 def _progress_display() -> _ProgressDisplay:

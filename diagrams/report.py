@@ -40,6 +40,8 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     if saved is not None:
         save_map(folder / "map.npz", saved)
         map_bytes = (folder / "map.npz").stat().st_size
+    else:
+        (folder / "map.npz").unlink(missing_ok=True)  # of an earlier run in this folder
     true_stamps, X_WB_true = mission.true_poses()
     stamps, X_WB = mission.estimated_poses()
     write_tum(folder / "truth.tum", true_stamps, X_WB_true)

@@ -39,6 +39,7 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.planning.planner import pose_at
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
@@ -224,10 +225,10 @@ class Mission:
             self._scenario, self.world, self._meshcat, self._title
         )
         self._simulator = Simulator(diagram)
-        self._context = self._simulator.get_mutable_context()
-        diagram.SetRandomContext(self._context, RandomGenerator(self._scenario.seed))
         self._station = diagram.GetSubsystemByName("station")
         self._explorer = diagram.GetSubsystemByName("explorer")
+        self._context = self._simulator.get_mutable_context()
+        diagram.SetRandomContext(self._context, RandomGenerator(self._scenario.seed))
 
     def _spent(self, names: tuple[str, ...]) -> float:
         """CPU seconds charged to some systems since the mission was made."""
@@ -300,7 +301,7 @@ class Mission:
     def _progress(self, wall_time: float) -> Progress:
         error = math.nan
         if self.pose is not None:
-            X_WB = compose(self.world.start, self.pose.X_MB)
+            X_WB = compose(self.world.start, pose_at(self.pose, self.time))
             error = float(np.linalg.norm(X_WB[:2] - self._station_output("truth.pose")[:2]))
         landmarks = len(self.map.ids) if self.map is not None else 0
         return Progress(self.time, wall_time, self.status.phase, self.status.stage, landmarks, self._area, error)

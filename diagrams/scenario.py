@@ -82,12 +82,14 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "tags.field_of_view": (0.0, 2.0 * math.pi),
     "tags.max_incidence": (0.0, 0.5 * math.pi),
     "tags.rate": (0.0, math.inf),
+    "tags.range_noise": (0.0, math.inf),
+    "tags.bearing_noise": (0.0, math.inf),
     "tags.detection_probability": (0.0, 1.0),
     "tags.range_scale": (0.0, math.inf),
     "scan.range": (0.0, math.inf),
     "scan.field_of_view": (0.0, 2.0 * math.pi),
-    "scan.resolution": (0.0, math.pi),
-    "scan.rate": (0.0, math.inf),
+    "scan.resolution": (1e-4, math.pi),
+    "scan.rate": (1.0, math.inf),
     "safety.command_timeout": (0.0, math.inf),
     "explorer.density": (0.0, math.inf),
     "explorer.prior_sigma": (0.0, math.inf),
@@ -96,6 +98,8 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.turn_rate": (0.0, math.inf),
     "explorer.collision_probability": (0.0, 0.5),
 }
+# The greatest whole number anywhere.
+_MOST = 2**31 - 1
 # Numbers that may have either sign.
 _SIGNED = ("world.walls", "world.tags", "world.start")
 # Lists of a fixed length, and how to write them.
@@ -348,6 +352,8 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
         raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
     if not math.isfinite(number):
         raise ScenarioError(f"{source}: {place}: must be finite, is {number}")
+    if schema is int and not 0 <= number <= _MOST:
+        raise ScenarioError(f"{source}: {place}: must be between 0 and {_MOST}, is {number}")
     if place.startswith(_SIGNED):
         return
     least, greatest = _BOUNDS.get(place, (-math.inf, math.inf))

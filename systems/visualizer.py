@@ -31,6 +31,7 @@ from tfg_drake.messages import (
     TfgMap,
 )
 from tfg_drake.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
+from tfg_drake.planning.planner import pose_at
 from tfg_drake.systems.ports import declare_message_input, eval_message
 from tfg_drake.world.world import World
 
@@ -227,11 +228,11 @@ class TfgVisualizer(LeafSystem):
         pose, scan = self._Get(context, "pose", PoseEstimate), self._Get(context, "scan", LaserScan)
         mission = self._Get(context, "mission", MissionStatus)
         if pose is not None:
-            self._meshcat.SetTransform("/tfg/map/robot", _planar(pose.X_MB))
-        if pose is not None and scan is not None:
+            self._meshcat.SetTransform("/tfg/map/robot", _planar(pose_at(pose, context.get_time())))
+        if pose is not None and scan is not None and math.isfinite(scan.stamp):
             hit = np.isfinite(scan.ranges) & (scan.ranges < scan.range_max)
             rays = scan.ranges[hit, None] * np.stack([np.cos(scan.angles[hit]), np.sin(scan.angles[hit])], axis=1)
-            points = transform(pose.X_MB, rays)
+            points = transform(pose_at(pose, scan.stamp), rays)
             self._ShowTriangles("map/scan", discs(points, 0.6 * self._unit, _Z["scan"], corners=6), SCAN)
         if mission is not None:
             self._meshcat.SetProperty("/tfg/map/path", "visible", mission.phase == "follow")
@@ -257,7 +258,8 @@ class TfgVisualizer(LeafSystem):
                 ("1\u03c3", f"{100.0 * math.sqrt(max(np.trace(pose.covariance[:2, :2]) / 2.0, 0.0)):.1f} cm")
             )
         if pose is not None and truth is not None:
-            error = np.linalg.norm(transform(self._X_WM, pose.X_MB[:2]) - truth[:2])
+            X_MB = pose_at(pose, context.get_time())
+            error = np.linalg.norm(transform(self._X_WM, X_MB[:2]) - truth[:2])
             figures.append(("error", f"{100.0 * error:.1f} cm"))
         document = caption_gltf(render_caption(title, figures, LEGEND), self._view[2] - self._view[0])
         file = MemoryFile(document.encode(), ".gltf", "caption")

@@ -79,15 +79,26 @@ def test_blocks_that_touch_at_a_corner_are_kept_apart():
     assert sorted(len(line) for line in _borders(free)) == [13, 13]
 
 
-def test_unknown_cells_are_walls_and_specks_collapse_to_a_line(tmp_path):
+def test_unknown_cells_are_walls_and_specks_keep_their_width(tmp_path):
     shade = np.full((20, 20), 254, dtype=np.uint8)
     shade[:, 10:] = 205
     shade[10, 5] = 0
     file = write_grid(tmp_path, shade == 254)
     Image.fromarray(shade).save(tmp_path / "map.pgm")
     walls = load_map_server(file).walls
-    assert len(walls) == 5
-    assert area(walls)[0] == pytest.approx(1.0 * 2.0)
+    assert len(walls) == 4 + 4
+    assert area(walls) == pytest.approx([1.0 * 2.0 - 0.1 * 0.1, 0.1 * 0.1])
+
+
+def test_sixteen_bits_a_pixel_are_read_as_eight_are(tmp_path):
+    free = np.ones((6, 9), dtype=bool)
+    free[2:4, 3:5] = False
+    file = write_grid(tmp_path, free)
+    walls = load_map_server(file).walls
+    shade = np.asarray(Image.open(tmp_path / "map.pgm"), dtype=np.uint16) * 257
+    Image.fromarray(shade).save(tmp_path / "map.png")
+    file.write_text(file.read_text().replace("map.pgm", "map.png"))
+    np.testing.assert_array_equal(load_map_server(file).walls, walls)
 
 
 def test_transparent_pixels_are_unknown(tmp_path):
@@ -125,6 +136,8 @@ def test_bad_map_server_files_are_refused_in_one_line(tmp_path):
     assert message(good.replace("[0, 0, 0]", "[0, 0]")) == (
         f"{file}: origin: expected [x, y, yaw] of the image's lower left corner, found [0, 0]"
     )
+    assert message(good + "negate: '0'") == f"{file}: negate: expected 0 or 1, found '0'"
+    assert message(good + "mode: raw") == f"{file}: mode: expected trinary or scale, found 'raw'"
     assert message("image: [").startswith(f"{file}: cannot be read: ")
 
 
@@ -224,7 +237,7 @@ def test_furnish_replaces_only_what_is_given(tmp_path):
         ("NSHA.vectormap.txt", 1100, 400),
         ("GDC3.vectormap.txt", 6500, 600),
         ("building_31.yaml", 5000, 200),
-        ("willow-2010-02-18-0.10.yaml", 5000, 300),
+        ("willow-2010-02-18-0.10.yaml", 5500, 300),
     ],
 )
 def test_real_buildings_load(name, most_walls, least_tags):

@@ -13,7 +13,7 @@ from tfg_drake.world.map_server import load_map_server
 from tfg_drake.world.start import draw_start
 from tfg_drake.world.tag_placement import place_tags
 from tfg_drake.world.vectormap import load_vectormap
-from tfg_drake.world.world import World, WorldError, check_world
+from tfg_drake.world.world import World, WorldError, check_extent, check_world
 
 _log = logging.getLogger(__name__)
 
@@ -39,6 +39,7 @@ def load_map(
     else:
         raise WorldError(f"{path}: unknown kind of map; give a scenario or map_server .yaml or a *.vectormap.txt")
     try:
+        check_extent(walls)
         X_WS = draw_start(walls, robot_radius, seed, is_free) if start is None else np.array(start, dtype=float)
         world = World(
             walls=walls, tag_ids=np.zeros(0, dtype=np.int64), p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=X_WS

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
@@ -56,7 +56,7 @@ def load_map_server(path: Path) -> OccupancyMap:
     free = _free_cells(path, tree)
     if not free.any():
         raise WorldError(f"{path}: no free space in the image; check negate and free_thresh")
-    polylines = [_simplify(line, _TOLERANCE) for line in _borders(free)]
+    polylines = [_outline(line) for line in _borders(free)]
     corners = _distinct(np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in polylines])) * resolution
     X_WI = np.array(origin, dtype=float)
     walls = np.column_stack([transform(X_WI, corners[:, :2]), transform(X_WI, corners[:, 2:])])
@@ -64,7 +64,7 @@ def load_map_server(path: Path) -> OccupancyMap:
 
 
 def _distinct(segments: FloatArray) -> FloatArray:
-    """Each segment (m, 4) once: a wall one cell thick may collapse into a line there and back."""
+    """Each segment (m, 4) once: a spur one cell thick may collapse into a line there and back."""
     backwards = segments[:, [2, 3, 0, 1]]
     swap = (backwards[:, 0] < segments[:, 0]) | (
         (backwards[:, 0] == segments[:, 0]) & (backwards[:, 1] < segments[:, 1])
@@ -93,14 +93,25 @@ def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
         if file.suffix == ".gz":
             data = gzip.decompress(data)
         with Image.open(io.BytesIO(data)) as image:
-            pixels = np.asarray(image.convert("LA"), dtype=float)
+            if image.mode.startswith("I"):  # 16 bits a pixel: conversion would cut them off, not scale them
+                shade = np.asarray(image, dtype=float) / 65535.0
+                known = np.ones(shade.shape, dtype=np.bool_)
+            else:
+                pixels = np.asarray(image.convert("LA"), dtype=float)
+                shade, known = pixels[:, :, 0] / 255.0, pixels[:, :, 1] > 0.0
     except FileNotFoundError:
         raise WorldError(f"{path}: image: {file} does not exist") from None
-    except (OSError, EOFError, SyntaxError, ValueError) as error:
+    except UnidentifiedImageError:
+        raise WorldError(f"{path}: image: {file} is not a readable image: its format is unknown") from None
+    except (OSError, EOFError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise WorldError(f"{path}: image: {file} is not a readable image: {' '.join(str(error).split())}") from None
-    shade = pixels[::-1, :, 0] / 255.0
-    occupancy = shade if tree.get("negate", 0) else 1.0 - shade
-    return np.asarray((occupancy < _number(path, tree, "free_thresh", 0.196)) & (pixels[::-1, :, 1] > 0.0))
+    negate = tree.get("negate", 0)
+    if negate not in (0, 1):
+        raise WorldError(f"{path}: negate: expected 0 or 1, found {negate!r}")
+    if tree.get("mode", "trinary") not in ("trinary", "scale"):
+        raise WorldError(f"{path}: mode: expected trinary or scale, found {tree['mode']!r}")
+    occupancy = shade if negate else 1.0 - shade
+    return np.asarray((occupancy < _number(path, tree, "free_thresh", 0.196)) & known)[::-1]
 
 
 def _borders(free: BoolArray) -> list[IntArray]:
@@ -134,6 +145,13 @@ def _borders(free: BoolArray) -> list[IntArray]:
                     line.append(ways.pop())
             lines.append(np.array(line))
     return lines
+
+
+def _outline(line: IntArray) -> FloatArray:
+    """Corners (k + 1, 2) of the closed polyline: simplified, but for specks that would become a line of no width."""
+    corners = _simplify(line, _TOLERANCE)
+    area = 0.5 * abs(np.sum(corners[:-1, 0] * corners[1:, 1] - corners[1:, 0] * corners[:-1, 1]))
+    return corners if area >= 0.5 else _simplify(line, 0.0)
 
 
 def _simplify(line: IntArray, tolerance: float) -> FloatArray:

@@ -26,12 +26,24 @@ class World:
     start: FloatArray
 
 
+# No building covers more than this, m^2; its cells would not fit into memory.
+LARGEST = 2.5e5
+
+
 def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
     """Distance (m,) from the point p_WP (2,) to each wall (m, 4), m."""
     a, d = walls[:, :2], walls[:, 2:] - walls[:, :2]
     length_squared = np.maximum(np.sum(d * d, axis=1), np.finfo(float).tiny)
     t = np.clip(np.sum((p_WP - a) * d, axis=1) / length_squared, 0.0, 1.0)
     return np.asarray(np.linalg.norm(a + t[:, None] * d - p_WP, axis=1))
+
+
+def check_extent(walls: FloatArray) -> None:
+    """Raises WorldError where walls (m, 4), m, reach farther than a building: a wrong unit or resolution."""
+    if len(walls):
+        width, height = np.ptp(walls.reshape(-1, 2), axis=0)
+        if width * height > LARGEST:
+            raise WorldError(f"the walls extend over {width:.0f} x {height:.0f} m; check their unit or resolution")
 
 
 def check_world(world: World, robot_radius: float) -> None:
@@ -48,6 +60,7 @@ def check_world(world: World, robot_radius: float) -> None:
         if tag in first:
             raise WorldError(f"world.tags[{i}].id: {tag} is taken by world.tags[{first[tag]}]; give each tag an id")
         first[tag] = i
+    check_extent(world.walls)
     if not np.isfinite(world.start).all():
         raise WorldError("world.start: not a finite number; write [x, y, yaw] in metres and radians")
     if len(world.walls):
