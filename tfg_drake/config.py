@@ -87,7 +87,7 @@ class ScanConfig:
 class SafetyConfig:
     """The filter between any controller and the base."""
 
-    # A command older than this is zero, s.
+    # Without a scan younger than this there is no forward speed, s.
     command_timeout: float = 0.6
     # Nothing nearer to the robot's outline than this in its direction of travel, m, by the scan.
     stop_distance: float = 0.04
