@@ -39,7 +39,7 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
-from tfg_drake.planning.planner import pose_at
+from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer

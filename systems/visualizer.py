@@ -31,7 +31,7 @@ from tfg_drake.messages import (
     TfgMap,
 )
 from tfg_drake.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
-from tfg_drake.planning.planner import pose_at
+from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.ports import declare_message_input, eval_message
 from tfg_drake.world.world import World
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.geometry.se2 import compose, inverse, transform
+from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import (
     BoolArray,
     FloatArray,
@@ -35,6 +35,7 @@ from tfg_drake.planning.roadmap import (
     roadmap_message,
     routes,
 )
+from tfg_drake.pose_prediction import pose_at
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
@@ -184,10 +185,3 @@ def _watch(
         obstacles=np.vstack([state.obstacles, in_A]),
         obstacle_goal=np.append(state.obstacle_goal, np.full(len(in_A), len(estimate.X_MA) - 1)),
     )
-
-
-def pose_at(pose: PoseEstimate, stamp: float) -> FloatArray:
-    """The pose X_MB (3,) at a time (s) near pose.stamp, by the measured speed."""
-    dt = stamp - pose.stamp
-    v, w = pose.speed * dt
-    return compose(pose.X_MB, np.array([v * np.cos(0.5 * w), v * np.sin(0.5 * w), w]))
