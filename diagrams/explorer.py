@@ -11,7 +11,8 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
+from tfg_drake.slam.estimator import settled
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.prm_planner import PrmPlanner
@@ -87,8 +88,10 @@ def MakeTfgExplorer(scenario: Scenario) -> Diagram:
     return diagram
 
 
-def MapOfExplorer(explorer: Diagram, context: Context, X_WM: FloatArray) -> SavedMap | None:
-    """The map of a running explorer, to be kept with `tfg_drake.mapfile.saved_map.save_map`.
+def MapOfExplorer(explorer: Diagram, context: Context, X_WM: FloatArray) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
+    """The map of a running explorer, to be kept with `tfg_drake.mapfile.saved_map.save_map`, its estimate and TFG.
+
+    A large map, of which the estimator solves a window at a time, is solved as a whole here.
 
     Args:
         explorer: of MakeTfgExplorer, context: its own.
@@ -97,10 +100,10 @@ def MapOfExplorer(explorer: Diagram, context: Context, X_WM: FloatArray) -> Save
     Returns None before the first goal is in the map and its surfaces are.
     """
     estimator, builder = explorer.GetSubsystemByName("slam_estimator"), explorer.GetSubsystemByName("tfg_builder")
-    state = estimator.estimator(explorer.GetSubsystemContext(estimator, context))
+    state = settled(estimator.estimator(explorer.GetSubsystemContext(estimator, context)))
     builder_context = explorer.GetSubsystemContext(builder, context)
     tfg_graph = builder.graph(builder_context)
     if state.map is None or tfg_graph.stage == 0:
         return None
-    tfg = builder.GetOutputPort("tfg").Eval(builder_context)
-    return saved_map(X_WM, state, tfg_graph, tfg)
+    tfg = builder.tfg(builder_context, state.map)
+    return saved_map(X_WM, state, tfg_graph, tfg), state.map, tfg

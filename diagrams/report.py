@@ -36,8 +36,9 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     world, tfg = mission.world, mission.tfg
     estimate = mission.map
     map_bytes = 0
-    saved = mission.saved_map()
-    if saved is not None:
+    final = mission.final_map()
+    if final is not None:
+        saved, estimate, tfg = final
         save_map(folder / "map.npz", saved)
         map_bytes = (folder / "map.npz").stat().st_size
     else:
@@ -120,13 +121,16 @@ def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None)
     rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
     p_ML_true = transform(inverse(world.start), world.p_WT[rows])
     p_ML = estimate.p_ML[known]
-    entries = np.stack([2 * known, 2 * known + 1], axis=1).ravel()
+    jointly = known[np.isin(known, estimate.local)]
+    entry = np.searchsorted(estimate.local, jointly)
+    entries = np.stack([2 * entry, 2 * entry + 1], axis=1).ravel()
     covariance = estimate.covariance[np.ix_(entries, entries)]
+    of_joint = np.isin(known, jointly)
     return figures | {
         "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
         "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),
-        "landmark_anees": metrics.landmark_anees(p_ML, p_ML_true, covariance),
-        "landmark_nees": metrics.landmark_nees(p_ML, p_ML_true, covariance),
+        "landmark_anees": metrics.anees(p_ML - p_ML_true, estimate.landmark_covariance[known]),
+        "landmark_nees": metrics.landmark_nees(p_ML[of_joint], p_ML_true[of_joint], covariance),
     }
 
 

@@ -214,8 +214,8 @@ class Mission:
         stamps, X_MB = stamps[lived], data[1:, first[lived]].T
         return stamps, compose(self.world.start, X_MB) if len(X_MB) else X_MB
 
-    def saved_map(self) -> SavedMap | None:
-        """The map as it is now, to be kept; None before the first goal."""
+    def final_map(self) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
+        """The map as it is now, to be kept, its estimate and TFG; None before the first goal."""
         if self._context is None:
             return None
         return MapOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context), self.world.start)

@@ -54,13 +54,14 @@ class InfoGainGoalSelector(LeafSystem):
     @metered("goal_selector")
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self._mission, context, MissionStatus)
-        if mission.phase != "choose" or mission.stage <= state_message(context, self._goal, GoalChoice).stage:
+        previous = state_message(context, self._goal, GoalChoice)
+        if mission.phase != "choose" or mission.stage <= previous.stage:
             return EventStatus.DidNothing()
         estimate = eval_message(self._map, context, MapEstimate)
         tfg = eval_message(self._tfg, context, TfgMap)
         roadmap = eval_message(self._roadmap, context, Roadmap)
         if not mission.stage == estimate.stage == tfg.stage == roadmap.stage:
             return EventStatus.DidNothing()
-        goal = choose(estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer)
+        goal = choose(estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer, previous)
         set_state_message(state, self._goal, goal)
         return EventStatus.Succeeded()

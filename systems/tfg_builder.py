@@ -83,6 +83,13 @@ class TfgBuilder(LeafSystem):
         """The graph, in the builder's own context, in the coordinates of its landmarks and goals."""
         return state_message(context, self._state, _BuilderState).graph
 
+    def tfg(self, context: Context, estimate: MapEstimate) -> TfgMap:
+        """The graph resolved with an estimate of its stage, or of the stage after: then as it was."""
+        now = state_message(context, self._state, _BuilderState)
+        if estimate.stage != now.graph.stage:
+            return now.tfg
+        return resolve(now.graph, estimate, self._robot, self._explorer)
+
     @metered("tfg_builder")
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = state_message(context, self._state, _BuilderState)

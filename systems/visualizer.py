@@ -200,10 +200,13 @@ class TfgVisualizer(LeafSystem):
         self._ShowRibbons("walls", walls, 1.2 * self._unit, "walls", WALL)
 
     def _ShowLandmarks(self, estimate: MapEstimate) -> None:
-        n = len(estimate.ids)
-        blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
         self._ShowTriangles("map/landmarks", discs(estimate.p_ML, 1.3 * self._unit, _Z["landmarks"]), LANDMARK)
-        self._ShowLines("map/ellipses", outline_segments(ellipses(estimate.p_ML, blocks)), "ellipses", LANDMARK)
+        self._ShowLines(
+            "map/ellipses",
+            outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance)),
+            "ellipses",
+            LANDMARK,
+        )
 
     def _ShowSurfaces(self, tfg: TfgMap) -> None:
         for kind, (name, colour) in enumerate((("edge", EDGE), ("end", WALL_END), ("bare", BARE_SURFACE))):

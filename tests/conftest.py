@@ -24,8 +24,10 @@ def small_map():
     from tfg_drake.config import OdometryConfig
     from tfg_drake.mapfile.saved_map import saved_map
     from tfg_drake.messages import GoalObservation, TfgMap
-    from tfg_drake.slam import goal_graph
     from tfg_drake.slam.estimator import initial_state
+    from tfg_drake.slam.goal_arrival import add_goal
+    from tfg_drake.slam.goal_graph import empty_graph
+    from tfg_drake.slam.map_solver import solve
     from tfg_drake.tfg import graph as tfg
     from tfg_drake.tfg.frontier import points_of
     from tfg_drake.tfg.surfaces import Surfaces
@@ -44,11 +46,11 @@ def small_map():
         )
 
     first = observation([0, 1, 2], np.zeros(3), [0.0, 0.01, 0.02], 1)
-    graph, _ = goal_graph.add_goal(goal_graph.empty_graph(), None, first, np.zeros(3), np.zeros((3, 3)))
-    graph, estimate = goal_graph.solve(graph, 6.5, first)
+    graph, _ = add_goal(empty_graph(), None, first, np.zeros(3), np.zeros((3, 3)))
+    graph, estimate = solve(graph, 6.5, first)
     second = observation([0, 1, 3], np.array([1.0, 0.0, 0.1]), [0.01, 0.0, 0.0], 2)
-    graph, _ = goal_graph.add_goal(graph, estimate, second, np.array([1.0, -0.03, 0.08]), 1e-3 * np.eye(3))
-    graph, estimate = goal_graph.solve(graph, 20.25, second)
+    graph, _ = add_goal(graph, estimate, second, np.array([1.0, -0.03, 0.08]), 1e-3 * np.eye(3))
+    graph, estimate = solve(graph, 20.25, second)
     surfaces = Surfaces(
         kind=np.array([0, 1, 2]),
         ids=np.array([[11, 10], [12, -1], [-1, -1]]),

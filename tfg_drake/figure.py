@@ -62,9 +62,7 @@ def draw_run(
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
     if estimate is not None:
         mapped = estimate.ids
-        n = len(estimate.ids)
-        blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-        _draw_landmarks(axes, world.start, estimate.p_ML, blocks, symbol)
+        _draw_landmarks(axes, world.start, estimate.p_ML, estimate.landmark_covariance, symbol)
         _draw_goals(axes, world.start, estimate.X_MA)
     missed = reachable & ~np.isin(world.tag_ids, mapped)
     if missed.any():

@@ -158,11 +158,14 @@ class GoalObservation:
 
 @message
 class MapEstimate:
-    """The joint Gaussian of landmarks and departure pose after a goal (MAP and its marginal covariance).
+    """The Gaussian of landmarks and departure pose after a goal (MAP and its marginal covariance).
 
     stage: number of goals k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m. X_MD: (3,) the last departure pose.
-    covariance: (2n + 3, 2n + 3) of (p_ML row by row, X_MD). X_MA: (k, 3) arrival poses of all goals. observation:
-    the newest goal's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's objective).
+    local: (m,) rows of the landmarks known jointly, ascending: all of a small map's, those round the last departure of
+    a large one's. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of
+    each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
+    goals. observation: the newest goal's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
+    objective).
     """
 
     stage: int
@@ -170,7 +173,9 @@ class MapEstimate:
     ids: IntArray
     p_ML: FloatArray
     X_MD: FloatArray
+    local: IntArray
     covariance: FloatArray
+    landmark_covariance: FloatArray
     X_MA: FloatArray
     observation: GoalObservation
     entropy: float

@@ -58,14 +58,6 @@ def anees(error: FloatArray, covariance: FloatArray) -> float:
     )
 
 
-def landmark_anees(p_ML: FloatArray, p_ML_true: FloatArray, covariance: FloatArray) -> float:
-    """ANEES of landmarks (n, 2), each with its own block of covariance (2n, 2n) or (2n + 3, 2n + 3)."""
-    n = len(p_ML)
-    blocks = covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)
-    index = np.arange(n)
-    return anees(p_ML - p_ML_true, blocks[index, :, index, :])
-
-
 def landmark_nees(p_ML: FloatArray, p_ML_true: FloatArray, covariance: FloatArray) -> float:
     """e' P^-1 e / 2n of all landmarks (n, 2) jointly, P the leading (2n, 2n) block of covariance; nan without any."""
     n = len(p_ML)

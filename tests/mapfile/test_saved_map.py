@@ -22,6 +22,8 @@ from tfg_drake.mapfile.saved_map import (
     save_map,
 )
 from tfg_drake.slam import goal_graph
+from tfg_drake.slam.goal_arrival import add_goal
+from tfg_drake.slam.map_solver import solve
 
 DAMAGED = "FILE is damaged or not a map of tfg-drake"
 FORMAT = Path(__file__).parents[2] / "docs" / "map_format.md"
@@ -59,13 +61,11 @@ def test_round_trip_is_exact(path, small_map):
 def test_a_map_without_landmarks_can_be_kept(tmp_path, small_map):
     observation = goal_graph.empty_map().observation
     observation = dataclasses.replace(observation, covariance=1e-4 * np.eye(3))
-    graph, _ = goal_graph.add_goal(goal_graph.empty_graph(), None, observation, np.zeros(3), np.zeros((3, 3)))
+    graph, _ = add_goal(goal_graph.empty_graph(), None, observation, np.zeros(3), np.zeros((3, 3)))
     bare = dataclasses.replace(
         small_map,
         stage=1,
-        X_MA=graph.X_MA,
         graph=graph,
-        landmark_covariance=np.zeros((0, 2, 2)),
         **no_surfaces(small_map, 1),
     )
     save_map(tmp_path / "bare.npz", bare)
@@ -85,13 +85,14 @@ def no_surfaces(saved, stage):
 
 def test_the_covariance_follows_from_the_factors(small_map):
     estimate = restored_estimate(small_map)
-    _, solved = goal_graph.solve(small_map.graph, small_map.stamp, small_map.graph.observations[-1])
+    _, solved = solve(small_map.graph, small_map.stamp, small_map.graph.observations[-1])
     np.testing.assert_allclose(estimate.covariance, solved.covariance, rtol=1e-6, atol=1e-12)
     n = len(estimate.ids)
     for row in range(n):
         block = estimate.covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
         np.testing.assert_allclose(small_map.landmark_covariance[row], block, rtol=1e-3, atol=1e-9)
-    np.testing.assert_allclose(small_map.departure_covariance, estimate.covariance[2 * n :, 2 * n :], rtol=1e-2)
+    departure = small_map.graph.departure_covariance[-1]
+    np.testing.assert_allclose(departure, estimate.covariance[2 * n :, 2 * n :], rtol=1e-2)
     assert (estimate.stage, estimate.stamp, estimate.entropy) == (2, 20.25, small_map.entropy)
 
 
@@ -154,20 +155,24 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(7)}, "FILE has map schema 7; this version reads schema 3: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 3: make the map anew"),
+        ({"schema": np.int64(7)}, "FILE has map schema 7; this version reads schema 4: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 4: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),
         ({"X_WM": np.full(3, np.nan)}, "FILE is not a whole map: X_WM holds NaN"),
         ({"X_WM": np.zeros(3, np.float32)}, "FILE is not a whole map: X_WM must be float64, not float32"),
-        ({"stage": np.int64(3)}, "FILE is not a whole map: X_MA does not fit stage"),
+        ({"stage": np.int64(3)}, "FILE is not a whole map: graph.is_goal does not fit stage"),
         (
             {"graph.observations__count": np.int64(1)},
             "FILE is not a whole map: graph.observations.ids@shape has the wrong shape",
         ),
         (
-            {"graph.X_DA": np.zeros((2, 3)), "graph.segment_covariance__lower": np.zeros((2, 6))},
+            {
+                "graph.X_DA": np.zeros((2, 3)),
+                "graph.segment_covariance__lower": np.zeros((2, 6)),
+                "graph.travel_covariance__lower": np.zeros((2, 6)),
+            },
             "FILE is not a whole map: graph.observations does not fit graph.X_MA",
         ),
         ({"graph.ids": np.array([10, 11, 11, 13])}, "FILE is not a whole map: graph.ids is not ascending"),
@@ -176,8 +181,8 @@ def rewrite(path, **changes):
             "FILE is not a whole map: graph.observations.ids does not fit graph.ids",
         ),
         (
-            {"landmark_covariance__lower": np.zeros((3, 3))},
-            "FILE is not a whole map: landmark_covariance does not fit graph.ids",
+            {"graph.sightings": np.zeros(4, dtype=np.int64)},
+            "FILE is not a whole map: graph.sightings does not fit graph.observations",
         ),
         ({"tfg_graph.stage": np.int64(3)}, "FILE is not a whole map: tfg_graph.stage does not fit stage"),
         ({"tfg.facing": np.zeros((3, 2))}, "FILE is not a whole map: tfg.facing does not fit graph.ids"),

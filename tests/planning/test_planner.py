@@ -1,8 +1,9 @@
 import numpy as np
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.messages import GoalObservation, MapEstimate, Roadmap, replace
+from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.planner import frontier_in_sight
+from tfg_drake.slam import goal_graph
 from tfg_drake.tfg.graph import empty_map
 
 IDS = np.zeros(0, dtype=np.int64)
@@ -10,8 +11,7 @@ NONE = np.zeros((0, 2))
 
 
 def test_a_past_goal_is_no_place_to_see_a_frontier_from():
-    observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
-    estimate = MapEstimate(1, 0.0, IDS, NONE, np.zeros(3), np.eye(3), np.zeros((1, 3)), observation, 0.0)
+    estimate = replace(goal_graph.empty_map(), stage=1, covariance=np.eye(3), X_MA=np.zeros((1, 3)))
     frontiers = np.array([[3.0, -0.2], [3.0, 0.2]])
     normals = np.tile([-1.0, 0.0], (2, 1))
     tfg = replace(empty_map(), frontiers=frontiers, frontier_length=np.full(2, 0.4), frontier_normal=normals)

@@ -8,7 +8,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.geometry.visibility import cast_rays
-from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap
+from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap, replace
 from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     CHORD,
@@ -23,6 +23,7 @@ from tfg_drake.planning.roadmap import (
     roadmap_message,
     routes,
 )
+from tfg_drake.slam.goal_graph import empty_map
 
 ROBOT = RobotConfig()
 PARAMETERS = RoadmapParameters(ROBOT, TagSensorConfig(), OdometryConfig(), ExplorerConfig(), seed=3)
@@ -63,8 +64,9 @@ def known(segments, goals, X_shift=(0.0, 0.0, 0.0)):
     turn = np.array([0.0, 0.0, shift[2]])
     X_MA = compose(shift, goals)
     estimate = MapEstimate(
-        k, 0.0, np.arange(n), transform(shift, middle), X_MA[-1], 1e-4 * np.eye(2 * n + 3), X_MA, observation(), 0.0
-    )
+        k, 0.0, np.arange(n), transform(shift, middle), X_MA[-1], np.arange(n), 1e-4 * np.eye(2 * n + 3),
+        np.tile(1e-4 * np.eye(2), (n, 1, 1)), X_MA, observation(), 0.0,
+    )  # fmt: skip
     ends = np.hstack([transform(shift, segments[:, :2]), transform(shift, segments[:, 2:])])
     none = np.zeros((0, 2))
     tfg = TfgMap(
@@ -305,9 +307,7 @@ def test_a_gap_between_an_end_and_the_side_of_a_wall_is_a_passage_too():
 
 def test_an_empty_map_has_a_roadmap_of_open_space():
     none = np.zeros((0, 2))
-    estimate = MapEstimate(
-        1, 0.0, np.zeros(0, dtype=int), none, np.zeros(3), np.eye(3), np.zeros((1, 3)), observation(), 0.0
-    )
+    estimate = replace(empty_map(), stage=1, covariance=np.eye(3), X_MA=np.zeros((1, 3)))
     square = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])
     tfg = TfgMap(
         1, np.zeros((0, 4)), np.zeros(0, dtype=int), np.zeros((0, 2), dtype=int), none, none, none[:, 0], none,

@@ -103,7 +103,9 @@ def test_a_new_estimator_goes_on_where_the_map_ends(drive, small_map):
     state = process_odometry(resumed(small_map, state), Odometry(0.0, np.array([7.0, 8.0, 1.0]), np.zeros(2)))
     assert pose_estimate(state).stage == small_map.stage
     np.testing.assert_allclose(pose_estimate(state).X_MB, small_map.graph.X_MD[-1], atol=1e-12)
-    np.testing.assert_allclose(pose_estimate(state).covariance, small_map.departure_covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        pose_estimate(state).covariance, small_map.graph.departure_covariance[-1], rtol=1e-6, atol=1e-12
+    )
 
 
 def test_there_is_no_map_before_the_first_goal():

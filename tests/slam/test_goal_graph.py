@@ -1,11 +1,14 @@
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, D, L
+import pytest
+from gtsam.symbol_shorthand import D, L
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import GoalObservation
-from tfg_drake.slam import goal_graph
-from tfg_drake.slam.goal_graph import add_goal, empty_graph, empty_map, factor_graph, solve
+from tfg_drake.slam.goal_arrival import add_goal
+from tfg_drake.slam.goal_factors import factor_graph, goal_factor, values_of
+from tfg_drake.slam.goal_graph import empty_graph, empty_map
+from tfg_drake.slam.map_solver import solve
 
 SEGMENT = np.diag([0.05, 0.05, 0.02]) ** 2
 
@@ -67,7 +70,7 @@ def test_values_and_covariance_are_gtsams_own():
     factors = factor_graph(graph)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(1e-12)
-    values = gtsam.LevenbergMarquardtOptimizer(factors, goal_graph._values(graph), parameters).optimize()
+    values = gtsam.LevenbergMarquardtOptimizer(factors, values_of(graph), parameters).optimize()
     for tag, point in zip(estimate.ids, estimate.p_ML, strict=True):
         np.testing.assert_allclose(point, values.atPoint2(L(int(tag))), atol=1e-5)
     keys = [*(L(int(tag)) for tag in estimate.ids), D(len(observations) - 1)]
@@ -79,22 +82,22 @@ def test_values_and_covariance_are_gtsams_own():
     assert abs(estimate.entropy - entropy) < 1e-8
 
 
-def test_jacobians_of_the_goal_factor():
-    _, X_MA, X_MD, observations, _ = ring(3, 1.0)
-    observation = observations[2]
-    keys = [A(0), D(0), *(L(int(tag)) for tag in observation.ids)]
-    factor = gtsam.CustomFactor(
-        gtsam.noiseModel.Unit.Create(2 * len(observation.ids) + 3), keys, goal_graph._goal_error(keys, observation)
-    )
-    values = gtsam.Values()
-    values.insert(A(0), gtsam.Pose2(*X_MA[2]))
-    values.insert(D(0), gtsam.Pose2(*X_MD[2]))
-    for tag, point in zip(observation.ids, observation.p_AL, strict=True):
-        values.insert(L(int(tag)), se2.transform(X_MA[2], point) + 0.1)
+@pytest.mark.parametrize(("pose_free", "held"), [(True, 0), (True, 4), (False, 4)])
+def test_jacobians_of_the_goal_factor(pose_free, held):
+    """Of the poses and landmarks that are free; the others stay where the graph has them."""
+    _, _, _, observations, segments = ring(3, 1.0)
+    graph, _ = build(observations, segments)
+    free = ~np.isin(graph.ids, observations[2].ids[:held])
+    factor = goal_factor(graph, 2, pose_free, free)
+    keys = list(factor.keys())
+    assert len(keys) == 2 * pose_free + len(observations[2].ids) - held
+    values = values_of(graph)
+    for key in keys[2 * pose_free :]:
+        values.update(key, values.atPoint2(key) + 0.1)
     jacobian = factor.linearize(values).jacobian()[0]
     column = 0
     for key in keys:
-        size = 3 if key in keys[:2] else 2
+        size = 3 if pose_free and key in keys[:2] else 2
         for i in range(size):
             errors = []
             for h in (1e-6, -1e-6):

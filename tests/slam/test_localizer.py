@@ -23,8 +23,9 @@ def make_map(n, seed, sigma=0.05):
     truth = np.append(rng.uniform(-6.0, 6.0, 2 * n), [0.5, -0.3, 0.7])
     mean = truth + root @ rng.normal(size=2 * n + 3)
     estimate = dataclasses.replace(
-        empty_map(), stage=1, ids=np.arange(n), p_ML=mean[:-3].reshape(-1, 2), X_MD=mean[-3:], covariance=root @ root.T
-    )
+        empty_map(), stage=1, ids=np.arange(n), p_ML=mean[:-3].reshape(-1, 2), X_MD=mean[-3:], local=np.arange(n),
+        covariance=root @ root.T,
+    )  # fmt: skip
     return estimate, truth[:-3].reshape(-1, 2), truth[-3:]
 
 

@@ -5,16 +5,12 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import GoalObservation, MapEstimate, MissionStatus, Roadmap, TfgMap
+from tfg_drake.messages import MissionStatus, Roadmap, TfgMap
+from tfg_drake.slam.goal_graph import empty_map
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
 NONE = np.zeros((0, 2))
 IDS = np.zeros(0, dtype=np.int64)
-
-
-def empty_map():
-    observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
-    return MapEstimate(0, 0.0, IDS, NONE, np.zeros(3), np.zeros((3, 3)), np.zeros((0, 3)), observation, 0.0)
 
 
 def empty_tfg():
@@ -26,7 +22,7 @@ def half_known_room():
     """Three tagged walls round the origin; the west is unknown."""
     estimate = dataclasses.replace(
         empty_map(), stage=1, ids=np.arange(3), p_ML=np.array([[0.0, -4], [4, 0], [0, 4]]),
-        covariance=1e-2 * np.eye(9), X_MA=np.zeros((1, 3)),
+        local=np.arange(3), covariance=1e-2 * np.eye(9), X_MA=np.zeros((1, 3)),
     )  # fmt: skip
     tfg = dataclasses.replace(
         empty_tfg(),

@@ -16,6 +16,7 @@ from tfg_drake.messages import (
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.planner import OBSTACLE_MEMORY, initial_state, step
 from tfg_drake.planning.roadmap import RoadmapParameters
+from tfg_drake.slam import goal_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
 
 CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig()
@@ -28,14 +29,14 @@ def maps(stage):
     """A room of 8 x 8 m with a tag in the middle of three walls, the fourth unknown."""
     observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
     if stage == 0:
-        estimate = MapEstimate(0, 0.0, IDS, NONE, np.zeros(3), np.zeros((3, 3)), np.zeros((0, 3)), observation, 0.0)
+        estimate = goal_graph.empty_map()
         tfg = TfgMap(0, np.zeros((0, 4)), IDS, IDS.reshape(0, 2), NONE, NONE, NONE[:, 0], NONE, np.zeros(1, dtype=int),
                      NONE, NONE)  # fmt: skip
         return estimate, tfg
     walls = np.array([[-4.0, -4, 4, -4], [4, -4, 4, 4], [4, 4, -4, 4]])
     tags, facing = np.array([[0.0, -4], [4, 0], [0, 4]]), np.array([[0.0, 1], [-1, 0], [0, -1]])
-    estimate = MapEstimate(stage, 1.0, np.arange(3), tags, np.zeros(3), 1e-2 * np.eye(9), np.zeros((stage, 3)),
-                           observation, 0.0)  # fmt: skip
+    estimate = MapEstimate(stage, 1.0, np.arange(3), tags, np.zeros(3), np.arange(3), 1e-2 * np.eye(9),
+                           np.tile(1e-2 * np.eye(2), (3, 1, 1)), np.zeros((stage, 3)), observation, 0.0)  # fmt: skip
     frontiers = np.stack([np.full(15, -4.35), np.linspace(-3.5, 3.5, 15)], axis=1)
     normals = np.tile([1.0, 0.0], (15, 1))
     tfg = TfgMap(stage, walls, np.zeros(3, dtype=int), np.zeros((3, 2), dtype=int), facing, frontiers,

@@ -10,7 +10,7 @@ import pytest
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import between, inverse, transform
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
-from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap
+from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap, replace
 from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, no_sightings, resolve, update
 from tfg_drake.tfg.panorama import Panorama, build_panorama
 
@@ -77,7 +77,9 @@ class Simulation:
             ids,
             self.p_WT[ids] + error[ids],
             X_WA,
+            np.arange(len(ids)),
             np.diag(np.concatenate([np.repeat(sigma[ids], 2), np.full(3, 1e-3)])) ** 2,
+            sigma[ids, None, None] ** 2 * np.eye(2),
             np.array(self.X_MA),
             observation,
             0.0,
@@ -98,9 +100,7 @@ class Simulation:
         e = self.estimate
         assert e is not None
         X_MA = np.array([between(inverse(X_NM), X) for X in e.X_MA])
-        return MapEstimate(
-            e.stage, e.stamp, e.ids, transform(X_NM, e.p_ML), e.X_MD, e.covariance, X_MA, e.observation, e.entropy
-        )
+        return replace(e, p_ML=transform(X_NM, e.p_ML), X_MA=X_MA)
 
 
 def _rectangle(x0: float, y0: float, x1: float, y1: float) -> list[list[float]]:

@@ -10,9 +10,9 @@ from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, drift_from_robot
 
 def _estimate(p_ML: np.ndarray, X_MD: np.ndarray, covariance: np.ndarray) -> MapEstimate:
     empty = empty_map()
-    return MapEstimate(
-        1, 0.0, np.arange(len(p_ML)), p_ML, X_MD, covariance, np.zeros((1, 3)), empty.observation, empty.entropy
-    )
+    ids = np.arange(len(p_ML))
+    own = np.zeros((len(ids), 2, 2))
+    return MapEstimate(1, 0.0, ids, p_ML, X_MD, ids, covariance, own, np.zeros((1, 3)), empty.observation, 0.0)
 
 
 def test_drift_from_the_robot_is_that_of_what_it_would_see() -> None:

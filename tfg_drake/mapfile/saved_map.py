@@ -17,10 +17,10 @@ import numpy as np
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message, replace
-from tfg_drake.slam import goal_graph
 from tfg_drake.slam.estimator import EstimatorState
 from tfg_drake.slam.goal_graph import GoalGraph
 from tfg_drake.slam.localizer import start_localizer
+from tfg_drake.slam.map_solver import restored
 from tfg_drake.slam.range_scale import RangeScale
 from tfg_drake.slam.segment import start_segment
 from tfg_drake.tfg.frontier import FrontierPoints
@@ -28,7 +28,7 @@ from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 3
+SCHEMA = 4
 
 
 class MapFileError(Exception):
@@ -39,23 +39,17 @@ class MapFileError(Exception):
 class SavedMap:
     """A map as it is kept on disk.
 
-    X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. entropy:
-    of the landmarks, nats. X_MA: (k, 3) arrival poses of the goals. landmark_covariance: (n, 2, 2) marginal covariance
-    of each landmark in M, m^2, and departure_covariance: (3, 3) of the last departure pose, for whoever needs no more.
-    graph: the estimator's factors and values. odometry_calibration: (3,), odometry_covariance: (3, 3) and range_scale:
-    what it knows of the odometry, see OdometryModel, and of the tag sensor's ranges. suspects: (s,) ids of landmarks
-    that contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the topological
-    feature graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between the two, of
-    the one before. tfg: it resolved in M, of the same stage as tfg_graph.
+    X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. graph: the
+    estimator's factors and values. odometry_calibration: (3,), odometry_covariance: (3, 3) and range_scale: what it
+    knows of the odometry, see OdometryModel, and of the tag sensor's ranges. suspects: (s,) ids of landmarks that
+    contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the topological feature
+    graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between the two, of the one
+    before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
 
     X_WM: FloatArray
     stage: int
     stamp: float
-    entropy: float
-    X_MA: FloatArray
-    landmark_covariance: FloatArray
-    departure_covariance: FloatArray
     graph: GoalGraph
     odometry_calibration: FloatArray
     odometry_covariance: FloatArray
@@ -76,6 +70,21 @@ class SavedMap:
         return self.graph.p_ML
 
     @property
+    def landmark_covariance(self) -> FloatArray:
+        """(n, 2, 2) marginal covariances of the landmarks in M, m^2."""
+        return self.graph.landmark_covariance
+
+    @property
+    def entropy(self) -> float:
+        """Of the landmarks, nats."""
+        return self.graph.entropy
+
+    @property
+    def X_MA(self) -> FloatArray:
+        """(k, 3) arrival poses of the goals in M, m and rad."""
+        return self.graph.X_MA[self.graph.is_goal]
+
+    @property
     def facing(self) -> FloatArray:
         """(n, 2) unit vectors in M: the side each landmark was seen from, zero where the TFG does not know it yet."""
         facing = np.zeros_like(self.p_ML)
@@ -88,9 +97,6 @@ class SavedMap:
 REGISTRY: Registry = {
     SavedMap: {
         "X_WM": (3,),
-        "X_MA": ("k", 3),
-        "landmark_covariance": ("n", 2, 2),
-        "departure_covariance": (3, 3),
         "odometry_calibration": (3,),
         "odometry_covariance": (3, 3),
         "suspects": ("s",),
@@ -105,6 +111,10 @@ REGISTRY: Registry = {
         "X_MD": ("k", 3),
         "ids": ("n",),
         "p_ML": ("n", 2),
+        "sightings": ("n",),
+        "travel_covariance": ("j", 3, 3),
+        "departure_covariance": ("k", 3, 3),
+        "landmark_covariance": ("n", 2, 2),
     },
     GoalObservation: {
         "ids": ("n",),
@@ -172,16 +182,10 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
     estimate = state.map
     if estimate is None:
         raise ValueError("There is no map before the first goal.")
-    n = len(estimate.ids)
-    blocks = estimate.covariance[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
     return SavedMap(
         X_WM=np.array(X_WM, dtype=float),
         stage=estimate.stage,
         stamp=estimate.stamp,
-        entropy=estimate.entropy,
-        X_MA=estimate.X_MA,
-        landmark_covariance=blocks,
-        departure_covariance=np.array(estimate.covariance[2 * n :, 2 * n :]),
         graph=state.graph,
         odometry_calibration=state.model.calibration,
         odometry_covariance=state.model.calibration_covariance,
@@ -198,19 +202,7 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
 
     Its observation is the newest goal's without the turn's trajectory and without tags that were left out of the map.
     """
-    graph = saved.graph
-    linear = goal_graph.factor_graph(graph).linearize(goal_graph._values(graph))
-    return MapEstimate(
-        stage=saved.stage,
-        stamp=saved.stamp,
-        ids=graph.ids,
-        p_ML=graph.p_ML,
-        X_MD=graph.X_MD[-1],
-        covariance=goal_graph._covariance(graph, linear),
-        X_MA=saved.X_MA,
-        observation=graph.observations[-1],
-        entropy=saved.entropy,
-    )
+    return restored(saved.graph, saved.stamp, saved.graph.observations[-1])
 
 
 def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
@@ -292,15 +284,15 @@ def _contradiction(saved: SavedMap) -> str:
     graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
     landmarks, known = len(graph.ids), graph.ids
     if not 1 <= stage == len(saved.X_MA):
-        return "X_MA does not fit stage"
+        return "graph.is_goal does not fit stage"
     if not stage <= len(graph.observations) == len(graph.X_MA) == len(graph.X_DA) + 1:
         return "graph.observations does not fit graph.X_MA"
     if np.any(np.diff(known) <= 0):
         return "graph.ids is not ascending"
     if not all(_within(observation.ids, known) for observation in graph.observations):
         return "graph.observations.ids does not fit graph.ids"
-    if len(saved.landmark_covariance) != landmarks:
-        return "landmark_covariance does not fit graph.ids"
+    if np.any(graph.sightings < 1):
+        return "graph.sightings does not fit graph.observations"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != landmarks:

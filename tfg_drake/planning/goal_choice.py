@@ -71,18 +71,24 @@ def choose(
     odometry: OdometryConfig,
     robot: RobotConfig,
     explorer: ExplorerConfig,
+    previous: GoalChoice,
 ) -> GoalChoice:
-    """The choice at one stage: estimate, tfg and roadmap are of the same stage.
+    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is the choice before.
 
     Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees enough
-    live frontier, whatever its gain, and what promises more than explorer.stop_gain.
+    live frontier, whatever its gain, and what promises more than explorer.stop_gain. On a large map, a place where the
+    landmarks are not known jointly with the robot's pose promises what it did when they last were: nothing has changed
+    there since.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, estimate))
     seen = expected_frontiers(roadmap.points[nodes], tfg, sensor)
-    candidates = thin_candidates(nodes, seen.count, explorer.samples)
+    here = _here(roadmap.points[nodes], estimate)
+    kept = ~here & np.isin(nodes, previous.candidates)
+    asked = thin_candidates(nodes[~kept], seen.of(np.flatnonzero(~kept)).count, explorer.samples)
+    candidates = np.union1d(asked, nodes[kept])
     frontiers = seen.of(np.searchsorted(nodes, candidates))
 
     def expected(points: FloatArray, time: FloatArray, frontiers: View) -> Gains:
@@ -91,7 +97,8 @@ def choose(
         return information_gain(points, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
     points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
-    gains = expected(points, time, frontiers)
+    ask = np.isin(candidates, asked)
+    gains = _filled(previous, candidates, ask, expected(points[ask], time[ask], frontiers.of(np.flatnonzero(ask))))
     value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
     enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
     best = pick(gains.gain, value, enough, explorer.stop_gain)
@@ -123,6 +130,30 @@ def choose(
         value=value,
         verdict=verdict,
         reason=reason,
+    )
+
+
+def _here(points: FloatArray, estimate: MapEstimate) -> BoolArray:
+    """Which of the points (n, 2), m in M, lie where the landmarks are known jointly with the robot's pose, (n,)."""
+    if len(estimate.local) == len(estimate.ids):
+        return np.ones(len(points), dtype=np.bool_)
+    _, nearest = cKDTree(estimate.p_ML).query(points)
+    return np.isin(nearest, estimate.local)
+
+
+def _filled(previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains) -> Gains:
+    """The gains of all candidates (c,): those of the ones asked for (c,) now, of the others as they were before."""
+    row = np.searchsorted(previous.candidates, candidates[~asked])
+
+    def fill(now: FloatArray, before: FloatArray) -> FloatArray:
+        filled = np.empty(len(candidates))
+        filled[asked], filled[~asked] = now, before[row]
+        return filled
+
+    return Gains(
+        exploitation=fill(gains.exploitation, previous.exploitation),
+        exploration=fill(gains.exploration, previous.exploration),
+        pose_price=fill(gains.pose_price, previous.pose_price),
     )
 
 

@@ -234,14 +234,23 @@ def odometry_covariance(
 
 
 def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
-    """Covariance (3, 3) of the departure pose X_MD given all landmarks."""
-    n = 2 * len(estimate.ids)
+    """Covariance (3, 3) of the departure pose X_MD given all landmarks that are known jointly with it."""
+    n = 2 * len(estimate.local)
     S = estimate.covariance
     S_DD = np.array(S[n:, n:])
     if n == 0:
         return S_DD
     conditional = S_DD - S[n:, :n] @ cho_solve(cho_factor(S[:n, :n], lower=True), S[:n, n:])
     return np.asarray(0.5 * (conditional + conditional.T))
+
+
+def local_view(tags: View, estimate: MapEstimate) -> View:
+    """A view of rows of estimate.ids as one of the entries of estimate.local, those that are not in it left out."""
+    entry = np.full(len(estimate.ids), -1)
+    entry[estimate.local] = np.arange(len(estimate.local))
+    index = entry[tags.index]
+    point = np.repeat(np.arange(len(tags.count)), tags.count)[index >= 0]
+    return View(np.append(0, np.cumsum(np.bincount(point, minlength=len(tags.count)))), index[index >= 0])
 
 
 def information_gain(
@@ -260,8 +269,10 @@ def information_gain(
 
     tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new landmarks,
     seen where the frontier point is, less where the view ends soon behind it. The arrival pose is known through
-    odometry since the last departure alone, as in the factor that will join the two goals.
+    odometry since the last departure alone, as in the factor that will join the two goals. Landmarks that are not known
+    jointly with the departure pose count for nothing.
     """
+    tags = local_view(tags, estimate)
     out = exact_gain(
         np.ascontiguousarray(points),
         odometry_covariance(estimate.X_MD, points, distance, time, odometry),
@@ -269,7 +280,7 @@ def information_gain(
         tags.index,
         frontiers.offsets,
         frontiers.index,
-        estimate.p_ML,
+        estimate.p_ML[estimate.local],
         estimate.X_MD,
         estimate.covariance,
         departure_given_landmarks(estimate),

@@ -16,14 +16,15 @@ from tfg_drake.messages import FloatArray, IntArray, MapEstimate
 def in_departure_frame(estimate: MapEstimate, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     """p_DL (m, 2) of the landmarks in some rows (m,) of the estimate, and the covariance of (p_DL row by row, X_MD).
 
-    That is (2m + 3, 2m + 3).
+    That is (2m + 3, 2m + 3). The rows must be among estimate.local.
     """
     m = len(rows)
+    entry = np.searchsorted(estimate.local, rows)
     X_MD = estimate.X_MD
     R_MD = se2.rotation(float(X_MD[2]))
     p_DL = (estimate.p_ML[rows] - X_MD[:2]) @ R_MD
     index = np.concatenate(
-        [np.repeat(2 * rows, 2) + np.tile([0, 1], m), len(estimate.covariance) - np.array([3, 2, 1])]
+        [np.repeat(2 * entry, 2) + np.tile([0, 1], m), len(estimate.covariance) - np.array([3, 2, 1])]
     )
     P = estimate.covariance[np.ix_(index, index)]
     P[: 2 * m] = (R_MD.T @ P[: 2 * m].reshape(m, 2, 2 * m + 3)).reshape(2 * m, 2 * m + 3)

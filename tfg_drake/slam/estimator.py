@@ -19,7 +19,6 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import (
-    BoolArray,
     FloatArray,
     GoalObservation,
     IntArray,
@@ -32,6 +31,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam import goal_graph
+from tfg_drake.slam.goal_arrival import JOINT, add_goal
 from tfg_drake.slam.goal_graph import GoalGraph
 from tfg_drake.slam.localizer import (
     Localizer,
@@ -42,6 +42,7 @@ from tfg_drake.slam.localizer import (
     step_localizer,
     without_local,
 )
+from tfg_drake.slam.map_solver import around, solve, whole
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     OdometryModel,
@@ -243,7 +244,7 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     state = _step_to(state, stamp)
     piece = state.piece
     assert piece is not None
-    return _add_goal(state, replace(piece, X_DA=np.zeros(3), segment_covariance=goal_graph.JOINT))
+    return _add_goal(state, replace(piece, X_DA=np.zeros(3), segment_covariance=JOINT))
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -258,7 +259,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
     X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
     new_ids, p_MU = state.localizer.filter.local_ids, NO_TAGS
     if len(new_ids) > 0:
-        new = _absent(new_ids, state.graph.ids)
+        new = ~goal_graph.rows_of(new_ids, state.graph.ids)[1]
         new_ids, p_MU = new_ids[new], local_tags(state.localizer)[new]
     return PoseEstimate(
         stamp=stamp,
@@ -276,12 +277,13 @@ def map_estimate(state: EstimatorState) -> MapEstimate | None:
     return state.map
 
 
-def _absent(ids: IntArray, known: IntArray) -> BoolArray:
-    """(n,) which ids are not among the known ones (ascending)."""
-    if len(known) == 0:
-        return np.ones(len(ids), dtype=bool)
-    row = np.minimum(np.searchsorted(known, ids), len(known) - 1)
-    return np.asarray(known[row] != ids)
+def settled(state: EstimatorState) -> EstimatorState:
+    """The state with its map solved as a whole and known jointly as far as memory allows: for the end of a mission."""
+    estimate = state.map
+    if estimate is None or len(estimate.local) == len(estimate.ids):
+        return state
+    graph, estimate = whole(state.graph, estimate.stamp, estimate.observation)
+    return replace(state, graph=graph, map=estimate)
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
@@ -368,7 +370,8 @@ def _look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorSta
         "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
         seen.stamp, distance, angle, int(np.count_nonzero(agreeing)),
     )  # fmt: skip
-    localizer = restart_localizer(state.model, estimate, pose, select(seen, agreeing))
+    nearby = around(state.graph, estimate, pose[:2])
+    localizer = restart_localizer(state.model, nearby, pose, select(seen, agreeing))
     return _carried(replace(state, localizer=localizer, contradictions=0))
 
 
@@ -398,7 +401,7 @@ def _open_piece(state: EstimatorState) -> EstimatorState:
     """The state with a new piece of the way open, where pieces are mapped."""
     if state.path_keyframe_period == 0.0:
         return state
-    return replace(state, piece=OpenTurn(_instant(state), (), np.zeros(3), goal_graph.JOINT))
+    return replace(state, piece=OpenTurn(_instant(state), (), np.zeros(3), JOINT))
 
 
 def _end_piece(state: EstimatorState) -> EstimatorState:
@@ -416,7 +419,7 @@ def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     solution = solve_turn(state.model, turn.begin, frames, _instant(state))
     seen = sum(1 for frame in frames if len(frame.detections.ids))
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
-    doubtful &= _absent(solution.observation.ids, state.graph.ids)
+    doubtful &= ~goal_graph.rows_of(solution.observation.ids, state.graph.ids)[1]
     observation = goal_graph.without_tags(solution.observation, solution.observation.ids[doubtful])
     return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
 
@@ -425,18 +428,18 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     """The state with a turn or piece made a goal, the graph solved, and the filters at its end."""
     solution = _solve(state, turn)
     arguments = (solution.observation, turn.X_DA, turn.segment_covariance, state.way)
-    graph, rejected = goal_graph.add_goal(state.graph, state.map, *arguments)
+    graph, rejected = add_goal(state.graph, state.map, *arguments)
     suspects, count = _suspects(state, solution, rejected)
     moved = suspects[count >= MOVED]
     if len(moved):
         _log.warning("%.2f s: moved since they were mapped: tags %s", state.stamp, _names(moved))
         known = goal_graph.forget(state.graph, moved)
-        _, estimate = goal_graph.solve(known, state.stamp, solution.observation)
-        graph, rejected = goal_graph.add_goal(known, estimate, *arguments)
+        _, estimate = solve(known, state.stamp, solution.observation)
+        graph, rejected = add_goal(known, estimate, *arguments)
         suspects, count = suspects[count < MOVED], count[count < MOVED]
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
-    graph, estimate = goal_graph.solve(graph, state.stamp, solution.observation)
+    graph, estimate = solve(graph, state.stamp, solution.observation)
     model = state.model
     if state.turn is not None:
         # A turn in place ends where it began and tells the gyro's scale; on the way a slip could pass for a scale.

@@ -58,9 +58,10 @@ def restart_localizer(
 
 
 def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -> Localizer:
-    """A localiser at the departure pose that considers the landmarks nearest to X_MB (3,)."""
-    distance = np.hypot(*(map_estimate.p_ML - X_MB[:2]).T)
-    near = np.sort(np.argsort(distance, kind="stable")[:WINDOW])
+    """A localiser at the departure pose that considers the landmarks nearest to X_MB (3,), of those known jointly."""
+    local = map_estimate.local
+    distance = np.hypot(*(map_estimate.p_ML[local] - X_MB[:2]).T)
+    near = np.sort(local[np.argsort(distance, kind="stable")[:WINDOW]])
     p_DL, covariance = in_departure_frame(map_estimate, near)
     return Localizer(map_estimate.X_MD, pose_filter.start(model, map_estimate.ids[near], p_DL, covariance))
 

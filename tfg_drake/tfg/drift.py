@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tfg_drake.messages import FloatArray, MapEstimate
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate
 
 # Landmarks this far from a place at most speak for the faces there, m.
 NEIGHBOURHOOD = 2.0
@@ -23,11 +23,12 @@ DRIFT_SIGMAS = 3.0
 def drift_from_robot(estimate: MapEstimate) -> FloatArray:
     """Covariance (n, 2, 2), m^2 along the axes of M, of where each landmark lies seen from the last departure pose.
 
-    What the robot has just seen is small here, however uncertain both are in M.
+    What the robot has just seen is small here, however uncertain both are in M. Zero for those too far away to be known
+    jointly with it.
     """
-    n = len(estimate.ids)
+    n = len(estimate.local)
     P = estimate.covariance
-    lever = estimate.p_ML - estimate.X_MD[:2]
+    lever = estimate.p_ML[estimate.local] - estimate.X_MD[:2]
     # Relative error: that of the landmark, less the robot's, less what the robot's heading adds over the distance.
     J = np.zeros((n, 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
@@ -35,18 +36,31 @@ def drift_from_robot(estimate: MapEstimate) -> FloatArray:
     cross = P[: 2 * n, -3:].reshape(n, 2, 3) @ J.transpose(0, 2, 1)
     rows = np.arange(n)
     own = P[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[rows, :, rows, :]
-    return np.asarray(own - cross - cross.transpose(0, 2, 1) + J @ P[-3:, -3:] @ J.transpose(0, 2, 1))
+    drift = np.zeros((len(estimate.ids), 2, 2))
+    drift[estimate.local] = own - cross - cross.transpose(0, 2, 1) + J @ P[-3:, -3:] @ J.transpose(0, 2, 1)
+    return drift
+
+
+def known_jointly(points: FloatArray, estimate: MapEstimate) -> BoolArray:
+    """Whether all landmarks round each of the points (n, 2), in M, are known jointly, (n,)."""
+    others = np.ones(len(estimate.ids), dtype=np.bool_)
+    others[estimate.local] = False
+    if not others.any() or not len(points):
+        return np.ones(len(points), dtype=np.bool_)
+    distance, _ = cKDTree(estimate.p_ML[others]).query(points)
+    return np.asarray(distance > NEIGHBOURHOOD)
 
 
 def drift_between(points: FloatArray, normals: FloatArray, estimate: MapEstimate) -> FloatArray:
     """Standard deviation (n,), m, along the normals, between the landmarks round each point, the worst pair's.
 
-    points: (n, 2) and unit normals (n, 2) in M. Zero where fewer than two landmarks are near, MOST_DRIFT at most.
+    points: (n, 2) and unit normals (n, 2) in M. Zero where fewer than two landmarks are near that are known jointly,
+    MOST_DRIFT at most.
     """
     result = np.zeros(len(points))
-    if len(estimate.ids) < 2 or not len(points):
+    if len(estimate.local) < 2 or not len(points):
         return result
-    near = cKDTree(estimate.p_ML).query_ball_point(points, NEIGHBOURHOOD)
+    near = cKDTree(estimate.p_ML[estimate.local]).query_ball_point(points, NEIGHBOURHOOD)
     for i, rows in enumerate(near):
         if len(rows) < 2:
             continue

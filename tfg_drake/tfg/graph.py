@@ -19,7 +19,7 @@ from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
-from tfg_drake.tfg.drift import drift_between
+from tfg_drake.tfg.drift import drift_between, known_jointly
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     SAME_FRONTIER,
@@ -199,6 +199,14 @@ def update(
         points = points_of(goal, p, normal, np.full(len(p), length))
         return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
+    backs = unseen_faces(
+        find_unseen_backs(surfaces.offsets, placed, stars, lambda p, normal: drift_between(p, normal, estimate)),
+        UNINSPECTED_SPACING,
+    )
+    # How far two faces may have drifted apart is known where the robot is; elsewhere what was found then stands.
+    elsewhere = ~known_jointly(place_points(graph.unseen_backs, X_MA).p, estimate)
+    here = known_jointly(place_points(backs, X_MA).p, estimate)
+
     updated = TfgGraph(
         estimate.stage,
         surfaces,
@@ -210,10 +218,7 @@ def update(
         star_vertices,
         shadows,
         uninspected,
-        unseen_faces(
-            find_unseen_backs(surfaces.offsets, placed, stars, lambda p, normal: drift_between(p, normal, estimate)),
-            UNINSPECTED_SPACING,
-        ),
+        join(select(graph.unseen_backs, elsewhere), select(backs, here)),
         unseen_faces(find_open_ends(surfaces.offsets, placed, stars), END_LENGTH),
         *_update_sighted(graph.sighted, graph.viewpoints, sightings, estimate),
         graph.tried,

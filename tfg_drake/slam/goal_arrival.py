@@ -1,0 +1,188 @@
+"""A new goal joins the graph: its first place in the map, and which of its tags contradict what is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.linalg
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
+from tfg_drake.slam.departure_frame import in_departure_frame
+from tfg_drake.slam.goal_graph import GoalGraph, rows_of, without_tags
+from tfg_drake.slam.map_solver import around
+
+# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out.
+REJECTED = 49.0
+# Covariance of what joins two pieces of one way: nothing lies between them.
+JOINT = np.eye(3) * 1e-10
+
+
+def add_goal(
+    graph: GoalGraph,
+    map_estimate: MapEstimate | None,
+    observation: GoalObservation,
+    X_DA: FloatArray,
+    segment_covariance: FloatArray,
+    way: tuple[GoalObservation, ...] = (),
+) -> tuple[GoalGraph, IntArray]:
+    """The graph with one goal more, not yet solved, and the ids of the known tags left out of that goal.
+
+    map_estimate: of the graph so far. X_DA (3,), segment_covariance (3, 3): the segment that led here, not used at
+    the first goal. way: the pieces mapped on the way, which begin where the last goal ended and take the segment's
+    place. A known tag that grossly contradicts the map, given the way there and all other tags, is left out.
+    """
+    travelled, uncertainty = X_DA, segment_covariance
+    if way:
+        travelled, uncertainty = np.zeros(3), np.zeros((3, 3))
+    for piece in way:
+        graph, _ = _append(graph, map_estimate, piece, travelled, uncertainty + JOINT, np.zeros(3), JOINT, False)
+        travelled, uncertainty = _further(travelled, uncertainty, piece)
+    if way:
+        X_DA, segment_covariance = np.zeros(3), JOINT
+        uncertainty = uncertainty + JOINT
+    return _append(graph, map_estimate, observation, travelled, uncertainty, X_DA, segment_covariance, True)
+
+
+def _append(
+    graph: GoalGraph,
+    map_estimate: MapEstimate | None,
+    observation: GoalObservation,
+    travelled: FloatArray,
+    uncertainty: FloatArray,
+    X_DA: FloatArray,
+    segment_covariance: FloatArray,
+    is_goal: bool,
+) -> tuple[GoalGraph, IntArray]:
+    """The graph with one piece more, X_DA (3,) after the last one and travelled (3,) from the map's last departure."""
+    rejected = np.empty(0, dtype=np.int64)
+    X_MA, travel_covariance = np.zeros(3), segment_covariance
+    if map_estimate is not None:
+        X_MA, posterior, rejected = _arrival(graph, map_estimate, observation, travelled, uncertainty)
+        if travelled is X_DA:
+            travel_covariance = posterior
+        observation = without_tags(observation, rejected)
+    elif graph.observations:
+        X_MA = se2.compose(graph.X_MD[-1], X_DA)
+    row, known = rows_of(observation.ids, graph.ids)
+    sightings = graph.sightings.copy()
+    sightings[row[known]] += 1
+    ids = np.concatenate([graph.ids, observation.ids[~known]])
+    order = np.argsort(ids, kind="stable")
+    new = int(np.count_nonzero(~known))
+    kept = replace(observation, stamps=np.empty(0), X_AB=np.empty((0, 3)))
+    first = not graph.observations
+    return (
+        GoalGraph(
+            observations=(*graph.observations, kept),
+            is_goal=np.append(graph.is_goal, is_goal),
+            X_DA=graph.X_DA if first else np.vstack([graph.X_DA, X_DA]),
+            segment_covariance=_append_to(graph.segment_covariance, segment_covariance, not first),
+            X_MA=np.vstack([graph.X_MA, X_MA]),
+            X_MD=np.vstack([graph.X_MD, se2.compose(X_MA, observation.X_AD)]),
+            ids=ids[order],
+            p_ML=np.vstack([graph.p_ML, se2.transform(X_MA, observation.p_AL[~known])])[order],
+            sightings=np.append(sightings, np.ones(new, dtype=np.int64))[order],
+            travel_covariance=_append_to(graph.travel_covariance, travel_covariance, not first),
+            departure_covariance=_append_to(graph.departure_covariance, np.zeros((3, 3))),
+            landmark_covariance=np.concatenate([graph.landmark_covariance, np.zeros((new, 2, 2))])[order],
+            entropy=graph.entropy,
+        ),
+        rejected,
+    )
+
+
+def _append_to(covariances: FloatArray, covariance: FloatArray, wanted: bool = True) -> FloatArray:
+    return np.concatenate([covariances, covariance[None]]) if wanted else covariances
+
+
+def _further(travelled: FloatArray, uncertainty: FloatArray, piece: GoalObservation) -> tuple[FloatArray, FloatArray]:
+    """The way travelled (3,) and its covariance (3, 3) with a piece more."""
+    X = se2.compose(travelled, piece.X_AD)
+    by_way, by_piece = np.eye(3), np.eye(3)
+    by_way[:2, 2] = -(X[1] - travelled[1]), X[0] - travelled[0]
+    by_piece[:2, :2] = se2.rotation(float(travelled[2]))
+    return X, by_way @ uncertainty @ by_way.T + by_piece @ piece.covariance[-3:, -3:] @ by_piece.T
+
+
+def _arrival(
+    graph: GoalGraph,
+    map_estimate: MapEstimate,
+    observation: GoalObservation,
+    X_DA: FloatArray,
+    segment_covariance: FloatArray,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """X_MA (3,) of a new goal as map, segment and its known tags have it, the covariance (3, 3) of the way there from
+    the last departure, of (x, y) in D and theta, and the ids of tags that contradict them.
+
+    Iterated updates of (known tags, A), in the last departure frame D, by the observation; each tag is then compared
+    with what all others predict of it, and the worst leaves until none is too far off. The pose serves as an initial
+    value only.
+    """
+    row, known = rows_of(observation.ids, map_estimate.ids)
+    if not np.isin(row[known], map_estimate.local).all():
+        map_estimate = around(graph, map_estimate, se2.compose(map_estimate.X_MD, X_DA)[:2])
+        known &= np.isin(row, map_estimate.local)
+    in_goal = np.flatnonzero(known)
+    p_DL, prior = in_departure_frame(map_estimate, row[known])
+    kept = np.arange(len(in_goal))
+    covariance = segment_covariance
+    while len(kept) > 0:
+        rows = np.repeat(2 * kept, 2) + np.tile([0, 1], len(kept))
+        aligned, posterior, distance = _align(
+            p_DL[kept], prior[np.ix_(rows, rows)], X_DA, segment_covariance, observation, in_goal[kept]
+        )
+        if np.max(distance) <= REJECTED:
+            X_DA, covariance = aligned, posterior
+            break
+        kept = np.delete(kept, np.argmax(distance))
+    rejected = np.setdiff1d(observation.ids[in_goal], observation.ids[in_goal[kept]])
+    return se2.compose(map_estimate.X_MD, X_DA), covariance, rejected
+
+
+def _align(
+    p_DL: FloatArray,
+    tag_covariance: FloatArray,
+    X_DA: FloatArray,
+    segment_covariance: FloatArray,
+    observation: GoalObservation,
+    in_goal: IntArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """X_DA (3,) by an iterated Kalman update, its covariance (3, 3), and (m,) squared Mahalanobis distance of each tag
+    from the others.
+
+    p_DL (m, 2) with covariance (2m, 2m): the known tags in D. in_goal: (m,) their rows in the observation.
+    """
+    m = len(in_goal)
+    prior = scipy.linalg.block_diag(tag_covariance, segment_covariance)
+    rows = np.repeat(2 * in_goal, 2) + np.tile([0, 1], m)
+    noise = observation.covariance[np.ix_(rows, rows)]
+    x_0 = np.concatenate([p_DL.ravel(), X_DA])
+    x = x_0
+    for _ in range(4):
+        R_DA = se2.rotation(float(x[-1]))
+        in_A = (x[:-3].reshape(-1, 2) - x[-3:-1]) @ R_DA
+        H = np.zeros((2 * m, 2 * m + 3))
+        for i in range(m):
+            H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = R_DA.T
+            H[2 * i : 2 * i + 2, -3:-1] = -R_DA.T
+        H[0::2, -1], H[1::2, -1] = in_A[:, 1], -in_A[:, 0]
+        step = x_0 - x
+        step[-1] = math.remainder(step[-1], 2.0 * math.pi)
+        innovation = (observation.p_AL[in_goal] - in_A).ravel() - H @ step
+        information = np.linalg.inv(H @ prior @ H.T + noise)
+        weighted = information @ innovation
+        x = x_0 + prior @ H.T @ weighted
+    distance = np.array(
+        [
+            weighted[2 * i : 2 * i + 2]
+            @ np.linalg.solve(information[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], weighted[2 * i : 2 * i + 2])
+            for i in range(m)
+        ]
+    )
+    aligned = x[-3:].copy()
+    aligned[2] = math.remainder(aligned[2], 2.0 * math.pi)
+    by_sightings = H @ prior[:, -3:]
+    posterior = prior[-3:, -3:] - by_sightings.T @ information @ by_sightings
+    return aligned, 0.5 * (posterior + posterior.T), distance

@@ -1,0 +1,104 @@
+"""Which part of a large map is solved and known jointly at a time, and how its pieces hang together outside.
+
+What a goal tells of the map reaches only so far. On a large map the goals nearest to a place, some dozens, make a
+window; its size does not depend on the map's. Where the window's goals are not consecutive, a link takes the place of
+the way between them: the covariance that the robot's travel added up, each leg of it as known on arrival by all tags
+then in view. So two rooms on either side of a loop that is about to close are known to lie as loosely to each other as
+they do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.goal_graph import GoalGraph, rows_of
+
+# Up to this many landmarks a map is solved as a whole.
+SMALL = 400
+# A window's goals have seen this many tags at most, counted once for each goal.
+SIGHTINGS = 1200
+
+
+def window_goals(graph: GoalGraph, place: FloatArray) -> IntArray:
+    """The goals (w,), ascending, nearest to a place (2,), m in M, and the newest; all of a small map's."""
+    k = len(graph.observations)
+    if len(graph.ids) <= SMALL:
+        return np.arange(k)
+    order = np.argsort(np.hypot(*(graph.X_MA[:, :2] - place).T), kind="stable")
+    chosen = _within_budget(graph, order)
+    return np.union1d(chosen, [k - 1])
+
+
+def boundary_goals(graph: GoalGraph, goals: IntArray) -> IntArray:
+    """Of the other goals, those (b,), ascending, nearest to the newest one that have seen a landmark of the window's
+    goals (w,)."""
+    seen = np.zeros(len(graph.ids), dtype=bool)
+    for k in goals:
+        seen[rows_of(graph.observations[k].ids, graph.ids)[0]] = True
+    order = np.argsort(np.hypot(*(graph.X_MA[:, :2] - graph.X_MA[-1, :2]).T), kind="stable")
+    order = order[~np.isin(order, goals)][: 4 * len(goals)]
+    shares = [bool(seen[rows_of(graph.observations[k].ids, graph.ids)[0]].any()) for k in order]
+    return np.sort(_within_budget(graph, order[np.array(shares, dtype=bool)]))
+
+
+def _within_budget(graph: GoalGraph, order: IntArray) -> IntArray:
+    """The first of the goals in this order, as many as SIGHTINGS allows."""
+    total = 0
+    for count, k in enumerate(order):
+        total += len(graph.observations[k].ids)
+        if total > SIGHTINGS:
+            return order[:count]
+    return order
+
+
+def anchor_goal(graph: GoalGraph, goals: IntArray) -> int:
+    """Of the goals (w,) but the newest, the one whose departure pose is known best."""
+    older = goals[goals < len(graph.observations) - 1]
+    position = graph.departure_covariance[older][:, [0, 1], [0, 1]].sum(axis=1)
+    return int(older[np.argmin(position)])
+
+
+def travelled_covariance(graph: GoalGraph) -> FloatArray:
+    """(k, 3, 3) what travel has added up to at each departure pose: covariance of the turns and shifts of the map
+    before a pose, about M's origin, (x, y) in M and theta. The difference of two rows is that of one pose against the
+    other."""
+    k = len(graph.observations)
+    steps = np.zeros((2 * k, 3, 3))
+    steps[0::2][1:] = _about_origin(graph.travel_covariance, graph.X_MD[:-1, 2], graph.X_MA[1:, :2])
+    turns = np.array([observation.covariance[-3:, -3:] for observation in graph.observations])
+    steps[1::2] = _about_origin(turns, graph.X_MA[:, 2], graph.X_MD[:, :2])
+    return np.asarray(np.cumsum(steps, axis=0)[1::2])
+
+
+def _about_origin(covariance: FloatArray, theta: FloatArray, end: FloatArray) -> FloatArray:
+    """Covariances (n, 3, 3) of motions, of (x, y) in frames of heading theta (n,) and of the turn, which end at end (n,
+    2): of the map's turn about its origin, and its shift, that each error amounts to."""
+    T = np.zeros_like(covariance)
+    c, s = np.cos(theta), np.sin(theta)
+    T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = c, -s, s, c
+    T[:, 0, 2], T[:, 1, 2], T[:, 2, 2] = end[:, 1], -end[:, 0], 1.0
+    return np.asarray(T @ covariance @ T.transpose(0, 2, 1))
+
+
+def link(graph: GoalGraph, travelled: FloatArray, i: int, j: int) -> tuple[FloatArray, FloatArray]:
+    """X_DA (3,) from D_i to A_j, i + 1 < j, at the graph's values, and its covariance (3, 3), of (x, y) in D and theta.
+
+    travelled: of `travelled_covariance`.
+    """
+    X_DA = se2.between(graph.X_MD[i], graph.X_MA[j])
+    x, y = graph.X_MA[j, :2]
+    at_end = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+    to_D = np.eye(3)
+    to_D[:2, :2] = se2.rotation(float(graph.X_MD[i, 2])).T
+    J = to_D @ at_end
+    # The turn at j itself is no part of the way to it.
+    arrived = (
+        travelled[j]
+        - _about_origin(
+            graph.observations[j].covariance[None, -3:, -3:], graph.X_MA[j : j + 1, 2], graph.X_MD[j : j + 1, :2]
+        )[0]
+    )
+    covariance = J @ (arrived - travelled[i]) @ J.T
+    return X_DA, 0.5 * (covariance + covariance.T)
