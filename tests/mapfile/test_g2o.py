@@ -34,7 +34,7 @@ def test_vertices_and_edges_are_the_graph(small_map):
     tags = [edge[:2] for edge in found["EDGE_SE2_XY"]]
     assert tags == [[0, 20], [0, 21], [0, 22], [2, 20], [2, 21], [2, 23]]
     for start, end, x, y, *information in found["EDGE_SE2_XY"]:
-        observation = graph.observations[int(start) // 2]
+        observation = graph.observations[int(start) // 2].observation
         row = int(np.flatnonzero(observation.ids == end - 10)[0])
         np.testing.assert_array_equal([x, y], observation.p_AL[row])
         block = observation.covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
@@ -57,9 +57,9 @@ def test_gtsam_reads_it_back(small_map, tmp_path):
     # Its errors are those of the map's own factors: the covariance is turned into the axes g2o has it in.
     ours = 0.0
     graph = small_map.graph
-    steps = [(graph.X_MA[0], graph.X_MD[0], graph.observations[0].X_AD, graph.observations[0].covariance[-3:, -3:])]
+    steps = [(graph.X_MA[0], graph.X_MD[0], graph.observations[0].X_AD, graph.observations[0].turn_covariance)]
     steps += [(graph.X_MD[0], graph.X_MA[1], graph.X_DA[0], graph.segment_covariance[0])]
-    steps += [(graph.X_MA[1], graph.X_MD[1], graph.observations[1].X_AD, graph.observations[1].covariance[-3:, -3:])]
+    steps += [(graph.X_MA[1], graph.X_MD[1], graph.observations[1].X_AD, graph.observations[1].turn_covariance)]
     for start, end, X, covariance in steps:
         error = se2.between(start, end) - X
         ours += 0.5 * error @ np.linalg.solve(covariance, error)

@@ -85,7 +85,7 @@ def no_surfaces(saved, stage):
 
 def test_the_covariance_follows_from_the_factors(small_map):
     estimate = restored_estimate(small_map)
-    _, solved = solve(small_map.graph, small_map.stamp, small_map.graph.observations[-1])
+    _, solved = solve(small_map.graph, small_map.stamp, small_map.graph.observations[-1].observation)
     np.testing.assert_allclose(estimate.covariance, solved.covariance, rtol=1e-6, atol=1e-12)
     n = len(estimate.ids)
     for row in range(n):

@@ -6,7 +6,7 @@ from gtsam.symbol_shorthand import D, L
 from tfg_drake.geometry import se2
 from tfg_drake.messages import GoalObservation
 from tfg_drake.slam.goal_arrival import add_goal
-from tfg_drake.slam.goal_factors import factor_graph, goal_factor, values_of
+from tfg_drake.slam.goal_factors import factor_graph, joint_factor, values_of
 from tfg_drake.slam.goal_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
 
@@ -88,7 +88,7 @@ def test_jacobians_of_the_goal_factor(pose_free, held):
     _, _, _, observations, segments = ring(3, 1.0)
     graph, _ = build(observations, segments)
     free = ~np.isin(graph.ids, observations[2].ids[:held])
-    factor = goal_factor(graph, 2, pose_free, free)
+    factor = joint_factor(graph, 2, pose_free, free)
     keys = list(factor.keys())
     assert len(keys) == 2 * pose_free + len(observations[2].ids) - held
     values = values_of(graph)

@@ -36,7 +36,7 @@ def _lines(saved: SavedMap) -> Iterator[str]:
         yield f"VERTEX_SE2 {2 * j + 1} {_numbers(X_WD[j])}"
     for tag, p_WL in zip(graph.ids.tolist(), transform(saved.X_WM, graph.p_ML), strict=True):
         yield f"VERTEX_XY {base + tag} {_numbers(p_WL)}"
-    for j, observation in enumerate(graph.observations):
+    for j, observation in enumerate(one.observation for one in graph.observations):
         if j > 0:
             yield _motion(2 * j - 1, 2 * j, graph.X_DA[j - 1], graph.segment_covariance[j - 1])
         n = len(observation.ids)

@@ -16,9 +16,9 @@ import numpy as np
 
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.slam.estimator import EstimatorState
-from tfg_drake.slam.goal_graph import GoalGraph
+from tfg_drake.slam.goal_graph import GoalFactor, GoalGraph
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import restored
 from tfg_drake.slam.range_scale import RangeScale
@@ -116,13 +116,11 @@ REGISTRY: Registry = {
         "departure_covariance": ("k", 3, 3),
         "landmark_covariance": ("n", 2, 2),
     },
-    GoalObservation: {
+    GoalFactor: {
         "ids": ("n",),
         "p_AL": ("n", 2),
         "X_AD": (3,),
-        "covariance": ("2n+3", "2n+3"),
-        "stamps": ("t",),
-        "X_AB": ("t", 3),
+        "root": ("r",),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -202,7 +200,7 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
 
     Its observation is the newest goal's without the turn's trajectory and without tags that were left out of the map.
     """
-    return restored(saved.graph, saved.stamp, saved.graph.observations[-1])
+    return restored(saved.graph, saved.stamp, saved.graph.observations[-1].observation)
 
 
 def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
@@ -291,6 +289,8 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.ids is not ascending"
     if not all(_within(observation.ids, known) for observation in graph.observations):
         return "graph.observations.ids does not fit graph.ids"
+    if any(len(one.root) != (2 * len(one.ids) + 3) * (len(one.ids) + 2) for one in graph.observations):
+        return "graph.observations.root does not fit graph.observations.ids"
     if np.any(graph.sightings < 1):
         return "graph.sightings does not fit graph.observations"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:

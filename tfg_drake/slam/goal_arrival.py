@@ -8,9 +8,9 @@ import numpy as np
 import scipy.linalg
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
+from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate
 from tfg_drake.slam.departure_frame import in_departure_frame
-from tfg_drake.slam.goal_graph import GoalGraph, rows_of, without_tags
+from tfg_drake.slam.goal_graph import GoalGraph, goal_factor, rows_of, without_tags
 from tfg_drake.slam.map_solver import around
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out.
@@ -71,11 +71,11 @@ def _append(
     ids = np.concatenate([graph.ids, observation.ids[~known]])
     order = np.argsort(ids, kind="stable")
     new = int(np.count_nonzero(~known))
-    kept = replace(observation, stamps=np.empty(0), X_AB=np.empty((0, 3)))
+    _, travel_covariance = _further(X_DA, travel_covariance, observation)
     first = not graph.observations
     return (
         GoalGraph(
-            observations=(*graph.observations, kept),
+            observations=(*graph.observations, goal_factor(observation)),
             is_goal=np.append(graph.is_goal, is_goal),
             X_DA=graph.X_DA if first else np.vstack([graph.X_DA, X_DA]),
             segment_covariance=_append_to(graph.segment_covariance, segment_covariance, not first),
@@ -103,7 +103,8 @@ def _further(travelled: FloatArray, uncertainty: FloatArray, piece: GoalObservat
     by_way, by_piece = np.eye(3), np.eye(3)
     by_way[:2, 2] = -(X[1] - travelled[1]), X[0] - travelled[0]
     by_piece[:2, :2] = se2.rotation(float(travelled[2]))
-    return X, by_way @ uncertainty @ by_way.T + by_piece @ piece.covariance[-3:, -3:] @ by_piece.T
+    covariance = by_way @ uncertainty @ by_way.T + by_piece @ piece.covariance[-3:, -3:] @ by_piece.T
+    return X, 0.5 * (covariance + covariance.T)
 
 
 def _arrival(

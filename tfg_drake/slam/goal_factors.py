@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import math
-import weakref
 from collections.abc import Callable
 
 import gtsam
@@ -12,8 +12,8 @@ import scipy.linalg
 from gtsam.symbol_shorthand import A, D, L
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray
-from tfg_drake.slam.goal_graph import GoalGraph, rows_of
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.slam.goal_graph import GoalFactor, GoalGraph, rows_of
 
 # Deviation of a pose that is held where it is, m and rad.
 HELD = 1e-7
@@ -21,7 +21,7 @@ HELD = 1e-7
 ErrorFunction = Callable[[gtsam.CustomFactor, gtsam.Values, "list[FloatArray] | None"], FloatArray]
 
 
-def goal_factor(graph: GoalGraph, k: int, pose_free: bool = True, free: BoolArray | None = None) -> gtsam.CustomFactor:
+def joint_factor(graph: GoalGraph, k: int, pose_free: bool = True, free: BoolArray | None = None) -> gtsam.CustomFactor:
     """Goal k's joint observation, whitened, on (A_k, D_k, its landmarks): see `_goal_error`.
 
     Unless pose_free, A_k and D_k are held at their values; free: (n,) which of the graph's landmarks are not held, by
@@ -40,7 +40,7 @@ def goal_factor(graph: GoalGraph, k: int, pose_free: bool = True, free: BoolArra
 
 
 def _goal_error(
-    observation: GoalObservation,
+    observation: GoalFactor,
     keys: list[int],
     X_MA: FloatArray,
     X_MD: FloatArray,
@@ -95,18 +95,12 @@ def _goal_error(
     return error
 
 
-# One inversion a goal, not one a goal and solve.
-_whiteners: weakref.WeakKeyDictionary[GoalObservation, FloatArray] = weakref.WeakKeyDictionary()
-
-
-def _whitener(observation: GoalObservation) -> FloatArray:
+# One inversion a goal, not one a goal and solve, for as many goals as one solve may want.
+@functools.lru_cache(maxsize=1024)
+def _whitener(observation: GoalFactor) -> FloatArray:
     """W (2n + 3, 2n + 3) with W^T W the inverse of the observation's covariance."""
-    if observation not in _whiteners:
-        factor = np.linalg.cholesky(observation.covariance)
-        _whiteners[observation] = scipy.linalg.solve_triangular(
-            factor, np.eye(len(factor)), lower=True, check_finite=False
-        )
-    return _whiteners[observation]
+    whitener, _ = scipy.linalg.lapack.dtrtri(observation.cholesky, lower=1)
+    return np.asarray(whitener)
 
 
 def segment_factor(j: int, k: int, X_DA: FloatArray, covariance: FloatArray) -> gtsam.BetweenFactorPose2:
@@ -140,7 +134,7 @@ def factor_graph(graph: GoalGraph) -> gtsam.NonlinearFactorGraph:
     factors = gtsam.NonlinearFactorGraph()
     factors.add(held_pose(A(0), np.zeros(3)))
     for k in range(len(graph.observations)):
-        factors.add(goal_factor(graph, k))
+        factors.add(joint_factor(graph, k))
     for j, X_DA in enumerate(graph.X_DA):
         factors.add(segment_factor(j, j + 1, X_DA, graph.segment_covariance[j]))
     return factors

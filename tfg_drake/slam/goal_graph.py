@@ -9,25 +9,71 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
+
+
+@message
+class GoalFactor:
+    """A goal's observation as the graph keeps it: without the trajectory, in a quarter of the memory.
+
+    ids: (n,). p_AL: (n, 2), m. X_AD: (3,). root: ((2n + 3)(n + 2),) the lower Cholesky factor of the observation's
+    covariance, row by row, in single precision: whatever the rounding, it stays a covariance.
+    """
+
+    ids: IntArray
+    p_AL: FloatArray
+    X_AD: FloatArray
+    root: NDArray[np.float32]
+
+    @property
+    def cholesky(self) -> FloatArray:
+        """(2n + 3, 2n + 3) lower triangular."""
+        size = 2 * len(self.ids) + 3
+        factor = np.zeros((size, size))
+        factor[np.tri(size, dtype=bool)] = self.root
+        return factor
+
+    @property
+    def turn_covariance(self) -> FloatArray:
+        """(3, 3) covariance of X_AD."""
+        size = 2 * len(self.ids) + 3
+        last = np.zeros((3, size))
+        for i in range(3):
+            end = (size - 3 + i) * (size - 2 + i) // 2
+            last[i, : size - 2 + i] = self.root[end : end + size - 2 + i]
+        return np.asarray(last @ last.T)
+
+    @property
+    def observation(self) -> GoalObservation:
+        """The observation, without its trajectory."""
+        root = self.cholesky
+        return GoalObservation(self.ids, self.p_AL, self.X_AD, root @ root.T, np.empty(0), np.empty((0, 3)))
+
+
+def goal_factor(observation: GoalObservation) -> GoalFactor:
+    """What is kept of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
+    root = np.linalg.cholesky(observation.covariance)
+    packed = root[np.tri(len(root), dtype=bool)].astype(np.float32)
+    return GoalFactor(observation.ids, observation.p_AL, observation.X_AD, packed)
 
 
 @message
 class GoalGraph:
     """The factors and current values of k goals and n landmarks, and how well the values are known.
 
-    A piece of the way between two goals that is mapped too (a path keyframe) is kept as a goal is. observations: k,
-    without the trajectories. is_goal: (k,) False for such pieces. X_DA: (k - 1, 3) and segment_covariance: (k - 1, 3,
+    A piece of the way between two goals that is mapped too (a path keyframe) is kept as a goal is. observations: k.
+    is_goal: (k,) False for such pieces. X_DA: (k - 1, 3) and segment_covariance: (k - 1, 3,
     3), the segments from D_j to A_j+1, of (x, y) in D and theta. X_MA, X_MD: (k, 3). ids: (n,) ascending, p_ML: (n, 2).
 
-    sightings: (n,) how many of the observations each landmark is in. travel_covariance: (k - 1, 3, 3) as
-    segment_covariance, but of D_j to A_j+1 as all tags known on arrival had it. departure_covariance: (k, 3, 3) of
+    sightings: (n,) how many of the observations each landmark is in. travel_covariance: (k - 1, 3, 3) of the way from
+    D_j to D_j+1, of (x, y) in D_j and theta, as all tags known on arrival had it. departure_covariance: (k, 3, 3) of
     X_MD, and landmark_covariance: (n, 2, 2) of p_ML, each as it was when last computed: the newest on a small map, on a
     large one from when the robot was last near. entropy: of the landmarks, nats.
     """
 
-    observations: tuple[GoalObservation, ...]
+    observations: tuple[GoalFactor, ...]
     is_goal: BoolArray
     X_DA: FloatArray
     segment_covariance: FloatArray
@@ -102,13 +148,19 @@ def forget(graph: GoalGraph, ids: IntArray) -> GoalGraph:
     lost = np.linalg.slogdet(2.0 * math.pi * math.e * graph.landmark_covariance[~keep])[1]
     return replace(
         graph,
-        observations=tuple(without_tags(observation, ids) for observation in graph.observations),
+        observations=tuple(_forgetting(factor, ids) for factor in graph.observations),
         ids=graph.ids[keep],
         p_ML=graph.p_ML[keep],
         sightings=graph.sightings[keep],
         landmark_covariance=graph.landmark_covariance[keep],
         entropy=graph.entropy - 0.5 * float(np.sum(lost)),
     )
+
+
+def _forgetting(factor: GoalFactor, ids: IntArray) -> GoalFactor:
+    if not np.isin(factor.ids, ids).any():
+        return factor
+    return goal_factor(without_tags(factor.observation, ids))
 
 
 def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation:

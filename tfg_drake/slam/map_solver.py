@@ -19,7 +19,7 @@ from gtsam.symbol_shorthand import A, D, L
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
-from tfg_drake.slam.goal_factors import factor_graph, goal_factor, held_pose, pose_prior, segment_factor, values_of
+from tfg_drake.slam.goal_factors import factor_graph, held_pose, joint_factor, pose_prior, segment_factor, values_of
 from tfg_drake.slam.goal_graph import GoalGraph, rows_of
 from tfg_drake.slam.map_window import anchor_goal, boundary_goals, link, travelled_covariance, window_goals
 
@@ -145,14 +145,14 @@ def _settle_window(graph: GoalGraph, goals: IntArray) -> tuple[GoalGraph, float]
 
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k in goals:
-        factors.add(goal_factor(graph, k, free=free))
+        factors.add(joint_factor(graph, k, free=free))
         values.insert(A(k), gtsam.Pose2(*graph.X_MA[k]))
         values.insert(D(k), gtsam.Pose2(*graph.X_MD[k]))
     for k in boundary:
         rows = rows_of(graph.observations[k].ids, graph.ids)[0]
         if free[rows].any():
             shared[rows] = True
-            factors.add(goal_factor(graph, k, pose_free=False, free=free))
+            factors.add(joint_factor(graph, k, pose_free=False, free=free))
     for row in np.flatnonzero(free):
         values.insert(L(int(graph.ids[row])), graph.p_ML[row])
     for j in np.union1d(goals, goals - 1):
@@ -252,7 +252,7 @@ def _information(graph: GoalGraph, goals: IntArray) -> tuple[IntArray, FloatArra
     values, ordering = gtsam.Values(), gtsam.Ordering()
     for k in goals:
         seen[rows_of(graph.observations[k].ids, graph.ids)[0]] = True
-        factors.add(goal_factor(graph, k))
+        factors.add(joint_factor(graph, k))
         values.insert(A(k), gtsam.Pose2(*graph.X_MA[k]))
         values.insert(D(k), gtsam.Pose2(*graph.X_MD[k]))
         ordering.push_back(A(k))

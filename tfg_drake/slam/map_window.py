@@ -64,12 +64,9 @@ def travelled_covariance(graph: GoalGraph) -> FloatArray:
     """(k, 3, 3) what travel has added up to at each departure pose: covariance of the turns and shifts of the map
     before a pose, about M's origin, (x, y) in M and theta. The difference of two rows is that of one pose against the
     other."""
-    k = len(graph.observations)
-    steps = np.zeros((2 * k, 3, 3))
-    steps[0::2][1:] = _about_origin(graph.travel_covariance, graph.X_MD[:-1, 2], graph.X_MA[1:, :2])
-    turns = np.array([observation.covariance[-3:, -3:] for observation in graph.observations])
-    steps[1::2] = _about_origin(turns, graph.X_MA[:, 2], graph.X_MD[:, :2])
-    return np.asarray(np.cumsum(steps, axis=0)[1::2])
+    steps = np.zeros((len(graph.X_MD), 3, 3))
+    steps[1:] = _about_origin(graph.travel_covariance, graph.X_MD[:-1, 2], graph.X_MD[1:, :2])
+    return np.asarray(np.cumsum(steps, axis=0))
 
 
 def _about_origin(covariance: FloatArray, theta: FloatArray, end: FloatArray) -> FloatArray:
@@ -94,11 +91,7 @@ def link(graph: GoalGraph, travelled: FloatArray, i: int, j: int) -> tuple[Float
     to_D[:2, :2] = se2.rotation(float(graph.X_MD[i, 2])).T
     J = to_D @ at_end
     # The turn at j itself is no part of the way to it.
-    arrived = (
-        travelled[j]
-        - _about_origin(
-            graph.observations[j].covariance[None, -3:, -3:], graph.X_MA[j : j + 1, 2], graph.X_MD[j : j + 1, :2]
-        )[0]
-    )
+    turn = graph.observations[j].turn_covariance[None]
+    arrived = travelled[j] - _about_origin(turn, graph.X_MA[j : j + 1, 2], graph.X_MD[j : j + 1, :2])[0]
     covariance = J @ (arrived - travelled[i]) @ J.T
     return X_DA, 0.5 * (covariance + covariance.T)

@@ -1,0 +1,170 @@
+"""A window of a large map against the whole of it: a robot that goes round a block and comes back to where it began."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import GoalObservation, replace
+from tfg_drake.slam import map_solver, map_window
+from tfg_drake.slam.departure_frame import in_departure_frame
+from tfg_drake.slam.goal_arrival import add_goal
+from tfg_drake.slam.goal_factors import factor_graph, values_of
+from tfg_drake.slam.goal_graph import empty_graph
+from tfg_drake.slam.map_solver import around, restored, settle, solve, whole
+from tfg_drake.slam.map_window import boundary_goals, link, travelled_covariance, window_goals
+
+SEGMENT = np.diag([0.05, 0.05, 0.02]) ** 2
+GOALS, RADIUS, SEEN = 36, 24.0, 5.5
+X_AD = np.array([0.01, -0.02, 0.1])
+
+
+def observation(rng, points, X):
+    rows = np.flatnonzero(np.hypot(*(points - X[:2]).T) < SEEN)
+    p = se2.transform(se2.inverse(X), points[rows])
+    root = np.zeros((2 * len(rows) + 3, 2 * len(rows) + 4))
+    for i in range(len(rows)):
+        root[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = 0.02 * np.eye(2)
+        root[2 * i : 2 * i + 2, -1] = -0.003 * p[i, 1], 0.003 * p[i, 0]
+    root[-3:, -4:-1] = np.diag([0.003, 0.003, 0.002])
+    error = root @ rng.standard_normal(root.shape[1])
+    p_AL = p + error[:-3].reshape(-1, 2)
+    return GoalObservation(rows, p_AL, X_AD + error[-3:], root @ root.T, np.empty(0), np.empty((0, 3)))
+
+
+def block(goals=GOALS, seed=0):
+    """The graph and map of the first goals on a circle of 36, and the landmarks in M; tags are seen 5.5 m far."""
+    rng = np.random.default_rng(seed)
+    angle, r = rng.uniform(0.0, 2.0 * np.pi, 220), RADIUS + rng.uniform(-3.0, 3.0, 220)
+    points = r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    a = 2.0 * np.pi * np.arange(goals) / GOALS
+    X_WA = np.column_stack([RADIUS * np.cos(a), RADIUS * np.sin(a), se2.wrap_angle(a + 1.0)])
+    graph, estimate = empty_graph(), None
+    for k, X in enumerate(X_WA):
+        seen = observation(rng, points, X)
+        X_DA = np.zeros(3)
+        if k > 0:
+            X_WD = se2.compose(X_WA[k - 1], X_AD)
+            X_DA = se2.between(X_WD, X) + np.sqrt(np.diag(SEGMENT)) * rng.standard_normal(3)
+        graph, rejected = add_goal(graph, estimate, seen, X_DA, SEGMENT)
+        assert len(rejected) == 0
+        graph, estimate = solve(graph, float(k), seen)
+    return graph, estimate, se2.transform(se2.inverse(X_WA[0]), points)
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """Every map is large, and a window has about a dozen goals."""
+    monkeypatch.setattr(map_window, "SMALL", 0)
+    monkeypatch.setattr(map_window, "SIGHTINGS", 200)
+
+
+def sigmas(estimate, rows):
+    """Deviation of each landmark in some rows as seen from the departure pose."""
+    _, P = in_departure_frame(estimate, rows)
+    return np.sqrt(np.diag(P)[: 2 * len(rows)].reshape(-1, 2).sum(axis=1))
+
+
+def test_a_small_map_is_solved_as_a_whole():
+    graph, estimate, _ = block(6)
+    np.testing.assert_array_equal(window_goals(graph, np.zeros(2)), np.arange(6))
+    np.testing.assert_array_equal(estimate.local, np.arange(len(estimate.ids)))
+    assert around(graph, estimate, np.array([9.0, 9.0])) is estimate
+
+
+def test_the_window_is_what_lies_nearest_and_the_newest_goal(windows):
+    graph, estimate, _ = block()
+    here = window_goals(graph, graph.X_MA[-1, :2])
+    assert 6 < len(here) < 24
+    # Newest and oldest goals: the way is a circle.
+    assert {0, 1, GOALS - 2, GOALS - 1} <= set(here.tolist())
+    assert GOALS // 2 not in here
+    there = window_goals(graph, graph.X_MA[GOALS // 2, :2])
+    assert there[-1] == GOALS - 1
+    assert {GOALS // 2 - 1, GOALS // 2, GOALS // 2 + 1} <= set(there.tolist())
+    beyond = boundary_goals(graph, here)
+    assert len(beyond)
+    assert not np.isin(beyond, here).any()
+    assert len(estimate.local) < len(estimate.ids)
+    far = around(graph, estimate, graph.X_MA[GOALS // 2, :2])
+    assert np.isin(np.searchsorted(graph.ids, graph.observations[GOALS // 2].ids), far.local).all()
+
+
+def test_the_window_knows_its_neighbourhood_as_the_whole_map_does(windows):
+    graph, estimate, _ = block()
+    _, everything = whole(graph, 0.0, graph.observations[-1].observation)
+    near = np.searchsorted(graph.ids, graph.observations[-1].ids)
+    np.testing.assert_allclose(sigmas(estimate, near), sigmas(everything, near), rtol=0.02)
+    ratio = sigmas(estimate, estimate.local) / sigmas(everything, estimate.local)
+    assert ratio.min() > 0.98
+    assert ratio.max() < 1.5
+    # Absolutely, it never claims more than the whole does.
+    own = np.trace(estimate.landmark_covariance, axis1=1, axis2=2)
+    assert np.all(own > 0.98 * np.trace(everything.landmark_covariance, axis1=1, axis2=2))
+    assert abs(estimate.entropy - everything.entropy) < 0.002 * abs(everything.entropy)
+
+
+def test_a_loop_about_to_close_is_as_loose_as_it_is(windows):
+    graph, estimate, _ = block(GOALS - 3)
+    goals = window_goals(graph, graph.X_MA[-1, :2])
+    assert np.diff(goals).max() > 1
+    _, everything = whole(graph, 0.0, graph.observations[-1].observation)
+    across = np.searchsorted(graph.ids, graph.observations[0].ids)
+    ratio = sigmas(estimate, across) / sigmas(everything, across)
+    assert ratio.min() > 0.9
+    assert ratio.max() < 1.5
+
+
+def test_a_link_is_what_its_legs_add_up_to(windows):
+    graph, _, _ = block(8)
+    rng = np.random.default_rng(1)
+    X_DA, covariance = link(graph, travelled_covariance(graph), 1, 6)
+    np.testing.assert_allclose(X_DA, se2.between(graph.X_MD[1], graph.X_MA[6]), atol=1e-12)
+    legs = [se2.between(graph.X_MD[j], graph.X_MD[j + 1]) for j in range(1, 6)]
+    # To D_6: the turn at goal 6 is no part of the link, but small.
+    samples = np.tile(np.zeros(3), (20000, 1))
+    for j, leg in enumerate(legs, start=1):
+        noise = rng.multivariate_normal(np.zeros(3), graph.travel_covariance[j], len(samples))
+        samples = se2.compose(samples, leg + noise)
+    expected = np.cov((samples - samples.mean(axis=0)).T)
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), np.sqrt(np.diag(expected)), rtol=0.05)
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.1)
+
+
+def test_the_windows_optimum_is_that_of_the_whole(windows):
+    graph, estimate, _ = block()
+    graph = settle(graph)
+    moved, rim = map_solver._settle_window(graph, window_goals(graph, graph.X_MA[-1, :2]))
+    np.testing.assert_allclose(moved.p_ML, graph.p_ML, atol=1e-4)
+    np.testing.assert_allclose(moved.X_MA, graph.X_MA, atol=1e-4)
+    assert rim < 1e-4
+    assert restored(graph, estimate.stamp, estimate.observation).stage == GOALS
+
+
+def test_a_window_out_of_shape_is_mended_and_nothing_else_touched(windows):
+    graph, _, _ = block()
+    graph = settle(graph)
+    goals = window_goals(graph, graph.X_MA[-1, :2])
+    rng = np.random.default_rng(2)
+    bent = graph.X_MA.copy()
+    bent[goals[-3:]] += 0.05 * rng.standard_normal((3, 3))
+    disturbed = replace(graph, X_MA=bent)
+    error = factor_graph(graph).error
+    mended, _ = map_solver._settle_window(disturbed, goals)
+    assert error(values_of(mended)) < 1.001 * error(values_of(graph)) < error(values_of(disturbed))
+    outside = np.setdiff1d(np.arange(GOALS), goals)
+    np.testing.assert_array_equal(mended.X_MA[outside], graph.X_MA[outside])
+
+
+def test_windows_lead_to_the_map_that_whole_solves_lead_to(monkeypatch):
+    _, expected, _ = block()
+    monkeypatch.setattr(map_window, "SMALL", 0)
+    monkeypatch.setattr(map_window, "SIGHTINGS", 200)
+    graph, estimate, _ = block()
+    # Where a window moved what others rest on, as when the loop closed, all were solved: never far off.
+    np.testing.assert_allclose(graph.p_ML, expected.p_ML, atol=0.03)
+    _, settled = whole(graph, 0.0, estimate.observation)
+    np.testing.assert_allclose(settled.p_ML, expected.p_ML, atol=1e-3)
+    own, others = settled.landmark_covariance, expected.landmark_covariance
+    np.testing.assert_allclose(own, others, atol=0.02 * others.max())
+    assert settled.entropy == pytest.approx(expected.entropy, abs=0.5)
