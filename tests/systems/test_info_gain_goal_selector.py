@@ -159,3 +159,26 @@ def test_a_sliver_of_frontier_is_not_worth_a_visit():
         selector = Selector()
         selector.ready(map=estimate, tfg=dataclasses.replace(tfg, frontier_length=np.full(15, total / 15)))
         assert selector.goal().verdict == verdict
+
+
+def test_far_off_a_place_promises_what_it_did_when_the_robot_was_near():
+    selector = Selector()
+    selector.ready()
+    before = selector.goal()
+    estimate, tfg = half_known_room()
+    # The northern tag is not known jointly with the robot's pose any more.
+    estimate = dataclasses.replace(
+        estimate, stage=2, local=np.arange(2), covariance=np.diag([1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
+    )
+    selector.set(map=estimate, tfg=dataclasses.replace(tfg, stage=2), roadmap=roadmap(2),
+                 mission=MissionStatus("choose", 2, 1.0))  # fmt: skip
+    after = selector.goal()
+    assert after.stage == 2
+    np.testing.assert_array_equal(after.candidates, before.candidates)
+    points = roadmap().points[after.candidates]
+    tags = np.array([[0.0, -4], [4, 0], [0, 4]])
+    far = np.argmin(np.hypot(*(points[:, None] - tags).transpose(2, 0, 1)), axis=1) == 2
+    assert 0 < far.sum() < len(far)
+    for name in ("exploitation", "exploration", "pose_price"):
+        np.testing.assert_array_equal(getattr(after, name)[far], getattr(before, name)[far])
+    assert np.all(after.exploitation[~far] != before.exploitation[~far])

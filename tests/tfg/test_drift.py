@@ -3,9 +3,9 @@
 import numpy as np
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
-from tfg_drake.messages import MapEstimate
+from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.slam.goal_graph import empty_map
-from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, drift_from_robot
+from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, drift_from_robot, known_jointly
 
 
 def _estimate(p_ML: np.ndarray, X_MD: np.ndarray, covariance: np.ndarray) -> MapEstimate:
@@ -45,3 +45,17 @@ def test_drift_between_is_the_worst_pairs_along_the_normal_and_bounded() -> None
     wide = _estimate(p_ML, np.zeros(3), 100.0 * covariance)
     assert drift_between(points, normals, wide)[0] == MOST_DRIFT
     assert drift_between(np.array([[30.0, 0.0], [60.0, 0.0]]), normals, estimate).tolist() == [0.0, 0.0]
+
+
+def test_of_a_large_map_only_the_neighbourhood_speaks() -> None:
+    p_ML = np.array([[0.0, 0.0], [0.0, 0.3], [30.0, 0.0], [30.0, 0.3]])
+    whole = _estimate(p_ML, np.zeros(3), np.diag([1e-4, 0.01, 1e-4, 0.02, 1e-4, 0.03, 1e-4, 0.04, 0.0, 0.0, 0.0]))
+    local = replace(whole, local=np.array([2, 3]), covariance=whole.covariance[4:, 4:])
+    points, normals = p_ML[[0, 2]], np.array([[0.0, 1.0], [0.0, 1.0]])
+    np.testing.assert_allclose(drift_between(points, normals, local), [0.0, drift_between(points, normals, whole)[1]])
+    np.testing.assert_array_equal(drift_from_robot(local)[2:], drift_from_robot(whole)[2:])
+    assert not drift_from_robot(local)[:2].any()
+    assert known_jointly(points, local).tolist() == [False, True]
+    assert known_jointly(points, whole).tolist() == [True, True]
+    # Far from any landmark nothing can drift.
+    assert known_jointly(np.array([[15.0, 0.0]]), local).tolist() == [True]
