@@ -10,7 +10,7 @@ from tfg_drake.slam import localizer as localizer_module
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.goal_graph import empty_map
-from tfg_drake.slam.localizer import local_tags, localized_pose, start_localizer, step_localizer
+from tfg_drake.slam.localizer import local_tags, localized_pose, moved_localizer, start_localizer, step_localizer
 from tfg_drake.slam.odometry_model import odometry_model, predict_increment
 
 MODEL = odometry_model(OdometryConfig())
@@ -224,3 +224,41 @@ def test_before_the_first_map_it_stands_at_the_origin():
     mean, covariance = localized_pose(localizer, MODEL, np.array([1.0, 0.0, 0.0]), 2.0)
     np.testing.assert_allclose(mean, [1.0, 0.0, 0.0])
     assert np.sqrt(covariance[0, 0]) == pytest.approx(np.hypot(0.015, 0.02), rel=0.02)
+
+
+def part_of(estimate, rows):
+    """The estimate of a large map of which these rows are known jointly."""
+    pose = len(estimate.covariance) - np.array([3, 2, 1])
+    entries = np.concatenate([np.repeat(2 * rows, 2) + np.tile([0, 1], len(rows)), pose])
+    return dataclasses.replace(estimate, local=rows, covariance=estimate.covariance[np.ix_(entries, entries)])
+
+
+def test_other_landmarks_take_over_what_the_pose_shares_with_those_among_both():
+    estimate, points, X_MB = make_map(9, 4)
+    rng = np.random.default_rng(8)
+    everything = start_localizer(MODEL, estimate)
+    before = start_localizer(MODEL, part_of(estimate, np.arange(6)))
+    increment = np.array([0.4, 0.0, 0.2])
+    X_MB = se2.compose(X_MB, predict_increment(increment, 1.0, np.zeros(3), np.zeros(3))[0])
+    frame = sight([2, 3, 4, 5], points[2:6], X_MB, 1.0, rng)
+    everything, _, _ = step_localizer(everything, MODEL, increment, 1.0, frame)
+    before, _, _ = step_localizer(before, MODEL, increment, 1.0, frame)
+
+    after = moved_localizer(before, MODEL, part_of(estimate, np.arange(2, 9)))
+    old, new = before.filter, after.filter
+    assert new.map_ids.tolist() == [2, 3, 4, 5, 6, 7, 8]
+    np.testing.assert_array_equal(new.mean, old.mean)
+    np.testing.assert_allclose(new.covariance, old.covariance, atol=1e-12)
+    np.testing.assert_allclose(new.cross[:, :8], old.cross[:, 4:12], atol=1e-9)
+    np.testing.assert_allclose(new.cross[:, -3:], old.cross[:, -3:], atol=1e-9)
+    np.testing.assert_allclose(after.center, localized_pose(before, MODEL, np.zeros(3), 0.0)[0][:2])
+    joint = np.block([[new.covariance, new.cross], [new.cross.T, new.considered]])
+    assert np.linalg.eigvalsh(joint).min() > -1e-12
+
+    # What was seen tells of the new landmarks nearly all that it would, had they been considered from the beginning.
+    frame = sight([6, 7, 8], points[6:], X_MB, 2.0, rng)
+    expected, P_expected = localized_pose(look(everything, frame), MODEL, np.zeros(3), 0.0)
+    pose, P = localized_pose(look(after, frame), MODEL, np.zeros(3), 0.0)
+    sigma = np.sqrt(np.diag(P_expected))
+    np.testing.assert_allclose(pose, expected, atol=0.3 * sigma.min())
+    np.testing.assert_allclose(np.sqrt(np.diag(P)), sigma, rtol=0.1)

@@ -34,9 +34,11 @@ from tfg_drake.slam import goal_graph
 from tfg_drake.slam.goal_arrival import JOINT, add_goal
 from tfg_drake.slam.goal_graph import GoalGraph
 from tfg_drake.slam.localizer import (
+    FAR,
     Localizer,
     local_tags,
     localized_pose,
+    moved_localizer,
     restart_localizer,
     start_localizer,
     step_localizer,
@@ -343,9 +345,22 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     )
     if contradictions >= CONTRADICTIONS and len(frame.ids):
         state = _look_for_itself(state, seen)
+    state = _look_ahead(state)
     if state.piece is not None and stamp - state.piece.begin.stamp >= state.path_keyframe_period:
         state = _open_piece(_end_piece(state))
     return state
+
+
+def _look_ahead(state: EstimatorState) -> EstimatorState:
+    """The state with the landmarks round the robot considered, where on a large map it has left those that were."""
+    estimate = state.map
+    if estimate is None or len(estimate.local) == len(estimate.ids):
+        return state
+    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+    if np.hypot(*(X_MB[:2] - state.localizer.center)) < FAR:
+        return state
+    nearby = around(state.graph, estimate, X_MB[:2])
+    return replace(state, localizer=moved_localizer(state.localizer, state.model, nearby))
 
 
 def _look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorState:
@@ -427,7 +442,8 @@ def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     """The state with a turn or piece made a goal, the graph solved, and the filters at its end."""
     solution = _solve(state, turn)
-    arguments = (solution.observation, turn.X_DA, turn.segment_covariance, state.way)
+    hardly_seen = solution.sightings < CONFIRMATIONS
+    arguments = (solution.observation, turn.X_DA, turn.segment_covariance, state.way, hardly_seen)
     graph, rejected = add_goal(state.graph, state.map, *arguments)
     suspects, count = _suspects(state, solution, rejected)
     moved = suspects[count >= MOVED]

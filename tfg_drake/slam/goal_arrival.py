@@ -8,13 +8,15 @@ import numpy as np
 import scipy.linalg
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate
+from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.goal_graph import GoalGraph, goal_factor, rows_of, without_tags
 from tfg_drake.slam.map_solver import around
 
-# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out.
+# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: of one seen
+# often, which has then been moved or is tied to the wrong place, and of one hardly seen, perhaps a misread id (99 %).
 REJECTED = 49.0
+HARDLY_SEEN_REJECTED = 9.2
 # Covariance of what joins two pieces of one way: nothing lies between them.
 JOINT = np.eye(3) * 1e-10
 
@@ -26,12 +28,14 @@ def add_goal(
     X_DA: FloatArray,
     segment_covariance: FloatArray,
     way: tuple[GoalObservation, ...] = (),
+    hardly_seen: BoolArray | None = None,
 ) -> tuple[GoalGraph, IntArray]:
     """The graph with one goal more, not yet solved, and the ids of the known tags left out of that goal.
 
     map_estimate: of the graph so far. X_DA (3,), segment_covariance (3, 3): the segment that led here, not used at
     the first goal. way: the pieces mapped on the way, which begin where the last goal ended and take the segment's
-    place. A known tag that grossly contradicts the map, given the way there and all other tags, is left out.
+    place. A known tag that grossly contradicts the map, given the way there and all other tags, is left out; one of the
+    observation's (n,) tags that was hardly_seen, by default none, if it contradicts the map at all.
     """
     travelled, uncertainty = X_DA, segment_covariance
     if way:
@@ -42,7 +46,9 @@ def add_goal(
     if way:
         X_DA, segment_covariance = np.zeros(3), JOINT
         uncertainty = uncertainty + JOINT
-    return _append(graph, map_estimate, observation, travelled, uncertainty, X_DA, segment_covariance, True)
+    return _append(
+        graph, map_estimate, observation, travelled, uncertainty, X_DA, segment_covariance, True, hardly_seen
+    )
 
 
 def _append(
@@ -54,12 +60,16 @@ def _append(
     X_DA: FloatArray,
     segment_covariance: FloatArray,
     is_goal: bool,
+    hardly_seen: BoolArray | None = None,
 ) -> tuple[GoalGraph, IntArray]:
     """The graph with one piece more, X_DA (3,) after the last one and travelled (3,) from the map's last departure."""
     rejected = np.empty(0, dtype=np.int64)
     X_MA, travel_covariance = np.zeros(3), segment_covariance
     if map_estimate is not None:
-        X_MA, posterior, rejected = _arrival(graph, map_estimate, observation, travelled, uncertainty)
+        limit = np.full(len(observation.ids), REJECTED)
+        if hardly_seen is not None:
+            limit[hardly_seen] = HARDLY_SEEN_REJECTED
+        X_MA, posterior, rejected = _arrival(graph, map_estimate, observation, limit, travelled, uncertainty)
         if travelled is X_DA:
             travel_covariance = posterior
         observation = without_tags(observation, rejected)
@@ -111,6 +121,7 @@ def _arrival(
     graph: GoalGraph,
     map_estimate: MapEstimate,
     observation: GoalObservation,
+    limit: FloatArray,
     X_DA: FloatArray,
     segment_covariance: FloatArray,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -118,8 +129,8 @@ def _arrival(
     the last departure, of (x, y) in D and theta, and the ids of tags that contradict them.
 
     Iterated updates of (known tags, A), in the last departure frame D, by the observation; each tag is then compared
-    with what all others predict of it, and the worst leaves until none is too far off. The pose serves as an initial
-    value only.
+    with what all others predict of it, and the worst leaves until none is farther off than its limit (n,). The pose
+    serves as an initial value only.
     """
     row, known = rows_of(observation.ids, map_estimate.ids)
     if not np.isin(row[known], map_estimate.local).all():
@@ -134,10 +145,11 @@ def _arrival(
         aligned, posterior, distance = _align(
             p_DL[kept], prior[np.ix_(rows, rows)], X_DA, segment_covariance, observation, in_goal[kept]
         )
-        if np.max(distance) <= REJECTED:
+        excess = distance / limit[in_goal[kept]]
+        if np.max(excess) <= 1.0:
             X_DA, covariance = aligned, posterior
             break
-        kept = np.delete(kept, np.argmax(distance))
+        kept = np.delete(kept, np.argmax(excess))
     rejected = np.setdiff1d(observation.ids[in_goal], observation.ids[in_goal[kept]])
     return se2.compose(map_estimate.X_MD, X_DA), covariance, rejected
 

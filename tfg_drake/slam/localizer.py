@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TagDetections, message, replace
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
@@ -21,6 +21,8 @@ from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
 
 # Landmarks considered: the nearest to the departure pose.
 WINDOW = 300
+# On a large map others take their place when the robot has come this far from there, m.
+FAR = 5.0
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
@@ -29,9 +31,10 @@ ANYWHERE = (1.0, 1.0, 0.5)
 
 @message
 class Localizer:
-    """The filter in D, and X_MD (3,)."""
+    """The filter in D, X_MD (3,), and center (2,), m in M: the place round which landmarks are considered."""
 
     X_MD: FloatArray
+    center: FloatArray
     filter: PoseFilter
 
 
@@ -39,7 +42,9 @@ def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> L
     """The localiser at the departure pose of the newest map, or at the origin of an empty one."""
     if map_estimate is None:
         nothing = np.empty(0, dtype=np.int64)
-        return Localizer(np.zeros(3), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE))))
+        return Localizer(
+            np.zeros(3), np.zeros(2), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE)))
+        )
     return _around(model, map_estimate, map_estimate.X_MD)
 
 
@@ -54,7 +59,39 @@ def restart_localizer(
     covariance[:POSE, :POSE] = np.diag(ANYWHERE) ** 2
     filter_ = replace(filter_, mean=mean, covariance=covariance)
     filter_, _, _ = pose_filter.step(filter_, model, np.zeros(3), 0.0, detections)
-    return Localizer(localizer.X_MD, filter_)
+    return replace(localizer, filter=filter_)
+
+
+def moved_localizer(localizer: Localizer, model: OdometryModel, map_estimate: MapEstimate) -> Localizer:
+    """The localiser with other landmarks considered: those round its pose, of an estimate that knows them jointly.
+
+    What the pose shares with the landmarks considered before it shares with the others through those that are among
+    both; the departure pose always is.
+    """
+    old = localizer.filter
+    X_MB, _ = localized_pose(localizer, model, np.zeros(3), 0.0)
+    moved = _around(model, map_estimate, X_MB)
+    new = moved.filter
+    _, before, now = np.intersect1d(old.map_ids, new.map_ids, assume_unique=True, return_indices=True)
+    before = np.append(_entries(before), 2 * len(old.map_ids) + np.arange(POSE))
+    now = np.append(_entries(now), 2 * len(new.map_ids) + np.arange(POSE))
+    shared = old.considered[np.ix_(before, before)]
+    # A departure pose at the map's origin is known exactly.
+    by_shared = np.linalg.lstsq(shared, old.cross[:, before].T, rcond=1e-10)[0].T
+    covariance = old.covariance + by_shared @ (new.considered[np.ix_(now, now)] - shared) @ by_shared.T
+    filter_ = replace(
+        old,
+        covariance=0.5 * (covariance + covariance.T),
+        cross=by_shared @ new.considered[now],
+        map_ids=new.map_ids,
+        p_DL=new.p_DL,
+        considered=new.considered,
+    )
+    return replace(moved, filter=filter_)
+
+
+def _entries(rows: IntArray) -> IntArray:
+    return np.asarray(np.repeat(2 * rows, 2) + np.tile([0, 1], len(rows)))
 
 
 def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -> Localizer:
@@ -63,7 +100,8 @@ def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -
     distance = np.hypot(*(map_estimate.p_ML[local] - X_MB[:2]).T)
     near = np.sort(local[np.argsort(distance, kind="stable")[:WINDOW]])
     p_DL, covariance = in_departure_frame(map_estimate, near)
-    return Localizer(map_estimate.X_MD, pose_filter.start(model, map_estimate.ids[near], p_DL, covariance))
+    filter_ = pose_filter.start(model, map_estimate.ids[near], p_DL, covariance)
+    return Localizer(map_estimate.X_MD, X_MB[:2], filter_)
 
 
 def step_localizer(
@@ -76,13 +114,13 @@ def step_localizer(
         keep = np.ones(len(filter_.local_ids), dtype=bool)
         keep[np.argsort(-filter_.last_seen, kind="stable")[MOST_LOCAL:]] = False
         filter_ = pose_filter.keep_local(filter_, keep)
-    return Localizer(localizer.X_MD, filter_), known, ignored
+    return replace(localizer, filter=filter_), known, ignored
 
 
 def without_local(localizer: Localizer) -> Localizer:
     """The localiser without the tags met on the way."""
     filter_ = localizer.filter
-    return Localizer(localizer.X_MD, pose_filter.keep_local(filter_, np.zeros(len(filter_.local_ids), dtype=bool)))
+    return replace(localizer, filter=pose_filter.keep_local(filter_, np.zeros(len(filter_.local_ids), dtype=bool)))
 
 
 def localized_pose(
