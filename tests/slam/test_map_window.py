@@ -156,6 +156,37 @@ def test_a_window_out_of_shape_is_mended_and_nothing_else_touched(windows):
     np.testing.assert_array_equal(mended.X_MA[outside], graph.X_MA[outside])
 
 
+def test_pieces_of_the_way_are_goals_like_others(windows):
+    """Each goal is reached over a piece that is mapped, from half way on."""
+    rng = np.random.default_rng(3)
+    angle, r = rng.uniform(0.0, 2.0 * np.pi, 220), RADIUS + rng.uniform(-3.0, 3.0, 220)
+    points = r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    a = 2.0 * np.pi * np.arange(24) / GOALS
+    X_WA = np.column_stack([RADIUS * np.cos(a), RADIUS * np.sin(a), se2.wrap_angle(a + 1.0)])
+    graph, estimate = empty_graph(), None
+    for k, X in enumerate(X_WA):
+        way = ()
+        if k > 0:
+            X_WD = se2.compose(X_WA[k - 1], X_AD)
+            piece = observation(rng, points, X_WD)
+            motion = se2.between(X_WD, X) + np.sqrt(np.diag(SEGMENT)) * rng.standard_normal(3)
+            joint = piece.covariance.copy()
+            joint[-3:, -3:] = SEGMENT
+            way = (replace(piece, X_AD=motion, covariance=joint),)
+        seen = observation(rng, points, X)
+        graph, rejected = add_goal(graph, estimate, seen, np.zeros(3), SEGMENT, way)
+        assert len(rejected) == 0
+        graph, estimate = solve(graph, float(k), seen)
+    assert len(estimate.local) < len(estimate.ids)
+    assert np.isfinite(graph.departure_covariance[graph.is_goal]).all()
+    assert not np.isfinite(graph.departure_covariance[~graph.is_goal]).any()
+    _, everything = whole(graph, 0.0, seen)
+    ratio = sigmas(estimate, estimate.local) / sigmas(everything, estimate.local)
+    assert 0.98 < ratio.min() < ratio.max() < 1.5
+    error = se2.transform(X_WA[0], everything.p_ML) - points[everything.ids]
+    assert np.hypot(*error.T).max() < 4.0 * np.sqrt(np.trace(everything.landmark_covariance, axis1=1, axis2=2)).max()
+
+
 def test_windows_lead_to_the_map_that_whole_solves_lead_to(monkeypatch):
     _, expected, _ = block()
     monkeypatch.setattr(map_window, "SMALL", 0)

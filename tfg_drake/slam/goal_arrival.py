@@ -19,6 +19,7 @@ REJECTED = 49.0
 HARDLY_SEEN_REJECTED = 9.2
 # Covariance of what joins two pieces of one way: nothing lies between them.
 JOINT = np.eye(3) * 1e-10
+NO_IDS = np.empty(0, dtype=np.int64)
 
 
 def add_goal(
@@ -37,44 +38,40 @@ def add_goal(
     place. A known tag that grossly contradicts the map, given the way there and all other tags, is left out; one of the
     observation's (n,) tags that was hardly_seen, by default none, if it contradicts the map at all.
     """
-    travelled, uncertainty = X_DA, segment_covariance
+    limit = np.full(len(observation.ids), REJECTED)
+    if hardly_seen is not None:
+        limit[hardly_seen] = HARDLY_SEEN_REJECTED
+    if map_estimate is None:
+        X_MA = se2.compose(graph.X_MD[-1], X_DA) if graph.observations else np.zeros(3)
+        return _append(graph, observation, X_MA, X_DA, segment_covariance, segment_covariance, True), NO_IDS
+    solved, travelled, uncertainty = graph, X_DA, segment_covariance
     if way:
-        travelled, uncertainty = np.zeros(3), np.zeros((3, 3))
+        travelled, uncertainty = np.zeros(3), JOINT
+        X_DA, segment_covariance = travelled, JOINT
     for piece in way:
-        graph, _ = _append(graph, map_estimate, piece, travelled, uncertainty + JOINT, np.zeros(3), JOINT, False)
+        gross = np.full(len(piece.ids), REJECTED)
+        X_MA, _, rejected = _arrival(solved, map_estimate, piece, gross, travelled, uncertainty)
+        graph = _append(graph, without_tags(piece, rejected), X_MA, np.zeros(3), JOINT, JOINT, False)
         travelled, uncertainty = _further(travelled, uncertainty, piece)
-    if way:
-        X_DA, segment_covariance = np.zeros(3), JOINT
         uncertainty = uncertainty + JOINT
-    return _append(
-        graph, map_estimate, observation, travelled, uncertainty, X_DA, segment_covariance, True, hardly_seen
-    )
+    X_MA, travel_covariance, rejected = _arrival(solved, map_estimate, observation, limit, travelled, uncertainty)
+    if way:
+        travel_covariance = JOINT
+    observation = without_tags(observation, rejected)
+    return _append(graph, observation, X_MA, X_DA, segment_covariance, travel_covariance, True), rejected
 
 
 def _append(
     graph: GoalGraph,
-    map_estimate: MapEstimate | None,
     observation: GoalObservation,
-    travelled: FloatArray,
-    uncertainty: FloatArray,
+    X_MA: FloatArray,
     X_DA: FloatArray,
     segment_covariance: FloatArray,
+    travel_covariance: FloatArray,
     is_goal: bool,
-    hardly_seen: BoolArray | None = None,
-) -> tuple[GoalGraph, IntArray]:
-    """The graph with one piece more, X_DA (3,) after the last one and travelled (3,) from the map's last departure."""
-    rejected = np.empty(0, dtype=np.int64)
-    X_MA, travel_covariance = np.zeros(3), segment_covariance
-    if map_estimate is not None:
-        limit = np.full(len(observation.ids), REJECTED)
-        if hardly_seen is not None:
-            limit[hardly_seen] = HARDLY_SEEN_REJECTED
-        X_MA, posterior, rejected = _arrival(graph, map_estimate, observation, limit, travelled, uncertainty)
-        if travelled is X_DA:
-            travel_covariance = posterior
-        observation = without_tags(observation, rejected)
-    elif graph.observations:
-        X_MA = se2.compose(graph.X_MD[-1], X_DA)
+) -> GoalGraph:
+    """The graph with one piece more, at X_MA (3,): X_DA (3,) after the last one, with the covariances (3, 3) of the
+    segment and of the way as far as all that is known."""
     row, known = rows_of(observation.ids, graph.ids)
     sightings = graph.sightings.copy()
     sightings[row[known]] += 1
@@ -83,23 +80,20 @@ def _append(
     new = int(np.count_nonzero(~known))
     _, travel_covariance = _further(X_DA, travel_covariance, observation)
     first = not graph.observations
-    return (
-        GoalGraph(
-            observations=(*graph.observations, goal_factor(observation)),
-            is_goal=np.append(graph.is_goal, is_goal),
-            X_DA=graph.X_DA if first else np.vstack([graph.X_DA, X_DA]),
-            segment_covariance=_append_to(graph.segment_covariance, segment_covariance, not first),
-            X_MA=np.vstack([graph.X_MA, X_MA]),
-            X_MD=np.vstack([graph.X_MD, se2.compose(X_MA, observation.X_AD)]),
-            ids=ids[order],
-            p_ML=np.vstack([graph.p_ML, se2.transform(X_MA, observation.p_AL[~known])])[order],
-            sightings=np.append(sightings, np.ones(new, dtype=np.int64))[order],
-            travel_covariance=_append_to(graph.travel_covariance, travel_covariance, not first),
-            departure_covariance=_append_to(graph.departure_covariance, np.zeros((3, 3))),
-            landmark_covariance=np.concatenate([graph.landmark_covariance, np.zeros((new, 2, 2))])[order],
-            entropy=graph.entropy,
-        ),
-        rejected,
+    return GoalGraph(
+        observations=(*graph.observations, goal_factor(observation)),
+        is_goal=np.append(graph.is_goal, is_goal),
+        X_DA=graph.X_DA if first else np.vstack([graph.X_DA, X_DA]),
+        segment_covariance=_append_to(graph.segment_covariance, segment_covariance, not first),
+        X_MA=np.vstack([graph.X_MA, X_MA]),
+        X_MD=np.vstack([graph.X_MD, se2.compose(X_MA, observation.X_AD)]),
+        ids=ids[order],
+        p_ML=np.vstack([graph.p_ML, se2.transform(X_MA, observation.p_AL[~known])])[order],
+        sightings=np.append(sightings, np.ones(new, dtype=np.int64))[order],
+        travel_covariance=_append_to(graph.travel_covariance, travel_covariance, not first),
+        departure_covariance=_append_to(graph.departure_covariance, np.full((3, 3), np.inf)),
+        landmark_covariance=np.concatenate([graph.landmark_covariance, np.zeros((new, 2, 2))])[order],
+        entropy=graph.entropy,
     )
 
 

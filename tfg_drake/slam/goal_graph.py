@@ -69,8 +69,8 @@ class GoalGraph:
 
     sightings: (n,) how many of the observations each landmark is in. travel_covariance: (k - 1, 3, 3) of the way from
     D_j to D_j+1, of (x, y) in D_j and theta, as all tags known on arrival had it. departure_covariance: (k, 3, 3) of
-    X_MD, and landmark_covariance: (n, 2, 2) of p_ML, each as it was when last computed: the newest on a small map, on a
-    large one from when the robot was last near. entropy: of the landmarks, nats.
+    X_MD when that goal was the newest, infinite for pieces of the way, and landmark_covariance: (n, 2, 2) of p_ML, on a
+    large map as it was when the robot was last near. entropy: of the landmarks, nats.
     """
 
     observations: tuple[GoalFactor, ...]
