@@ -145,7 +145,8 @@ class GoalObservation:
     """What one turn in place saw, solved in the arrival frame A, the turn's poses eliminated.
 
     ids: (n,). p_AL: (n, 2) tag positions in A, m. X_AD: (3,) departure pose in A. covariance: (2n + 3, 2n + 3) joint
-    covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A.
+    covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A. range_scale: the
+    error of scale that was taken out of its ranges.
     """
 
     ids: IntArray
@@ -154,6 +155,7 @@ class GoalObservation:
     covariance: FloatArray
     stamps: FloatArray
     X_AB: FloatArray
+    range_scale: float = 0.0
 
 
 @message

@@ -57,7 +57,7 @@ from tfg_drake.slam.odometry_model import (
     reckon,
 )
 from tfg_drake.slam.pose_filter import PoseFilter
-from tfg_drake.slam.range_scale import RangeScale, compare, corrected, unknown_scale
+from tfg_drake.slam.range_scale import RangeScale, compare, corrected, correction, unknown_scale
 from tfg_drake.slam.relocalization import relocalize
 from tfg_drake.slam.segment import segment_factor, start_segment, step_segment
 from tfg_drake.slam.sightings import sanitized, select
@@ -436,6 +436,7 @@ def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
     doubtful &= ~goal_graph.rows_of(solution.observation.ids, state.graph.ids)[1]
     observation = goal_graph.without_tags(solution.observation, solution.observation.ids[doubtful])
+    observation = replace(observation, range_scale=correction(state.scale))
     return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
 
 
@@ -455,6 +456,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         suspects, count = suspects[count < MOVED], count[count < MOVED]
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
+    graph = goal_graph.rescaled(graph, correction(state.scale))
     graph, estimate = solve(graph, state.stamp, solution.observation)
     model = state.model
     if state.turn is not None:

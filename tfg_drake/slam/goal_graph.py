@@ -13,19 +13,24 @@ from numpy.typing import NDArray
 
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
 
+# Range scales that differ by less are the same: a millimetre at ten metres.
+SAME_SCALE = 1e-4
+
 
 @message
 class GoalFactor:
     """A goal's observation as the graph keeps it: without the trajectory, in a quarter of the memory.
 
     ids: (n,). p_AL: (n, 2), m. X_AD: (3,). root: ((2n + 3)(n + 2),) the lower Cholesky factor of the observation's
-    covariance, row by row, in single precision: whatever the rounding, it stays a covariance.
+    covariance, row by row, in single precision: whatever the rounding, it stays a covariance. range_scale: the error of
+    scale taken out of its ranges.
     """
 
     ids: IntArray
     p_AL: FloatArray
     X_AD: FloatArray
     root: NDArray[np.float32]
+    range_scale: float
 
     @property
     def cholesky(self) -> FloatArray:
@@ -49,14 +54,30 @@ class GoalFactor:
     def observation(self) -> GoalObservation:
         """The observation, without its trajectory."""
         root = self.cholesky
-        return GoalObservation(self.ids, self.p_AL, self.X_AD, root @ root.T, np.empty(0), np.empty((0, 3)))
+        nothing = np.empty(0), np.empty((0, 3))
+        return GoalObservation(self.ids, self.p_AL, self.X_AD, root @ root.T, *nothing, self.range_scale)
 
 
 def goal_factor(observation: GoalObservation) -> GoalFactor:
     """What is kept of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
     root = np.linalg.cholesky(observation.covariance)
     packed = root[np.tri(len(root), dtype=bool)].astype(np.float32)
-    return GoalFactor(observation.ids, observation.p_AL, observation.X_AD, packed)
+    return GoalFactor(observation.ids, observation.p_AL, observation.X_AD, packed, observation.range_scale)
+
+
+def rescaled(graph: GoalGraph, range_scale: float) -> GoalGraph:
+    """The graph with the range scale error, as it is known now, taken out of the observations from when it was not.
+
+    The robot turned in place: what it saw grows or shrinks about A.
+    """
+
+    def again(factor: GoalFactor) -> GoalFactor:
+        if abs(factor.range_scale - range_scale) < SAME_SCALE:
+            return factor
+        p_AL = factor.p_AL * ((1.0 + factor.range_scale) / (1.0 + range_scale))
+        return replace(factor, p_AL=p_AL, range_scale=range_scale)
+
+    return replace(graph, observations=tuple(again(factor) for factor in graph.observations))
 
 
 @message
@@ -176,4 +197,5 @@ def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation
         covariance=observation.covariance[np.ix_(rows, rows)],
         stamps=observation.stamps,
         X_AB=observation.X_AB,
+        range_scale=observation.range_scale,
     )

@@ -141,18 +141,25 @@ def _compare(
     return more, more_vector, pairs
 
 
-def corrected(detections: TagDetections, scale: RangeScale) -> TagDetections:
-    """The detections with the scale's expected error taken out of their ranges, where it is beyond doubt.
+def correction(scale: RangeScale) -> float:
+    """The expected scale error r where it is beyond doubt, else 0.
 
     A correction that is itself in doubt would tie all tags of a goal together by an error that their covariance does
     not know.
     """
-    if scale.pairs == 0 or not len(detections.ids) or abs(scale.mean[0]) < SIGNIFICANT * scale.sigma:
+    r = float(scale.mean[0])
+    return r if scale.pairs and abs(r) >= SIGNIFICANT * scale.sigma else 0.0
+
+
+def corrected(detections: TagDetections, scale: RangeScale) -> TagDetections:
+    """The detections with the scale's error taken out of their ranges."""
+    r = correction(scale) if len(detections.ids) else 0.0
+    if r == 0.0:
         return detections
     return TagDetections(
         stamp=detections.stamp,
         ids=detections.ids,
-        range=detections.range / (1.0 + scale.mean[0]),
+        range=detections.range / (1.0 + r),
         bearing=detections.bearing,
         sigma_range=detections.sigma_range,
         sigma_bearing=detections.sigma_bearing,
