@@ -22,6 +22,8 @@ NOTHING_AFTER = 5
 APART = 0.3
 # The robot could drive straight up to the edge of a frontier from a place this near, m.
 AT_HAND = 1.0
+# A place is judged anew where all landmarks within this share of the sensor's range are known jointly.
+KNOWN_REACH = 0.5
 # Less live frontier than this is not worth a visit, m.
 ENOUGH_FRONTIER = 0.24
 
@@ -85,7 +87,7 @@ def choose(
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, estimate))
     seen = expected_frontiers(roadmap.points[nodes], tfg, sensor)
-    here = _here(roadmap.points[nodes], estimate)
+    here = _here(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
     kept = ~here & np.isin(nodes, previous.candidates)
     asked = thin_candidates(nodes[~kept], seen.of(np.flatnonzero(~kept)).count, explorer.samples)
     candidates = np.union1d(asked, nodes[kept])
@@ -97,10 +99,11 @@ def choose(
         return information_gain(points, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
     points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
-    ask = np.isin(candidates, asked)
-    gains = _filled(previous, candidates, ask, expected(points[ask], time[ask], frontiers.of(np.flatnonzero(ask))))
-    value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
     enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
+    ask = np.isin(candidates, asked)
+    now = expected(points[ask], time[ask], frontiers.of(np.flatnonzero(ask)))
+    gains = _filled(previous, candidates, ask, now, enough)
+    value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
     best = pick(gains.gain, value, enough, explorer.stop_gain)
     if best >= 0:
         node, p_MG, verdict = int(candidates[best]), points[best], "goal"
@@ -133,16 +136,22 @@ def choose(
     )
 
 
-def _here(points: FloatArray, estimate: MapEstimate) -> BoolArray:
-    """Which of the points (n, 2), m in M, lie where the landmarks are known jointly with the robot's pose, (n,)."""
-    if len(estimate.local) == len(estimate.ids):
+def _here(points: FloatArray, estimate: MapEstimate, reach: float) -> BoolArray:
+    """Which of the points (n, 2), m in M, have only landmarks within reach (m) that are known jointly with the robot's
+    pose, (n,)."""
+    others = np.ones(len(estimate.ids), dtype=np.bool_)
+    others[estimate.local] = False
+    if not others.any():
         return np.ones(len(points), dtype=np.bool_)
-    _, nearest = cKDTree(estimate.p_ML).query(points)
-    return np.isin(nearest, estimate.local)
+    distance, _ = cKDTree(estimate.p_ML[others]).query(points)
+    return np.asarray(distance > reach)
 
 
-def _filled(previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains) -> Gains:
-    """The gains of all candidates (c,): those of the ones asked for (c,) now, of the others as they were before."""
+def _filled(
+    previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains, sees_frontier: BoolArray
+) -> Gains:
+    """The gains of all candidates (c,): those of the ones asked for (c,) now, of the others as they were before, but
+    for what they promised of a frontier that they do not see (c,) any more."""
     row = np.searchsorted(previous.candidates, candidates[~asked])
 
     def fill(now: FloatArray, before: FloatArray) -> FloatArray:
@@ -150,9 +159,11 @@ def _filled(previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains:
         filled[asked], filled[~asked] = now, before[row]
         return filled
 
+    exploration = fill(gains.exploration, previous.exploration)
+    exploration[~asked & ~sees_frontier] = 0.0
     return Gains(
         exploitation=fill(gains.exploitation, previous.exploitation),
-        exploration=fill(gains.exploration, previous.exploration),
+        exploration=exploration,
         pose_price=fill(gains.pose_price, previous.pose_price),
     )
 

@@ -45,6 +45,7 @@ from tfg_drake.slam.localizer import (
     without_local,
 )
 from tfg_drake.slam.map_solver import around, solve, whole
+from tfg_drake.slam.map_window import nearest_goal, window_goals
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     OdometryModel,
@@ -72,6 +73,8 @@ MOST_IGNORED = 0.5
 CONTRADICTIONS = 3
 # A pose found by geometry no farther than this from the estimate, m and rad, is no other place.
 SAME_PLACE = (0.1, 0.05)
+# A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
+ELSEWHERE = 5.0
 # Standard deviations of the motion between two goals when the robot was carried on the way: it says nothing, m, m, rad.
 CARRIED = (100.0, 100.0, 10.0)
 # A new tag must be seen this often in a turn to be mapped, or in one of three frames of a shorter piece.
@@ -282,7 +285,7 @@ def map_estimate(state: EstimatorState) -> MapEstimate | None:
 def settled(state: EstimatorState) -> EstimatorState:
     """The state with its map solved as a whole and known jointly as far as memory allows: for the end of a mission."""
     estimate = state.map
-    if estimate is None or len(estimate.local) == len(estimate.ids):
+    if estimate is None or len(window_goals(state.graph, estimate.X_MD[:2])) == len(state.graph.observations):
         return state
     graph, estimate = whole(state.graph, estimate.stamp, estimate.observation)
     return replace(state, graph=graph, map=estimate)
@@ -326,6 +329,8 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     else:
         segment = step_segment(segment, state.model, increment, dt, seen)
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
+    elsewhere = _mapped_elsewhere(state, localizer, seen)
+    known, ignored = known + elsewhere, ignored + elsewhere
     contradictions = state.contradictions
     if known >= LEAST_KNOWN:
         contradictions = contradictions + 1 if ignored > MOST_IGNORED * known else 0
@@ -351,6 +356,18 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     return state
 
 
+def _mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
+    """How many of a frame's tags are mapped, though too far away to be considered, and seen metres from there."""
+    row, mapped = goal_graph.rows_of(seen.ids, state.graph.ids)
+    mapped &= ~goal_graph.rows_of(seen.ids, localizer.filter.map_ids)[1]
+    if not mapped.any():
+        return 0
+    X_MB, _ = localized_pose(localizer, state.model, np.zeros(3), 0.0)
+    angle = X_MB[2] + seen.bearing[mapped]
+    p_ML = X_MB[:2] + seen.range[mapped, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return int(np.count_nonzero(np.hypot(*(p_ML - state.graph.p_ML[row[mapped]]).T) > ELSEWHERE))
+
+
 def _look_ahead(state: EstimatorState) -> EstimatorState:
     """The state with the landmarks round the robot considered, where on a large map it has left those that were."""
     estimate = state.map
@@ -358,6 +375,9 @@ def _look_ahead(state: EstimatorState) -> EstimatorState:
         return state
     X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
     if np.hypot(*(X_MB[:2] - state.localizer.center)) < FAR:
+        return state
+    nearest = state.graph.X_MD[nearest_goal(state.graph, X_MB[:2])]
+    if np.array_equal(nearest, state.localizer.X_MD):
         return state
     nearby = around(state.graph, estimate, X_MB[:2])
     return replace(state, localizer=moved_localizer(state.localizer, state.model, nearby))

@@ -11,7 +11,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.goal_graph import GoalGraph, goal_factor, rows_of, without_tags
-from tfg_drake.slam.map_solver import around
+from tfg_drake.slam.map_solver import with_landmarks
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: of one seen
 # often, which has then been moved or is tied to the wrong place, and of one hardly seen, perhaps a misread id (99 %).
@@ -127,9 +127,10 @@ def _arrival(
     serves as an initial value only.
     """
     row, known = rows_of(observation.ids, map_estimate.ids)
-    if not np.isin(row[known], map_estimate.local).all():
-        map_estimate = around(graph, map_estimate, se2.compose(map_estimate.X_MD, X_DA)[:2])
-        known &= np.isin(row, map_estimate.local)
+    elsewhere = ~np.isin(row[known], map_estimate.local)
+    if elsewhere.any():
+        place = se2.compose(map_estimate.X_MD, X_DA)[:2]
+        map_estimate = with_landmarks(graph, map_estimate, row[known][elsewhere], place)
     in_goal = np.flatnonzero(known)
     p_DL, prior = in_departure_frame(map_estimate, row[known])
     kept = np.arange(len(in_goal))

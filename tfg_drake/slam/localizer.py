@@ -13,16 +13,20 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TagDetections, message, replace
+from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message, replace
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
 from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
 
-# Landmarks considered: the nearest to the departure pose.
+# Landmarks considered: the nearest to the departure pose, or to the robot.
 WINDOW = 300
-# On a large map others take their place when the robot has come this far from there, m.
+# On a large map others take their place when the robot has come this far from there, m, and near another goal.
 FAR = 5.0
+# Two parts of one map differ by this where they meet, m, m, rad.
+AGREEMENT = (0.03, 0.03, 0.01)
+# What is known of the landmarks to better than this counts as known exactly, m and rad: there a matrix is singular.
+BLUR = (1e-3, 1e-4)
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
@@ -31,7 +35,10 @@ ANYWHERE = (1.0, 1.0, 0.5)
 
 @message
 class Localizer:
-    """The filter in D, X_MD (3,), and center (2,), m in M: the place round which landmarks are considered."""
+    """The filter in D, X_MD (3,), and center (2,), m in M: the place round which landmarks are considered.
+
+    D is the last departure pose; on a large map that of a goal which the robot has come by since.
+    """
 
     X_MD: FloatArray
     center: FloatArray
@@ -63,35 +70,42 @@ def restart_localizer(
 
 
 def moved_localizer(localizer: Localizer, model: OdometryModel, map_estimate: MapEstimate) -> Localizer:
-    """The localiser with other landmarks considered: those round its pose, of an estimate that knows them jointly.
+    """The localiser in the frame of another departure pose, that of an estimate seen from where the robot is now.
 
-    What the pose shares with the landmarks considered before it shares with the others through those that are among
-    both; the departure pose always is.
+    What is known of the pose, and of the tags met on the way, relative to the landmarks considered so far stays known,
+    but for AGREEMENT, by which two parts of one map may differ; what they share with the landmarks is given up. The
+    next sightings tell it anew.
     """
     old = localizer.filter
     X_MB, _ = localized_pose(localizer, model, np.zeros(3), 0.0)
     moved = _around(model, map_estimate, X_MB)
-    new = moved.filter
-    _, before, now = np.intersect1d(old.map_ids, new.map_ids, assume_unique=True, return_indices=True)
-    before = np.append(_entries(before), 2 * len(old.map_ids) + np.arange(POSE))
-    now = np.append(_entries(now), 2 * len(new.map_ids) + np.arange(POSE))
-    shared = old.considered[np.ix_(before, before)]
-    # A departure pose at the map's origin is known exactly.
-    by_shared = np.linalg.lstsq(shared, old.cross[:, before].T, rcond=1e-10)[0].T
-    covariance = old.covariance + by_shared @ (new.considered[np.ix_(now, now)] - shared) @ by_shared.T
+    blur = np.diag(np.append(np.full(len(old.considered) - 1, BLUR[0]), BLUR[1])) ** 2
+    relative = old.covariance - old.cross @ np.linalg.solve(old.considered + blur, old.cross.T)
+
+    p_MU = local_tags(localizer)
+    mean = old.mean.copy()
+    mean[:POSE] = se2.between(map_estimate.X_MD, X_MB)
+    mean[CORE:] = se2.transform(se2.inverse(map_estimate.X_MD), p_MU).ravel()
+    turn = se2.rotation(float(localizer.X_MD[2] - map_estimate.X_MD[2]))
+    to_new = np.eye(len(mean))
+    for i in (0, *range(CORE, len(mean), 2)):
+        to_new[i : i + 2, i : i + 2] = turn
+    # An error of the map moves and turns the robot and the tags that it has met as one.
+    together = np.zeros((len(mean), POSE))
+    together[:POSE] = np.eye(POSE)
+    together[CORE::2, 0] = together[CORE + 1 :: 2, 1] = 1.0
+    lever = mean[CORE:].reshape(-1, 2) - mean[:2]
+    together[CORE::2, 2], together[CORE + 1 :: 2, 2] = -lever[:, 1], lever[:, 0]
+    covariance = to_new @ relative @ to_new.T + together @ np.diag(AGREEMENT) ** 2 @ together.T
     filter_ = replace(
-        old,
+        moved.filter,
+        mean=mean,
         covariance=0.5 * (covariance + covariance.T),
-        cross=by_shared @ new.considered[now],
-        map_ids=new.map_ids,
-        p_DL=new.p_DL,
-        considered=new.considered,
+        cross=np.zeros((len(mean), len(moved.filter.considered))),
+        local_ids=old.local_ids,
+        last_seen=old.last_seen,
     )
     return replace(moved, filter=filter_)
-
-
-def _entries(rows: IntArray) -> IntArray:
-    return np.asarray(np.repeat(2 * rows, 2) + np.tile([0, 1], len(rows)))
 
 
 def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -> Localizer:

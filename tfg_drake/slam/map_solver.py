@@ -21,7 +21,15 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
 from tfg_drake.slam.goal_factors import factor_graph, held_pose, joint_factor, pose_prior, segment_factor, values_of
 from tfg_drake.slam.goal_graph import GoalGraph, rows_of
-from tfg_drake.slam.map_window import anchor_goal, boundary_goals, link, travelled_covariance, window_goals
+from tfg_drake.slam.map_window import (
+    anchor_goal,
+    boundary_goals,
+    link,
+    nearest_goal,
+    nearest_observer,
+    travelled_covariance,
+    window_goals,
+)
 
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
@@ -45,18 +53,32 @@ def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple
     else:
         settled, rim = _settle_window(graph, goals)
         graph = settled if rim <= RIM_STEP else settle(settled)
+        # The goal may turn out to lie elsewhere, as after the robot was carried.
+        goals = window_goals(graph, graph.X_MA[-1, :2])
     rows, covariance, entropy = _joint(graph, goals)
     if len(goals) < len(graph.observations):
         entropy += graph.entropy - _entropy_before(graph, goals)
     return _noted(graph, rows, covariance, entropy, stamp, observation)
 
 
+def with_landmarks(graph: GoalGraph, estimate: MapEstimate, rows: IntArray, place: FloatArray) -> MapEstimate:
+    """The estimate with a joint covariance that covers these rows (m,) too and what lies round a place (2,), m in M."""
+    goals = window_goals(graph, place)
+    for row in rows:
+        if not any(np.isin(graph.ids[row], graph.observations[k].ids) for k in goals):
+            goals = np.union1d(goals, nearest_observer(graph, int(row)))
+    rows, covariance, _ = _joint(graph, goals)
+    return replace(estimate, local=rows, covariance=covariance)
+
+
 def around(graph: GoalGraph, estimate: MapEstimate, place: FloatArray) -> MapEstimate:
-    """The estimate with the joint covariance of the landmarks round a place (2,), m in M, and the departure pose."""
+    """The estimate as seen from a place (2,), m in M: X_MD is the departure pose of the goal nearest to it, and the
+    covariance that of the landmarks round it and of that pose."""
     if len(estimate.local) == len(estimate.ids):
         return estimate
-    rows, covariance, _ = _joint(graph, window_goals(graph, place))
-    return replace(estimate, local=rows, covariance=covariance)
+    nearest = nearest_goal(graph, place)
+    rows, covariance, _ = _joint(graph, window_goals(graph, place), nearest)
+    return replace(estimate, X_MD=graph.X_MD[nearest], local=rows, covariance=covariance)
 
 
 def restored(graph: GoalGraph, stamp: float, observation: GoalObservation) -> MapEstimate:
@@ -202,17 +224,19 @@ def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
     return values
 
 
-def _joint(graph: GoalGraph, goals: IntArray) -> tuple[IntArray, FloatArray, float]:
-    """Rows (m,) of the landmarks that some goals (w,), the newest among them, have seen; the covariance (2m + 3, 2m +
-    3) of those and the last departure pose, of (x, y) in M and theta; and the landmarks' entropy, nats."""
-    rows, information = _information(graph, goals)
+def _joint(graph: GoalGraph, goals: IntArray, pose: int | None = None) -> tuple[IntArray, FloatArray, float]:
+    """Rows (m,) of the landmarks that some goals (w,) have seen; the covariance (2m + 3, 2m + 3) of those and the
+    departure pose of one of the goals, by default the last, of (x, y) in M and theta; and the landmarks' entropy,
+    nats."""
+    pose = int(goals[-1]) if pose is None else pose
+    rows, information = _information(graph, goals, pose)
     factor = scipy.linalg.cholesky(information, check_finite=False)
     entropy = _entropy(factor)
     upper, _ = scipy.linalg.lapack.dpotri(factor)
     covariance = upper + upper.T
     np.fill_diagonal(covariance, np.diag(upper))
     # Pose2 increments are in the body's frame.
-    R_MD = se2.rotation(float(graph.X_MD[goals[-1], 2]))
+    R_MD = se2.rotation(float(graph.X_MD[pose, 2]))
     covariance[-3:-1] = R_MD @ covariance[-3:-1]
     covariance[:, -3:-1] = covariance[:, -3:-1] @ R_MD.T
     return rows, np.asarray(covariance), entropy
@@ -230,19 +254,21 @@ def _entropy(factor: FloatArray) -> float:
 
 def _entropy_before(graph: GoalGraph, goals: IntArray) -> float:
     """The entropy, nats, before the newest goal, of those of the window's landmarks that were known then."""
-    rows, information = _information(graph, goals[:-1])
+    # Without the newest goal and the pieces of the way to it.
+    goals = goals[goals <= np.flatnonzero(graph.is_goal[:-1])[-1]]
+    rows, information = _information(graph, goals, int(goals[-1]))
     known = np.zeros(len(graph.ids), dtype=bool)
     known[rows_of(graph.observations[-1].ids, graph.ids)[0]] = True
-    known &= graph.sightings > 1
+    known &= graph.landmark_covariance[:, 0, 0] > 0.0
     known[rows] = False
     # Seen before from elsewhere only.
     others = np.linalg.slogdet(2.0 * math.pi * math.e * graph.landmark_covariance[known])[1]
     return _entropy(scipy.linalg.cholesky(information, check_finite=False)) + 0.5 * float(np.sum(others))
 
 
-def _information(graph: GoalGraph, goals: IntArray) -> tuple[IntArray, FloatArray]:
+def _information(graph: GoalGraph, goals: IntArray, pose: int) -> tuple[IntArray, FloatArray]:
     """Rows (m,) of the landmarks that some goals (w,) have seen, and the information (2m + 3, 2m + 3) on them and the
-    last of the goals' departure pose, in its own frame.
+    departure pose of one of the goals, in its own frame.
 
     The other poses, a chain, are eliminated from GTSAM's linear system by a Schur complement: with the inversion a
     third of the time of gtsam.Marginals at n = 274.
@@ -256,13 +282,13 @@ def _information(graph: GoalGraph, goals: IntArray) -> tuple[IntArray, FloatArra
         values.insert(A(k), gtsam.Pose2(*graph.X_MA[k]))
         values.insert(D(k), gtsam.Pose2(*graph.X_MD[k]))
         ordering.push_back(A(k))
-        if k != goals[-1]:
+        if k != pose:
             ordering.push_back(D(k))
     rows = np.flatnonzero(seen)
     for row in rows:
         values.insert(L(int(graph.ids[row])), graph.p_ML[row])
         ordering.push_back(L(int(graph.ids[row])))
-    ordering.push_back(D(goals[-1]))
+    ordering.push_back(D(pose))
 
     gaps = np.diff(goals) > 1
     travelled = travelled_covariance(graph) if gaps.any() else np.zeros((0, 3, 3))

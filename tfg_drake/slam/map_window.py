@@ -17,18 +17,35 @@ from tfg_drake.slam.goal_graph import GoalGraph, rows_of
 
 # Up to this many landmarks a map is solved as a whole.
 SMALL = 400
-# A window's goals have seen this many tags at most, counted once for each goal.
+# A window's goals have seen this many tags at most, counted once for each goal, and its poses count like some more.
 SIGHTINGS = 1200
+POSES = 3
 
 
 def window_goals(graph: GoalGraph, place: FloatArray) -> IntArray:
-    """The goals (w,), ascending, nearest to a place (2,), m in M, and the newest; all of a small map's."""
+    """The goals (w,), ascending, nearest to a place (2,), m in M, the newest with the pieces of the way to it, and the
+    one before; all of a small map's."""
     k = len(graph.observations)
     if len(graph.ids) <= SMALL:
         return np.arange(k)
-    order = np.argsort(np.hypot(*(graph.X_MA[:, :2] - place).T), kind="stable")
-    chosen = _within_budget(graph, order)
-    return np.union1d(chosen, [k - 1])
+    before = np.flatnonzero(graph.is_goal[:-1])
+    chosen = _within_budget(graph, _by_distance(graph.X_MA, place))
+    return np.union1d(chosen, np.arange(before[-1] if len(before) else 0, k))
+
+
+def nearest_goal(graph: GoalGraph, place: FloatArray) -> int:
+    """The goal that ended nearest to a place (2,), m in M."""
+    return int(_by_distance(graph.X_MD, place)[0])
+
+
+def nearest_observer(graph: GoalGraph, row: int) -> int:
+    """The goal nearest to the landmark in some row of those that have seen it."""
+    order = _by_distance(graph.X_MA, graph.p_ML[row])
+    return next(int(k) for k in order if graph.ids[row] in graph.observations[k].ids)
+
+
+def _by_distance(X: FloatArray, place: FloatArray) -> IntArray:
+    return np.argsort(np.hypot(*(X[:, :2] - place).T), kind="stable")
 
 
 def boundary_goals(graph: GoalGraph, goals: IntArray) -> IntArray:
@@ -37,7 +54,7 @@ def boundary_goals(graph: GoalGraph, goals: IntArray) -> IntArray:
     seen = np.zeros(len(graph.ids), dtype=bool)
     for k in goals:
         seen[rows_of(graph.observations[k].ids, graph.ids)[0]] = True
-    order = np.argsort(np.hypot(*(graph.X_MA[:, :2] - graph.X_MA[-1, :2]).T), kind="stable")
+    order = _by_distance(graph.X_MA, graph.X_MA[-1, :2])
     order = order[~np.isin(order, goals)][: 4 * len(goals)]
     shares = [bool(seen[rows_of(graph.observations[k].ids, graph.ids)[0]].any()) for k in order]
     return np.sort(_within_budget(graph, order[np.array(shares, dtype=bool)]))
@@ -47,7 +64,7 @@ def _within_budget(graph: GoalGraph, order: IntArray) -> IntArray:
     """The first of the goals in this order, as many as SIGHTINGS allows."""
     total = 0
     for count, k in enumerate(order):
-        total += len(graph.observations[k].ids)
+        total += len(graph.observations[k].ids) + POSES
         if total > SIGHTINGS:
             return order[:count]
     return order

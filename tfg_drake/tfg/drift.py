@@ -23,8 +23,8 @@ DRIFT_SIGMAS = 3.0
 def drift_from_robot(estimate: MapEstimate) -> FloatArray:
     """Covariance (n, 2, 2), m^2 along the axes of M, of where each landmark lies seen from the last departure pose.
 
-    What the robot has just seen is small here, however uncertain both are in M. Zero for those too far away to be known
-    jointly with it.
+    What the robot has just seen is small here, however uncertain both are in M. Those too far away to be known jointly
+    with it may have drifted by MOST_DRIFT.
     """
     n = len(estimate.local)
     P = estimate.covariance
@@ -36,7 +36,7 @@ def drift_from_robot(estimate: MapEstimate) -> FloatArray:
     cross = P[: 2 * n, -3:].reshape(n, 2, 3) @ J.transpose(0, 2, 1)
     rows = np.arange(n)
     own = P[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[rows, :, rows, :]
-    drift = np.zeros((len(estimate.ids), 2, 2))
+    drift = np.tile(MOST_DRIFT**2 * np.eye(2), (len(estimate.ids), 1, 1))
     drift[estimate.local] = own - cross - cross.transpose(0, 2, 1) + J @ P[-3:, -3:] @ J.transpose(0, 2, 1)
     return drift
 
