@@ -44,7 +44,7 @@ from tfg_drake.slam.localizer import (
     step_localizer,
     without_local,
 )
-from tfg_drake.slam.map_solver import around, solve, whole
+from tfg_drake.slam.map_solver import seen_from, solve, whole
 from tfg_drake.slam.map_window import nearest_goal, window_goals
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
@@ -376,10 +376,10 @@ def _look_ahead(state: EstimatorState) -> EstimatorState:
     X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
     if np.hypot(*(X_MB[:2] - state.localizer.center)) < FAR:
         return state
-    nearest = state.graph.X_MD[nearest_goal(state.graph, X_MB[:2])]
-    if np.array_equal(nearest, state.localizer.X_MD):
+    nearest = nearest_goal(state.graph, X_MB[:2])
+    if np.array_equal(state.graph.X_MD[nearest], state.localizer.X_MD):
         return state
-    nearby = around(state.graph, estimate, X_MB[:2])
+    nearby = seen_from(state.graph, estimate, nearest)
     return replace(state, localizer=moved_localizer(state.localizer, state.model, nearby))
 
 
@@ -405,7 +405,15 @@ def _look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorSta
         "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
         seen.stamp, distance, angle, int(np.count_nonzero(agreeing)),
     )  # fmt: skip
-    nearby = around(state.graph, estimate, pose[:2])
+    # What joins the newest goals to the others may be wrong as well.
+    graph = goal_graph.loosened(state.graph, np.diag(CARRIED) ** 2)
+    if not np.array_equal(graph.segment_covariance, state.graph.segment_covariance):
+        _log.warning("%.2f s: nothing but that way ties the newest goals to the others: they hang loose", seen.stamp)
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation)
+        state = replace(state, graph=graph, map=estimate)
+    tags = seen.ids[agreeing]
+    witness = max(range(len(graph.observations)), key=lambda k: np.isin(tags, graph.observations[k].ids).sum())
+    nearby = seen_from(graph, estimate, witness)
     localizer = restart_localizer(state.model, nearby, pose, select(seen, agreeing))
     return _carried(replace(state, localizer=localizer, contradictions=0))
 

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
 
+# Landmarks that tell where a goal lies without odometry.
+WITNESSES = 2
 # Range scales that differ by less are the same: a millimetre at ten metres.
 SAME_SCALE = 1e-4
 
@@ -161,6 +163,18 @@ def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
         return np.zeros(len(ids), dtype=np.int64), np.zeros(len(ids), dtype=bool)
     row = np.minimum(np.searchsorted(known, ids), len(known) - 1)
     return row, np.asarray(known[row] == ids)
+
+
+def loosened(graph: GoalGraph, covariance: FloatArray) -> GoalGraph:
+    """The graph with this covariance (3, 3) for the newest segments, back to one whose end shares WITNESSES landmarks
+    with the goals before it: nothing but odometry speaks for those, and it has been found wrong."""
+    segment_covariance, travel_covariance = graph.segment_covariance.copy(), graph.travel_covariance.copy()
+    for k in range(len(graph.observations) - 1, 0, -1):
+        before = [other.ids for other in graph.observations[:k]]
+        if np.isin(graph.observations[k].ids, np.concatenate(before)).sum() >= WITNESSES:
+            break
+        segment_covariance[k - 1] = travel_covariance[k - 1] = covariance
+    return replace(graph, segment_covariance=segment_covariance, travel_covariance=travel_covariance)
 
 
 def forget(graph: GoalGraph, ids: IntArray) -> GoalGraph:

@@ -25,7 +25,6 @@ from tfg_drake.slam.map_window import (
     anchor_goal,
     boundary_goals,
     link,
-    nearest_goal,
     nearest_observer,
     travelled_covariance,
     window_goals,
@@ -71,14 +70,12 @@ def with_landmarks(graph: GoalGraph, estimate: MapEstimate, rows: IntArray, plac
     return replace(estimate, local=rows, covariance=covariance)
 
 
-def around(graph: GoalGraph, estimate: MapEstimate, place: FloatArray) -> MapEstimate:
-    """The estimate as seen from a place (2,), m in M: X_MD is the departure pose of the goal nearest to it, and the
-    covariance that of the landmarks round it and of that pose."""
-    if len(estimate.local) == len(estimate.ids):
-        return estimate
-    nearest = nearest_goal(graph, place)
-    rows, covariance, _ = _joint(graph, window_goals(graph, place), nearest)
-    return replace(estimate, X_MD=graph.X_MD[nearest], local=rows, covariance=covariance)
+def seen_from(graph: GoalGraph, estimate: MapEstimate, goal: int) -> MapEstimate:
+    """The estimate as a goal has it: X_MD is that goal's departure pose, the covariance that of the landmarks round it
+    and of that pose."""
+    goals = np.union1d(window_goals(graph, graph.X_MD[goal, :2]), goal)
+    rows, covariance, _ = _joint(graph, goals, goal)
+    return replace(estimate, X_MD=graph.X_MD[goal], local=rows, covariance=covariance)
 
 
 def restored(graph: GoalGraph, stamp: float, observation: GoalObservation) -> MapEstimate:
