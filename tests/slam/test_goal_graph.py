@@ -4,10 +4,10 @@ import pytest
 from gtsam.symbol_shorthand import D, L
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import GoalObservation
+from tfg_drake.messages import GoalObservation, replace
 from tfg_drake.slam.goal_arrival import add_goal
 from tfg_drake.slam.goal_factors import factor_graph, joint_factor, values_of
-from tfg_drake.slam.goal_graph import empty_graph, empty_map
+from tfg_drake.slam.goal_graph import empty_graph, empty_map, loosened, rescaled, without_tags
 from tfg_drake.slam.map_solver import solve
 
 SEGMENT = np.diag([0.05, 0.05, 0.02]) ** 2
@@ -160,3 +160,31 @@ def test_goals_without_tags_hang_on_their_segments():
     np.testing.assert_allclose(estimate.X_MD, [2.0 * np.cos(0.5), 2.0 * np.sin(0.5), 1.0], atol=1e-9)
     assert estimate.entropy == 0.0
     assert empty_map().stage == 0
+
+
+def test_segments_that_only_odometry_speaks_for_are_loosened():
+    _, _, _, observations, segments = ring(6, 1.0)
+    # Two goals at the end that have nothing in common with those before, the second nothing with the first but one tag.
+    strange = [replace(observations[k], ids=observations[k].ids + 1000) for k in (2, 3)]
+    shared = np.intersect1d(strange[0].ids, strange[1].ids)
+    strange[1] = without_tags(strange[1], shared[1:])
+    graph, _ = build([*observations[:2], *strange], segments[:3])
+    loose = 100.0 * np.eye(3)
+    freed = loosened(graph, loose)
+    np.testing.assert_array_equal(freed.segment_covariance[0], SEGMENT)
+    for covariance in (freed.segment_covariance, freed.travel_covariance):
+        np.testing.assert_array_equal(covariance[1:], [loose, loose])
+    graph, _ = build(observations[:4], segments[:3])
+    np.testing.assert_array_equal(loosened(graph, loose).segment_covariance, graph.segment_covariance)
+
+
+def test_a_scale_learnt_later_is_taken_out_of_earlier_goals():
+    _, _, _, observations, segments = ring(7, 0.0)
+    graph, _ = build(observations[:3], segments[:2])
+    again = rescaled(graph, 0.01)
+    for before, after in zip(graph.observations, again.observations, strict=True):
+        np.testing.assert_allclose(after.p_AL, before.p_AL / 1.01)
+        assert after.range_scale == 0.01
+    assert rescaled(again, 0.01 + 5e-5).observations == again.observations
+    for before, after in zip(graph.observations, rescaled(again, 0.0).observations, strict=True):
+        np.testing.assert_allclose(after.p_AL, before.p_AL)

@@ -14,7 +14,10 @@ from tfg_drake.slam.relocalization import relocalize
 
 
 def a_map(rng, n=30) -> MapEstimate:
-    return dataclasses.replace(empty_map(), stage=1, ids=np.arange(n) * 2, p_ML=rng.uniform(-8.0, 8.0, (n, 2)))
+    covariance = np.tile(0.05**2 * np.eye(2), (n, 1, 1))
+    return dataclasses.replace(
+        empty_map(), stage=1, ids=np.arange(n) * 2, p_ML=rng.uniform(-8.0, 8.0, (n, 2)), landmark_covariance=covariance
+    )
 
 
 def sight(estimate, rows, X_MB, rng=None):
@@ -74,3 +77,13 @@ def test_tags_that_do_not_agree_tell_nothing():
     unknown = dataclasses.replace(detections, ids=detections.ids + 1)
     assert relocalize(estimate, scrambled) is None
     assert relocalize(estimate, unknown) is None
+
+
+def test_landmarks_that_hang_loose_tell_nothing():
+    rng = np.random.default_rng(3)
+    estimate = a_map(rng)
+    X_MB, rows = np.array([1.0, -2.0, 0.5]), np.arange(6)
+    loose = estimate.landmark_covariance.copy()
+    loose[rows[:4]] = 50.0**2 * np.eye(2)
+    assert relocalize(estimate, sight(estimate, rows, X_MB)) is not None
+    assert relocalize(dataclasses.replace(estimate, landmark_covariance=loose), sight(estimate, rows, X_MB)) is None

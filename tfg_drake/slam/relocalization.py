@@ -19,6 +19,8 @@ LEAST_SHARE = 0.6
 # Agreement: within this many standard deviations of range and bearing, and this of the map, m.
 GATE = 3.5
 MAP_SIGMA = 0.05
+# A landmark whose place in the map is less certain than this, m, is not where it seems.
+LOOSE = 10.0
 # Two tags nearer than this to each other tell no heading, m.
 LEAST_BASE = 0.4
 
@@ -31,6 +33,8 @@ def relocalize(estimate: MapEstimate, detections: TagDetections) -> tuple[FloatA
     row = np.searchsorted(estimate.ids, detections.ids)
     mapped = np.flatnonzero(row < len(estimate.ids))
     mapped = mapped[estimate.ids[row[mapped]] == detections.ids[mapped]]
+    # What hangs loose tells nothing of the rest of the map.
+    mapped = mapped[np.trace(estimate.landmark_covariance[row[mapped]], axis1=1, axis2=2) < LOOSE**2]
     if len(mapped) < LEAST_AGREEING:
         return None
     p_ML = estimate.p_ML[row[mapped]]
