@@ -5,7 +5,7 @@
 
 A robot goes to and fro over a plain of tags, 35 in view of a goal, a third of them new. A map of the size asked for is
 laid out at once, solved, and then grown by --goals goals, turning back where a row ends. A row a size: median CPU
-milliseconds a goal of the update (values, entropy) and of the joint covariance that planning needs, the slowest goal
+milliseconds a goal of the whole update and of the joint covariance in it that planning needs, the slowest goal
 (a turn back closes a loop, and the whole graph may be solved), and bytes a landmark of the graph in memory and in a map
 file; beside it, on the same factors, the median of gtsam.ISAM2.update and of gtsam.Marginals with the joint covariance
 of the 50 landmarks nearest to the newest goal. What takes more than --patience seconds is not done: -.

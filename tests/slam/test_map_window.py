@@ -70,6 +70,15 @@ def test_a_small_map_is_solved_as_a_whole():
     np.testing.assert_array_equal(estimate.local, np.arange(len(estimate.ids)))
 
 
+def test_a_map_seen_over_and_over_is_no_small_one(monkeypatch):
+    graph, _, _ = block()
+    goals = window_goals(graph, graph.X_MA[-1, :2])
+    np.testing.assert_array_equal(goals, np.arange(GOALS))
+    monkeypatch.setattr(map_window, "SIGHTINGS", 200)
+    monkeypatch.setattr(map_window, "SMALL_SIGHTINGS", graph.sightings.sum() - 1)
+    assert len(window_goals(graph, graph.X_MA[-1, :2])) < GOALS
+
+
 def test_the_window_is_what_lies_nearest_and_the_newest_goal(windows):
     graph, estimate, _ = block()
     here = window_goals(graph, graph.X_MA[-1, :2])
@@ -199,3 +208,29 @@ def test_windows_lead_to_the_map_that_whole_solves_lead_to(monkeypatch):
     own, others = settled.landmark_covariance, expected.landmark_covariance
     np.testing.assert_allclose(own, others, atol=0.02 * others.max())
     assert settled.entropy == pytest.approx(expected.entropy, abs=0.5)
+
+
+def test_a_window_saves_the_solve_of_the_whole(windows, monkeypatch):
+    calls = []
+    monkeypatch.setattr(map_solver, "settle", lambda graph: calls.append(len(graph.observations)) or settle(graph))
+    block(GOALS - 4)
+    # While the map is small and, perhaps, where a goal bends the way behind it; not at every goal.
+    assert len(calls) < 20
+    assert calls[-1] < GOALS - 6
+
+
+def test_a_misread_id_of_a_tag_far_away_is_left_out(windows):
+    graph, estimate, points = block(24)
+    rng = np.random.default_rng(5)
+    origin = np.array([RADIUS, 0.0, 1.0])
+    X = se2.compose(se2.compose(origin, graph.X_MD[-1]), np.array([0.5, 0.0, 0.0]))
+    seen = observation(rng, se2.transform(origin, points), X)
+    far = graph.observations[3].ids[0]
+    assert far not in graph.ids[estimate.local]
+    ids = seen.ids.copy()
+    ids[0] = far
+    order = np.argsort(ids)
+    rows = np.append(np.repeat(2 * order, 2) + np.tile([0, 1], len(order)), 2 * len(order) + np.arange(3))
+    misread = replace(seen, ids=ids[order], p_AL=seen.p_AL[order], covariance=seen.covariance[np.ix_(rows, rows)])
+    _, rejected = add_goal(graph, estimate, misread, np.array([0.5, 0.0, 0.0]), SEGMENT)
+    assert rejected.tolist() == [far]

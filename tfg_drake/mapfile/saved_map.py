@@ -196,7 +196,8 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
 
 
 def restored_estimate(saved: SavedMap) -> MapEstimate:
-    """The whole map estimate, its joint covariance computed anew from the factors, linearised at the saved values.
+    """The map estimate, its joint covariance computed anew from the factors, linearised at the saved values: of all
+    landmarks of a small map, of those round the last goal of a large one.
 
     Its observation is the newest goal's without the turn's trajectory and without tags that were left out of the map.
     """
@@ -204,7 +205,8 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
 
 
 def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
-    """The state of an estimator that goes on with a saved map: to the bit as the one that the map was taken from.
+    """The state of an estimator that goes on with a saved map: to the bit as the one that the map was taken from, if
+    that was saved as it was (a mission's end solves a large one as a whole first).
 
     state: gives what is no part of the map, the noise of the odometry and messages under way; that of a new estimator,
     or any right after a goal. The robot is taken to stand at the map's last departure pose.

@@ -91,9 +91,10 @@ class GoalGraph:
     3), the segments from D_j to A_j+1, of (x, y) in D and theta. X_MA, X_MD: (k, 3). ids: (n,) ascending, p_ML: (n, 2).
 
     sightings: (n,) how many of the observations each landmark is in. travel_covariance: (k - 1, 3, 3) of the way from
-    D_j to D_j+1, of (x, y) in D_j and theta, as all tags known on arrival had it. departure_covariance: (k, 3, 3) of
-    X_MD when that goal was the newest, infinite for pieces of the way, and landmark_covariance: (n, 2, 2) of p_ML, on a
-    large map as it was when the robot was last near. entropy: of the landmarks, nats.
+    D_j to D_j+1, of (x, y) in D_j and theta, as all tags known on arrival had it; over a mapped piece, the piece's own.
+    departure_covariance: (k, 3, 3) of X_MD when that goal was the newest, infinite for pieces of the way, and
+    landmark_covariance: (n, 2, 2) of p_ML, on a large map as it was when the robot was last near. entropy: of the
+    landmarks, nats; on a large map what its windows gained one after another, until the whole is solved.
     """
 
     observations: tuple[GoalFactor, ...]

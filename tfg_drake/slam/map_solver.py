@@ -37,8 +37,8 @@ SMALL_STEP = 1e-3
 RIM_STEP = 0.01
 # As good as zero.
 NOTHING = 1e-150
-# The joint covariance of more landmarks than this is never computed: it would take gigabytes.
-MOST_JOINT = 4000
+# Poses and landmarks of more unknowns than this are never known jointly: it would take gigabytes.
+MOST_JOINT = 12_000
 
 
 def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple[GoalGraph, MapEstimate]:
@@ -85,12 +85,12 @@ def restored(graph: GoalGraph, stamp: float, observation: GoalObservation) -> Ma
 
 
 def whole(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple[GoalGraph, MapEstimate]:
-    """As `solve`, but of the whole graph and with the joint covariance of all landmarks, up to MOST_JOINT of them.
+    """As `solve`, but of the whole graph and with the joint covariance of all landmarks, up to MOST_JOINT unknowns.
 
     For the end of a mission: its cost grows with the map, the covariance's with the third power.
     """
     graph = settle(graph)
-    if len(graph.ids) > MOST_JOINT:
+    if 6 * len(graph.observations) + 2 * len(graph.ids) > MOST_JOINT:
         return graph, restored(graph, stamp, observation)
     rows, covariance, entropy = _joint(graph, np.arange(len(graph.observations)))
     return _noted(graph, rows, covariance, entropy, stamp, observation)

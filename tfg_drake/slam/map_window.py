@@ -15,8 +15,9 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.goal_graph import GoalGraph, rows_of
 
-# Up to this many landmarks a map is solved as a whole.
+# Up to this many landmarks, and sightings of them counted once for each goal, a map is solved as a whole.
 SMALL = 400
+SMALL_SIGHTINGS = 6000
 # A window's goals have seen this many tags at most, counted once for each goal, and its poses count like some more.
 SIGHTINGS = 1200
 POSES = 3
@@ -26,7 +27,7 @@ def window_goals(graph: GoalGraph, place: FloatArray) -> IntArray:
     """The goals (w,), ascending, nearest to a place (2,), m in M, the newest with the pieces of the way to it, and the
     one before; all of a small map's."""
     k = len(graph.observations)
-    if len(graph.ids) <= SMALL:
+    if len(graph.ids) <= SMALL and graph.sightings.sum() <= SMALL_SIGHTINGS:
         return np.arange(k)
     before = np.flatnonzero(graph.is_goal[:-1])
     chosen = _within_budget(graph, _by_distance(graph.X_MA, place))
