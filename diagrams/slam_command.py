@@ -148,7 +148,13 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
     start = time.process_time()
     online = run_online(recording, on_progress=lambda share: report("online", share))
     middle = time.process_time()
-    smoothed = smooth(recording.odometry, recording.detections, recording.model, lambda share: report("batch", share))
+    smoothed = smooth(
+        recording.odometry,
+        recording.detections,
+        recording.model,
+        lambda share: report("batch", share),
+        (online.stamps, online.X_MB),
+    )
     end = time.process_time()
     truth = recording.truth or _no_truth()
     robot = robot_error(truth, smoothed.stamps, smoothed.X_MB)

@@ -103,3 +103,15 @@ def test_progress_runs_from_nothing_to_one(drive):
     smooth(odometry, frames, robot.config, shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
+
+
+def test_a_guess_may_help_and_never_harms(drive):
+    odometry, frames, stamps, X_MB, robot = record(drive, 1.0, steps=200)
+    alone = smooth(odometry, frames, robot.config)
+    # Wherever it lies, the first pose is where odometry has it.
+    moved = se2.compose(np.array([3.0, -2.0, 1.0]), X_MB)
+    good = smooth(odometry, frames, robot.config, guess=(stamps, moved))
+    np.testing.assert_allclose(good.X_MB, alone.X_MB, atol=1e-3)
+    nonsense = np.random.default_rng(0).uniform(-20.0, 20.0, X_MB.shape)
+    bad = smooth(odometry, frames, robot.config, guess=(stamps, nonsense))
+    assert bad.half_chi_square + 8.0 * bad.rejected <= alone.half_chi_square + 8.0 * alone.rejected + 1e-6

@@ -2,8 +2,8 @@
 
 A pose at every frame, odometry between them, bearing and range with a robust kernel. The graph is first built up by
 iSAM2, for dead reckoning alone would start metres off, then solved to convergence; sightings that the robust solution
-contradicts grossly are left out of the last solve. All that is done from the beginning and from the end of the run, and
-the better solution taken: misread ids among the first few sightings of a run lead astray what is built on them.
+contradicts grossly are left out of the last solve. Where the run was estimated online before, the same is done from
+those poses and the better solution taken: a few misread ids can lead iSAM2 astray.
 """
 
 from __future__ import annotations
@@ -88,8 +88,11 @@ def smooth(
     detections: tuple[TagDetections, ...],
     config: OdometryConfig,
     on_progress: OnProgress | None = None,
+    guess: tuple[FloatArray, FloatArray] | None = None,
 ) -> SmoothedRun:
     """Solve a whole run; messages in the order of their stamps, frames outside the span of the odometry left out.
+
+    guess: stamps (g,), s, and poses X_MB (g, 3) as they were estimated before.
 
     Raises ValueError without odometry.
     """
@@ -98,13 +101,15 @@ def smooth(
     report = on_progress or (lambda _share: None)
     model = odometry_model(config)
     problem = _problem(odometry, detections)
-    solutions = [
-        _solution(model, problem, backwards, lambda share, begin=begin: report(begin + 0.5 * share))  # type: ignore[misc]
-        for begin, backwards in ((0.0, False), (0.5, True))
-    ]
+    starts = [_incremental(model, problem, lambda share: report(0.4 * share))]
+    if guess is not None and len(guess[0]):
+        starts.append(_guessed(problem, *guess))
+    solutions = []
+    for values in starts:
+        solutions.append(_solution(model, problem, values))
+        report(0.4 + 0.6 * len(solutions) / len(starts))
     # A sighting left out costs what one costs that is just not.
     values, kept, error = min(solutions, key=lambda one: one[2] + 0.5 * OUTLIER_SIGMAS**2 * np.count_nonzero(~one[1]))
-    report(1.0)
     ids = np.unique(problem.ids[kept])
     return SmoothedRun(
         stamps=problem.stamps,
@@ -118,22 +123,30 @@ def smooth(
     )
 
 
-def _solution(
-    model: OdometryModel, problem: _Problem, backwards: bool, report: OnProgress
-) -> tuple[gtsam.Values, BoolArray, float]:
-    """The values, which sightings (m,) they rest on, and the error of the graph of those."""
+def _solution(model: OdometryModel, problem: _Problem, values: gtsam.Values) -> tuple[gtsam.Values, BoolArray, float]:
+    """The values, from some poses on, which sightings (m,) they rest on, and the error of the graph of those."""
     kept = np.ones(len(problem.ids), dtype=bool)
-    values = _incremental(model, problem, backwards, lambda share: report(0.6 * share))
     for rounds in range(1, MOST_ROUNDS + 1):
         values = _with_landmarks(values, problem, kept)
         graph = _graph(model, problem, kept)
         values = converge(graph, values)
-        report(0.6 + 0.4 * rounds / MOST_ROUNDS)
         near = ~_outliers(values, problem, kept)
         if rounds == MOST_ROUNDS or np.array_equal(near, kept):
             break
         kept = near
     return values, kept, graph.error(values)
+
+
+def _guessed(problem: _Problem, stamps: FloatArray, X_MB: FloatArray) -> gtsam.Values:
+    """The poses of a guess, moved so that the first is where odometry has it."""
+    columns = [np.interp(problem.stamps, stamps, x) for x in (X_MB[:, 0], X_MB[:, 1], np.unwrap(X_MB[:, 2]))]
+    poses = np.stack(columns, axis=1)
+    to_M = se2.compose(problem.X_OB[0], se2.inverse(poses[0]))
+    values = gtsam.Values()
+    for i, pose in enumerate(se2.compose(to_M, poses)):
+        values.insert(X(i), gtsam.Pose2(*pose))
+    values.insert(C(0), np.zeros(3))
+    return values
 
 
 def _problem(odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ...]) -> _Problem:
@@ -180,35 +193,32 @@ def _problem(odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ..
     )
 
 
-def _incremental(model: OdometryModel, problem: _Problem, backwards: bool, report: OnProgress) -> gtsam.Values:
-    """Poses by iSAM2, from the first to the last or backwards; the calibration is not a variable here but part of every
-    increment's covariance."""
+def _incremental(model: OdometryModel, problem: _Problem, report: OnProgress) -> gtsam.Values:
+    """Poses by iSAM2; the calibration is not a variable here but part of every increment's covariance."""
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization("QR")  # A robot at rest ties poses so tightly that Cholesky finds them singular.
     solver = gtsam.ISAM2(parameters)
     poses = len(problem.stamps)
-    order = range(poses - 1, -1, -1) if backwards else range(poses)
-    X_MB = problem.X_OB[order[0]]
+    X_MB = problem.X_OB[0]
     estimate = gtsam.Values()
     graph, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(_held(order[0], X_MB))
-    new.insert(X(order[0]), gtsam.Pose2(*X_MB))
+    graph.add(_origin(problem))
+    new.insert(X(0), gtsam.Pose2(*X_MB))
     known: set[int] = set()
     sightings = np.searchsorted(problem.node, np.arange(poses + 1))
     calibration = np.diag(model.calibration_sigma**2)
-    for count, i in enumerate(order):
-        if count > 0:
-            begin = i if backwards else i - 1
-            increment = arc(problem.X_OB[begin], problem.X_OB[begin + 1])
-            dt = problem.clock[begin + 1] - problem.clock[begin]
+    for i in range(poses):
+        if i > 0:
+            increment = arc(problem.X_OB[i - 1], problem.X_OB[i])
+            dt = problem.clock[i] - problem.clock[i - 1]
             motion, on_calibration, covariance = predict_increment(increment, dt, np.zeros(3), model.noise)
             covariance = covariance + on_calibration @ calibration @ on_calibration.T
             R = se2.rotation(float(motion[2]))  # GTSAM wants it in the frame of the pose that is reached.
             covariance[:2] = R.T @ covariance[:2]
             covariance[:, :2] = covariance[:, :2] @ R
             noise = gtsam.noiseModel.Gaussian.Covariance(0.5 * (covariance + covariance.T))
-            graph.add(gtsam.BetweenFactorPose2(X(begin), X(begin + 1), gtsam.Pose2(*motion), noise))
-            X_MB = se2.compose(X_MB, se2.inverse(motion) if backwards else motion)
+            graph.add(gtsam.BetweenFactorPose2(X(i - 1), X(i), gtsam.Pose2(*motion), noise))
+            X_MB = se2.compose(X_MB, motion)
             new.insert(X(i), gtsam.Pose2(*X_MB))
         for j in range(sightings[i], sightings[i + 1]):
             tag = int(problem.ids[j])
@@ -216,19 +226,14 @@ def _incremental(model: OdometryModel, problem: _Problem, backwards: bool, repor
                 known.add(tag)
                 new.insert(L(tag), _sighted(X_MB[None], problem.z[j][None])[0])
             graph.add(_sighting(problem, j))
-        if (count + 1) % POSES_AT_ONCE == 0 or count == poses - 1:
+        if (i + 1) % POSES_AT_ONCE == 0 or i == poses - 1:
             solver.update(graph, new)
             graph, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
             estimate = solver.calculateEstimate()
             X_MB = _pose(estimate, i)
-            report((count + 1) / poses)
-    # Wherever it began, the first pose is where odometry has it.
-    to_M = se2.compose(problem.X_OB[0], se2.inverse(_pose(estimate, 0)))
-    values = gtsam.Values()
-    for i, X_MB in enumerate(se2.compose(to_M, _poses(estimate, poses))):
-        values.insert(X(i), gtsam.Pose2(*X_MB))
-    values.insert(C(0), np.zeros(3))
-    return values
+            report((i + 1) / poses)
+    estimate.insert(C(0), np.zeros(3))
+    return estimate
 
 
 def _with_landmarks(values: gtsam.Values, problem: _Problem, kept: BoolArray) -> gtsam.Values:
@@ -246,7 +251,7 @@ def _with_landmarks(values: gtsam.Values, problem: _Problem, kept: BoolArray) ->
 
 def _graph(model: OdometryModel, problem: _Problem, kept: BoolArray) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
-    graph.add(_held(0, problem.X_OB[0]))
+    graph.add(_origin(problem))
     prior = gtsam.noiseModel.Diagonal.Sigmas(model.calibration_sigma.copy())
     graph.add(gtsam.PriorFactorVector(C(0), np.zeros(3), prior))
     for i in range(len(problem.stamps) - 1):
@@ -257,8 +262,10 @@ def _graph(model: OdometryModel, problem: _Problem, kept: BoolArray) -> gtsam.No
     return graph
 
 
-def _held(i: int, X_MB: FloatArray) -> gtsam.PriorFactorPose2:
-    return gtsam.PriorFactorPose2(X(i), gtsam.Pose2(*X_MB), gtsam.noiseModel.Isotropic.Sigma(3, ORIGIN_SIGMA))
+def _origin(problem: _Problem) -> gtsam.PriorFactorPose2:
+    return gtsam.PriorFactorPose2(
+        X(0), gtsam.Pose2(*problem.X_OB[0]), gtsam.noiseModel.Isotropic.Sigma(3, ORIGIN_SIGMA)
+    )
 
 
 def _sighting(problem: _Problem, j: int) -> gtsam.BearingRangeFactor2D:
