@@ -234,3 +234,14 @@ def test_a_misread_id_of_a_tag_far_away_is_left_out(windows):
     misread = replace(seen, ids=ids[order], p_AL=seen.p_AL[order], covariance=seen.covariance[np.ix_(rows, rows)])
     _, rejected = add_goal(graph, estimate, misread, np.array([0.5, 0.0, 0.0]), SEGMENT)
     assert rejected.tolist() == [far]
+
+
+def test_the_anchor_is_what_is_known_best_but_never_what_is_not_known_yet(windows):
+    graph, _, _ = block()
+    goals = window_goals(graph, graph.X_MA[-1, :2])
+    anchor = map_window.anchor_goal(graph, goals)
+    spread = graph.departure_covariance[goals[:-1]][:, [0, 1], [0, 1]].sum(axis=1)
+    assert anchor == goals[np.argmin(spread)] == 0
+    unknown = graph.departure_covariance.copy()
+    unknown[goals[:3]] = np.inf
+    assert map_window.anchor_goal(replace(graph, departure_covariance=unknown), goals) == goals[3]
