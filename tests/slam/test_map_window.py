@@ -243,5 +243,5 @@ def test_the_anchor_is_what_is_known_best_but_never_what_is_not_known_yet(window
     spread = graph.departure_covariance[goals[:-1]][:, [0, 1], [0, 1]].sum(axis=1)
     assert anchor == goals[np.argmin(spread)] == 0
     unknown = graph.departure_covariance.copy()
-    unknown[goals[:3]] = np.inf
-    assert map_window.anchor_goal(replace(graph, departure_covariance=unknown), goals) == goals[3]
+    unknown[goals[goals != goals[5]]] = np.inf
+    assert map_window.anchor_goal(replace(graph, departure_covariance=unknown), goals) == goals[5]
