@@ -21,6 +21,7 @@ import numpy as np
 from tfg_drake.diagrams.run import explore
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.slam import estimator
+from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems import slam_estimator
 
 BIN = 600.0  # s
@@ -49,7 +50,7 @@ def main() -> None:
         bins.append((bool(np.all(inside[:, 3] < inside[:, 2])), mean))
         print(f"{end / 60:>6.0f}{goals:>8.0f}{landmarks:>11.0f}{local:>9.0f}{mean:>10.0f}{largest:>10.0f}", flush=True)
 
-    def timed(state: estimator.EstimatorState, stamp: float) -> estimator.EstimatorState:
+    def timed(state: EstimatorState, stamp: float) -> EstimatorState:
         begin = time.process_time()
         state = estimator.end_turn(state, stamp)
         spent = 1e3 * (time.process_time() - begin)

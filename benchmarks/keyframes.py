@@ -25,6 +25,7 @@ from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.metrics import landmark_rmse
 from tfg_drake.slam import estimator
 from tfg_drake.slam.batch_smoother import smooth
+from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.systems import slam_estimator
 
 STEPS = ("process_scan", "process_odometry", "process_detections", "begin_turn", "end_turn")
@@ -58,7 +59,7 @@ def run_seed(name: str, seed: int, period: float) -> tuple[int, list[float]]:
     maps = []
     with threadpool_limits(limits=1):
         for keyframes in (0.0, period):
-            state = estimator.initial_state(scenario.odometry, keyframes)
+            state = initial_state(scenario.odometry, keyframes)
             for step, given in steps:
                 state = getattr(estimator, step)(state, given)
             estimate = estimator.map_estimate(state)

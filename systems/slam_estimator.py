@@ -9,16 +9,15 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
 from tfg_drake.slam.estimator import (
-    EstimatorState,
     begin_turn,
     end_turn,
-    initial_state,
     map_estimate,
     pose_estimate,
     process_detections,
     process_odometry,
     process_scan,
 )
+from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 from tfg_drake.slam.goal_graph import empty_map
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -55,7 +54,7 @@ class SlamEstimator(LeafSystem):
 
     def __init__(self, odometry_config: OdometryConfig, path_keyframe_period: float) -> None:
         """odometry_config: what the estimator believes of the odometry. path_keyframe_period: s, see
-        `tfg_drake.slam.estimator.initial_state`."""
+        `tfg_drake.slam.estimator_state.initial_state`."""
         super().__init__()
         self.set_name("slam_estimator")
         self._odometry = declare_message_input(self, "odometry")

@@ -24,7 +24,7 @@ def small_map():
     from tfg_drake.config import OdometryConfig
     from tfg_drake.mapfile.saved_map import saved_map
     from tfg_drake.messages import GoalObservation, TfgMap
-    from tfg_drake.slam.estimator import initial_state
+    from tfg_drake.slam.estimator_state import initial_state
     from tfg_drake.slam.goal_arrival import add_goal
     from tfg_drake.slam.goal_graph import empty_graph
     from tfg_drake.slam.map_solver import solve

@@ -8,14 +8,8 @@ from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.mapfile.message_arrays import to_arrays
 from tfg_drake.mapfile.saved_map import REGISTRY, load_map, resumed, save_map, saved_map
 from tfg_drake.messages import LaserScan, Odometry
-from tfg_drake.slam.estimator import (
-    begin_turn,
-    end_turn,
-    initial_state,
-    pose_estimate,
-    process_detections,
-    process_odometry,
-)
+from tfg_drake.slam.estimator import begin_turn, end_turn, pose_estimate, process_detections, process_odometry
+from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.tfg.graph import empty_graph, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
 

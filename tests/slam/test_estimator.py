@@ -9,12 +9,12 @@ from tfg_drake.messages import Odometry
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
-    initial_state,
     map_estimate,
     pose_estimate,
     process_detections,
     process_odometry,
 )
+from tfg_drake.slam.estimator_state import initial_state
 
 TURN = 201
 

@@ -10,6 +10,7 @@ import numpy as np
 from tfg_drake.datasets.recording import Recording
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Odometry, message
 from tfg_drake.slam import estimator
+from tfg_drake.slam.estimator_state import initial_state
 
 # A piece of the way ends after this length, m, once something has been seen.
 PIECE_LENGTH = 1.0
@@ -43,7 +44,7 @@ def run_online(
     piece_length: m of way, with something seen, after which a piece is closed.
     """
     report = on_progress or (lambda _share: None)
-    state = estimator.initial_state(recording.model, path_keyframe_period=math.inf)
+    state = initial_state(recording.model, path_keyframe_period=math.inf)
     stamps, X_MB, noted_seen = [], [], []
     frames = iter(recording.detections)
     frame = next(frames, None)

@@ -17,7 +17,7 @@ import numpy as np
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
-from tfg_drake.slam.estimator import EstimatorState
+from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.goal_graph import GoalFactor, GoalGraph
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import restored

@@ -16,52 +16,40 @@ import math
 
 import numpy as np
 
-from tfg_drake.config import OdometryConfig
-from tfg_drake.geometry import se2
 from tfg_drake.messages import (
-    FloatArray,
-    GoalObservation,
     IntArray,
     LaserScan,
     MapEstimate,
     Odometry,
     PoseEstimate,
     TagDetections,
-    message,
     replace,
 )
 from tfg_drake.slam import goal_graph
+from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, open_piece, travelled
 from tfg_drake.slam.goal_arrival import JOINT, add_goal
-from tfg_drake.slam.goal_graph import GoalGraph
 from tfg_drake.slam.localizer import (
     FAR,
-    Localizer,
     local_tags,
     localized_pose,
     moved_localizer,
-    restart_localizer,
     start_localizer,
     step_localizer,
-    without_local,
 )
+from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import seen_from, solve, whole
 from tfg_drake.slam.map_window import nearest_goal, window_goals
 from tfg_drake.slam.odometry_model import (
-    DeadReckoning,
-    OdometryModel,
     arc,
     first_reckoning,
     interpolate,
     interpolate_clock,
     learnt,
-    odometry_model,
     reckon,
 )
-from tfg_drake.slam.pose_filter import PoseFilter
-from tfg_drake.slam.range_scale import RangeScale, compare, corrected, correction, unknown_scale
-from tfg_drake.slam.relocalization import relocalize
-from tfg_drake.slam.segment import segment_factor, start_segment, step_segment
-from tfg_drake.slam.sightings import sanitized, select
+from tfg_drake.slam.range_scale import compare, corrected, correction
+from tfg_drake.slam.segment import start_segment, step_segment
+from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
 
 # Without frames the filters follow odometry in steps of this length, s.
@@ -71,12 +59,6 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many such frames in a row the robot is elsewhere.
 CONTRADICTIONS = 3
-# A pose found by geometry no farther than this from the estimate, m and rad, is no other place.
-SAME_PLACE = (0.1, 0.05)
-# A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
-ELSEWHERE = 5.0
-# Standard deviations of the motion between two goals when the robot was carried on the way: it says nothing, m, m, rad.
-CARRIED = (100.0, 100.0, 10.0)
 # A new tag must be seen this often in a turn to be mapped, or in one of three frames of a shorter piece.
 CONFIRMATIONS = 3
 # Goals in a row that must contradict the map about a tag before it is taken to have been moved.
@@ -88,91 +70,6 @@ NO_TAGS = np.empty((0, 2))
 _log = logging.getLogger("tfg_drake.slam")
 
 
-@message
-class OpenTurn:
-    """A turn under way, or a piece of the way that is mapped like one. begin: its first instant. frames: those seen
-    since. X_DA (3,), segment_covariance (3, 3): the segment that led to it."""
-
-    begin: TurnFrame
-    frames: tuple[TurnFrame, ...]
-    X_DA: FloatArray
-    segment_covariance: FloatArray
-
-
-@message
-class EstimatorState:
-    """All the estimator knows.
-
-    path_keyframe_period: s of way that are mapped as one piece; 0 where path sightings localise only. newest: the last
-    odometry message. odometry: dead reckoning from the filters' instant on. pending: frames that wait for odometry.
-    scans: the newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s), X_OB (3,): the filters'
-    instant and the dead reckoning then. contradictions: frames in a row that contradict the pose. carried: the robot
-    was moved since the last goal by something else than its wheels. turn: the open one. piece: the open piece of the
-    way, way: those before it since the last goal. map: None before the first goal. rejected: (r,) ids of known tags
-    left out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted
-    the map at the last goals, suspect_count: (s,) how many in a row.
-    """
-
-    model: OdometryModel
-    path_keyframe_period: float
-    newest: Odometry | None
-    odometry: tuple[DeadReckoning, ...]
-    pending: tuple[TagDetections, ...]
-    scans: tuple[LaserScan, ...]
-    scale: RangeScale
-    stamp: float
-    clock: float
-    X_OB: FloatArray
-    localizer: Localizer
-    segment: PoseFilter
-    contradictions: int
-    carried: bool
-    turn: OpenTurn | None
-    piece: OpenTurn | None
-    way: tuple[GoalObservation, ...]
-    graph: GoalGraph
-    map: MapEstimate | None
-    rejected: IntArray
-    dropped: int
-    suspects: IntArray
-    suspect_count: IntArray
-
-
-def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> EstimatorState:
-    """The estimator at the map's origin, before any message.
-
-    path_keyframe_period: s; the way between goals is mapped in pieces of this length, inf: in those that `close_piece`
-    ends. 0: path sightings localise only (the paper's Sec. III).
-    """
-    model = odometry_model(config)
-    none = np.empty(0, dtype=np.int64)
-    return EstimatorState(
-        model=model,
-        path_keyframe_period=path_keyframe_period,
-        newest=None,
-        odometry=(),
-        pending=(),
-        scans=(),
-        scale=unknown_scale(),
-        stamp=-np.inf,
-        clock=-np.inf,
-        X_OB=np.zeros(3),
-        localizer=start_localizer(model, None),
-        segment=start_segment(model),
-        contradictions=0,
-        carried=False,
-        turn=None,
-        piece=None,
-        way=(),
-        graph=goal_graph.empty_graph(),
-        map=None,
-        rejected=none,
-        dropped=0,
-        suspects=none,
-        suspect_count=none,
-    )
-
-
 def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorState:
     """The state after one odometry message; one that is not newer than the last is ignored."""
     if state.newest is None:
@@ -180,7 +77,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
         state = replace(
             state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
         )
-        return _open_piece(state)
+        return open_piece(state)
     if odometry.stamp <= state.newest.stamp:
         return state
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
@@ -222,7 +119,7 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     if state.turn is not None:
         raise ValueError("A turn is open already.")
     state = _end_piece(_step_to(state, stamp))
-    return replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)), piece=None)
+    return replace(state, turn=OpenTurn(instant(state), (), *travelled(state)), piece=None)
 
 
 def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -329,7 +226,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     else:
         segment = step_segment(segment, state.model, increment, dt, seen)
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
-    elsewhere = _mapped_elsewhere(state, localizer, seen)
+    elsewhere = mapped_elsewhere(state, localizer, seen)
     known, ignored = known + elsewhere, ignored + elsewhere
     contradictions = state.contradictions
     if known >= LEAST_KNOWN:
@@ -349,23 +246,11 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         piece=piece,
     )
     if contradictions >= CONTRADICTIONS and len(frame.ids):
-        state = _look_for_itself(state, seen)
+        state = look_for_itself(state, seen)
     state = _look_ahead(state)
     if state.piece is not None and stamp - state.piece.begin.stamp >= state.path_keyframe_period:
-        state = _open_piece(_end_piece(state))
+        state = open_piece(_end_piece(state))
     return state
-
-
-def _mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
-    """How many of a frame's tags are mapped, though too far away to be considered, and seen metres from there."""
-    row, mapped = goal_graph.rows_of(seen.ids, state.graph.ids)
-    mapped &= ~goal_graph.rows_of(seen.ids, localizer.filter.map_ids)[1]
-    if not mapped.any():
-        return 0
-    X_MB, _ = localized_pose(localizer, state.model, np.zeros(3), 0.0)
-    angle = X_MB[2] + seen.bearing[mapped]
-    p_ML = X_MB[:2] + seen.range[mapped, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return int(np.count_nonzero(np.hypot(*(p_ML - state.graph.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
 def _look_ahead(state: EstimatorState) -> EstimatorState:
@@ -383,70 +268,6 @@ def _look_ahead(state: EstimatorState) -> EstimatorState:
     return replace(state, localizer=moved_localizer(state.localizer, state.model, nearby))
 
 
-def _look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorState:
-    """The state after a frame that contradicts the pose once too often: where does the robot stand?"""
-    estimate = state.map
-    if estimate is None:
-        return state
-    found = relocalize(estimate, seen)
-    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-    if found is None:
-        if not state.carried:
-            _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", seen.stamp)
-            # What it met before it was moved stands elsewhere, seen from here.
-            state = _carried(replace(state, localizer=without_local(state.localizer)))
-        return state
-    pose, agreeing = found
-    error = se2.between(X_MB, pose)
-    distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
-    if distance < SAME_PLACE[0] and angle < SAME_PLACE[1]:
-        return replace(state, contradictions=0)
-    _log.warning(
-        "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
-        seen.stamp, distance, angle, int(np.count_nonzero(agreeing)),
-    )  # fmt: skip
-    # What joins the newest goals to the others may be wrong as well.
-    graph = goal_graph.loosened(state.graph, np.diag(CARRIED) ** 2)
-    if not np.array_equal(graph.segment_covariance, state.graph.segment_covariance):
-        _log.warning("%.2f s: nothing but that way ties the newest goals to the others: they hang loose", seen.stamp)
-        graph, estimate = solve(graph, estimate.stamp, estimate.observation)
-        state = replace(state, graph=graph, map=estimate)
-    tags = seen.ids[agreeing]
-    witness = max(range(len(graph.observations)), key=lambda k: np.isin(tags, graph.observations[k].ids).sum())
-    nearby = seen_from(graph, estimate, witness)
-    localizer = restart_localizer(state.model, nearby, pose, select(seen, agreeing))
-    return _carried(replace(state, localizer=localizer, contradictions=0))
-
-
-def _carried(state: EstimatorState) -> EstimatorState:
-    """The state with what was measured since the last goal given up: something moved the robot meanwhile."""
-    state = replace(state, carried=True, way=(), segment=start_segment(state.model))
-    if state.turn is not None:
-        state = replace(state, turn=OpenTurn(_instant(state), (), *_segment(state)))
-    return replace(state, piece=None) if state.piece is None else _open_piece(state)
-
-
-def _segment(state: EstimatorState) -> tuple[FloatArray, FloatArray]:
-    """X_DA (3,) and covariance (3, 3) of the segment that ends now."""
-    if not state.carried or state.map is None:
-        return segment_factor(state.segment)
-    # An initial value only: the covariance says that it is worth nothing.
-    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-    return se2.between(state.map.X_MD, X_MB), np.diag(CARRIED) ** 2
-
-
-def _instant(state: EstimatorState) -> TurnFrame:
-    """The filters' instant, nothing seen."""
-    return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))
-
-
-def _open_piece(state: EstimatorState) -> EstimatorState:
-    """The state with a new piece of the way open, where pieces are mapped."""
-    if state.path_keyframe_period == 0.0:
-        return state
-    return replace(state, piece=OpenTurn(_instant(state), (), np.zeros(3), JOINT))
-
-
 def _end_piece(state: EstimatorState) -> EstimatorState:
     """The state with the open piece of the way solved and put to the others, unless the robot was carried."""
     piece = state.piece
@@ -459,7 +280,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
     frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
-    solution = solve_turn(state.model, turn.begin, frames, _instant(state))
+    solution = solve_turn(state.model, turn.begin, frames, instant(state))
     seen = sum(1 for frame in frames if len(frame.detections.ids))
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
     doubtful &= ~goal_graph.rows_of(solution.observation.ids, state.graph.ids)[1]
@@ -507,7 +328,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         suspects=suspects,
         suspect_count=count,
     )
-    return _open_piece(state)
+    return open_piece(state)
 
 
 def _suspects(state: EstimatorState, solution: TurnSolution, rejected: IntArray) -> tuple[IntArray, IntArray]:
