@@ -12,6 +12,7 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain, share_seen
+from tfg_drake.tfg.drift import known_jointly
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
@@ -87,7 +88,7 @@ def choose(
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, estimate))
     seen = expected_frontiers(roadmap.points[nodes], tfg, sensor)
-    here = _here(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
+    here = known_jointly(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
     kept = ~here & np.isin(nodes, previous.candidates)
     asked = thin_candidates(nodes[~kept], seen.of(np.flatnonzero(~kept)).count, explorer.samples)
     candidates = np.union1d(asked, nodes[kept])
@@ -134,17 +135,6 @@ def choose(
         verdict=verdict,
         reason=reason,
     )
-
-
-def _here(points: FloatArray, estimate: MapEstimate, reach: float) -> BoolArray:
-    """Which of the points (n, 2), m in M, have only landmarks within reach (m) that are known jointly with the robot's
-    pose, (n,)."""
-    others = np.ones(len(estimate.ids), dtype=np.bool_)
-    others[estimate.local] = False
-    if not others.any():
-        return np.ones(len(points), dtype=np.bool_)
-    distance, _ = cKDTree(estimate.p_ML[others]).query(points)
-    return np.asarray(distance > reach)
 
 
 def _filled(

@@ -25,8 +25,7 @@ def joint_factor(graph: GoalGraph, k: int, pose_free: bool = True, free: BoolArr
     """Goal k's joint observation, whitened, on (A_k, D_k, its landmarks): see `_goal_error`.
 
     Unless pose_free, A_k and D_k are held at their values; free: (n,) which of the graph's landmarks are not held, by
-    default all. What is held is none of the
-    factor's variables.
+    default all. What is held is none of the factor's variables.
     """
     observation = graph.observations[k]
     row, _ = rows_of(observation.ids, graph.ids)

@@ -300,8 +300,9 @@ def _information(graph: GoalGraph, goals: IntArray, pose: int) -> tuple[IntArray
         factors.add(pose_prior(D(anchor), graph.X_MD[anchor], graph.departure_covariance[anchor]))
     else:
         factors.add(held_pose(A(0), np.zeros(3)))
-    # The origin is known: its rows are left out.
-    information = factors.linearize(values).hessian(ordering)[0][0 if origin_free else 3 :, 0 if origin_free else 3 :]
+    # A known origin's rows are left out.
+    first = 0 if origin_free else 3
+    information = factors.linearize(values).hessian(ordering)[0][first:, first:]
     split = len(information) - 2 * len(rows) - 3
     if split == 0:
         return rows, np.asarray(information)

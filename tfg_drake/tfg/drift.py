@@ -41,14 +41,15 @@ def drift_from_robot(estimate: MapEstimate) -> FloatArray:
     return drift
 
 
-def known_jointly(points: FloatArray, estimate: MapEstimate) -> BoolArray:
-    """Whether all landmarks round each of the points (n, 2), in M, are known jointly, (n,)."""
+def known_jointly(points: FloatArray, estimate: MapEstimate, reach: float = NEIGHBOURHOOD) -> BoolArray:
+    """Whether all landmarks within reach (m) of each of the points (n, 2), in M, are known jointly with the departure
+    pose, (n,)."""
     others = np.ones(len(estimate.ids), dtype=np.bool_)
     others[estimate.local] = False
     if not others.any() or not len(points):
         return np.ones(len(points), dtype=np.bool_)
     distance, _ = cKDTree(estimate.p_ML[others]).query(points)
-    return np.asarray(distance > NEIGHBOURHOOD)
+    return np.asarray(distance > reach)
 
 
 def drift_between(points: FloatArray, normals: FloatArray, estimate: MapEstimate) -> FloatArray:
