@@ -17,6 +17,7 @@ import yaml
 from pydrake.common.yaml import yaml_load_typed
 
 from tfg_drake.config import (
+    GAINS,
     ExplorerConfig,
     OdometryConfig,
     RobotConfig,
@@ -98,6 +99,8 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.turn_rate": (0.0, math.inf),
     "explorer.collision_probability": (0.0, 0.5),
 }
+# Texts that must be one of a few.
+_CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS}
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
 # Numbers that may have either sign.
@@ -333,6 +336,8 @@ def _CheckTree(value: object, schema: typing.Any, place: str, source: str) -> No
     elif type(value) is not schema:
         kind = {str: "text", bool: "true or false"}[schema]
         raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
+    elif value not in _CHOICES.get(place, (value,)):
+        raise ScenarioError(f"{source}: {place}: must be one of {', '.join(_CHOICES[place])}, is {value}")
 
 
 def _General(place: str) -> str:

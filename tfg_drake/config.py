@@ -7,6 +7,9 @@ import dataclasses
 
 # A place for the robot to stand has this much more room to every side than its radius, m.
 NODE_MARGIN = 0.05
+# The formulas of the information gain, by name: the exact one, its limit for a wide prior of new landmarks, and those
+# of the paper and of its authors' program.
+GAINS = ("exact", "limit", "paper", "authors")
 
 
 @dataclasses.dataclass
@@ -104,6 +107,8 @@ class SafetyConfig:
 class ExplorerConfig:
     """The method's own parameters. None is read from the world."""
 
+    # The formula of the information gain, one of GAINS.
+    gain: str = "exact"
     # Landmarks expected per metre of unexplored surface.
     density: float = 1.0
     # Standard deviation of an unknown landmark's position, each axis, m.

@@ -3,14 +3,9 @@ import pytest
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import replace
+from tfg_drake.planning.exact_gain import exact_gain, share_seen
 from tfg_drake.planning.expected_view import View
-from tfg_drake.planning.information_gain import (
-    exact_gain,
-    local_view,
-    odometry_covariance,
-    share_seen,
-    turn_noise,
-)
+from tfg_drake.planning.information_gain import local_view, odometry_covariance, turn_noise
 from tfg_drake.slam.goal_graph import empty_map
 
 

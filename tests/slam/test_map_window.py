@@ -89,7 +89,7 @@ def test_the_window_is_what_lies_nearest_and_the_newest_goal(windows):
     there = window_goals(graph, graph.X_MA[GOALS // 2, :2])
     assert there[-1] == GOALS - 1
     assert {GOALS // 2 - 1, GOALS // 2, GOALS // 2 + 1} <= set(there.tolist())
-    beyond = boundary_goals(graph, here)
+    beyond = boundary_goals(graph, here, graph.X_MA[-1, :2])
     assert len(beyond)
     assert not np.isin(beyond, here).any()
     assert len(estimate.local) < len(estimate.ids)

@@ -10,8 +10,9 @@ from scipy.spatial import cKDTree
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
+from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
-from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain, share_seen
+from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
 from tfg_drake.tfg.drift import known_jointly
 from tfg_drake.tfg.frontier import PUSH, ROOT
 

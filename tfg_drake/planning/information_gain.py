@@ -1,25 +1,23 @@
 """The information about the landmarks that a full turn at a candidate goal is expected to bring.
 
-The gain is the mutual information of all landmarks L, known and new, and the measurements z of the turn:
-
-    I(L; z) = 1/2 log|I + J S J^T| - 1/2 log|I + K S_x|L K^T|,   J = [G K]
-
-with G and K the whitened Jacobians of ranges and bearings by landmarks and arrival pose x, S the joint covariance
-of both and S_x|L the covariance of the pose given all landmarks. This is what the paper's Section IV approximates
-(Theorem 1); it holds for a pose that odometry ties to the map, and depends on relative covariance only.
+By default the mutual information of all landmarks, known and new, and the measurements of the turn (`exact_gain`). It
+is what the paper's Section IV approximates (Theorem 1); it holds for a pose that odometry ties to the map, and depends
+on relative covariance only. The approximations, by name: `approximate_gain`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.linalg import cho_factor, cho_solve
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
+from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
+from tfg_drake.planning.exact_gain import exact_gain
 from tfg_drake.planning.expected_view import View
 
 # A turn's measurements of one tag are never worth more than this, m and rad: the headings of its frames are uncertain
@@ -48,149 +46,9 @@ class Gains:
         return self.exploitation + self.exploration
 
 
-@njit(cache=True)
-def _whitened(dx: float, dy: float, noise: FloatArray) -> FloatArray:
-    """Jacobian (2, 2) of range and bearing by the landmark at (dx, dy) from the robot, over their deviations.
-
-    noise: (base range noise, range noise per metre, range floor, bearing deviation), for the whole turn.
-    """
-    r = max(math.sqrt(dx * dx + dy * dy), 0.05)
-    sigma_range = max(noise[0] + noise[1] * r, noise[2])
-    G = np.empty((2, 2))
-    G[0, 0], G[0, 1] = dx / r / sigma_range, dy / r / sigma_range
-    G[1, 0], G[1, 1] = -dy / (r * r) / noise[3], dx / (r * r) / noise[3]
-    return G
-
-
-@njit(cache=True)
-def share_seen(distance: FloatArray | float, reach: FloatArray) -> FloatArray:
-    """How much of what a frontier point stands for is seen from a distance (m): the depth of view left behind it.
-
-    distance: (n,) or a number, m. reach: (sensor range, depth), m, as in exact_gain.
-    """
-    return np.minimum(1.0, np.maximum(0.0, (reach[0] - distance) / reach[1]))  # type: ignore[no-any-return]
-
-
 def frontier_reach(sensor: TagSensorConfig) -> FloatArray:
     """(sensor range, depth), m: a frontier counts in full where the view goes on behind it by this depth."""
     return np.array([sensor.range, FRONTIER_DEPTH * sensor.range])
-
-
-@njit(cache=True)
-def exact_gain(
-    points: FloatArray,
-    odometry: FloatArray,
-    known_offsets: IntArray,
-    known: IntArray,
-    new_offsets: IntArray,
-    new: IntArray,
-    p_ML: FloatArray,
-    X_MD: FloatArray,
-    covariance: FloatArray,
-    departure_given_map: FloatArray,
-    p_MU: FloatArray,
-    new_count: FloatArray,
-    prior_sigma: float,
-    noise: FloatArray,
-    reach: FloatArray,
-) -> FloatArray:
-    """Exploitation, exploration and price of the pose, (c, 3), nats, of a turn at each point (c, 2), m in M.
-
-    The arrival pose is the departure pose X_MD composed with odometry of covariance odometry (c, 3, 3), in M.
-    covariance: (2n + 3, 2n + 3) of landmarks p_ML (n, 2) and X_MD. departure_given_map: (3, 3), that of X_MD given
-    all landmarks. Point i sees the rows known[known_offsets[i]:known_offsets[i + 1]] of p_ML and as many new landmarks
-    as new_count (u,) says, a fraction allowed, at each of the rows new[new_offsets[i]:...] of p_MU (u, 2), whose
-    priors are independent, of deviation prior_sigma (m). noise: as in _whitened. reach: (sensor range, depth), m: a
-    new landmark counts in proportion to how far the view goes on behind its frontier point, in full from depth on.
-    """
-    out = np.zeros((len(points), 3))
-    pose = 2 * len(p_ML)
-    eye3 = np.eye(3)
-    for c in range(len(points)):
-        x, y = points[c, 0], points[c, 1]
-        F = np.eye(3)
-        F[0, 2], F[1, 2] = -(y - X_MD[1]), x - X_MD[0]
-        S_xx = F @ covariance[pose:, pose:].copy() @ F.T + odometry[c]
-        S_x_given_L = F @ departure_given_map @ F.T + odometry[c]
-
-        rows = known[known_offsets[c] : known_offsets[c + 1]]
-        m = len(rows)
-        G = np.empty((m, 2, 2))
-        W = np.zeros((2 * m, 6))  # [G S_Lx, K]
-        C = np.empty((2 * m, 2 * m))  # I + G S_LL G^T
-        for i in range(m):
-            a = 2 * rows[i]
-            G[i] = _whitened(p_ML[rows[i], 0] - x, p_ML[rows[i], 1] - y, noise)
-            for q in range(2):
-                s = G[i, q, 0] * covariance[a, pose:] + G[i, q, 1] * covariance[a + 1, pose:]
-                W[2 * i + q, 0] = s[0] + F[0, 2] * s[2]
-                W[2 * i + q, 1] = s[1] + F[1, 2] * s[2]
-                W[2 * i + q, 2] = s[2]
-                W[2 * i + q, 3], W[2 * i + q, 4] = -G[i, q, 0], -G[i, q, 1]
-            W[2 * i + 1, 5] = -1.0 / noise[3]
-            for j in range(i + 1):
-                b = 2 * rows[j]
-                s00, s01 = covariance[a, b], covariance[a, b + 1]
-                s10, s11 = covariance[a + 1, b], covariance[a + 1, b + 1]
-                for q in range(2):
-                    t0 = G[i, q, 0] * s00 + G[i, q, 1] * s10
-                    t1 = G[i, q, 0] * s01 + G[i, q, 1] * s11
-                    C[2 * i + q, 2 * j] = t0 * G[j, 0, 0] + t1 * G[j, 0, 1]
-                    C[2 * i + q, 2 * j + 1] = t0 * G[j, 1, 0] + t1 * G[j, 1, 1]
-        for i in range(2 * m):
-            C[i, i] += 1.0
-            for j in range(i):
-                C[j, i] = C[i, j]
-
-        # I + J S J^T = C + W M W^T: one factorisation serves the known and the unknown pose.
-        log_map = 0.0
-        T = np.zeros((6, 6))
-        B_known = np.zeros((3, 3))
-        if m > 0:
-            B_known = W[:, 3:].T.copy() @ W[:, 3:].copy()
-            L = np.linalg.cholesky(C)
-            for i in range(2 * m):
-                for j in range(i):
-                    for k in range(6):
-                        W[i, k] -= L[i, j] * W[j, k]
-                for k in range(6):
-                    W[i, k] /= L[i, i]
-                log_map += 2.0 * math.log(L[i, i])
-            T = W.T.copy() @ W
-        M = np.zeros((6, 6))
-        M[:3, 3:] = eye3
-        M[3:, :3] = eye3
-        M[3:, 3:] = S_xx
-        inner = np.eye(6) + T @ M
-        log_known = log_map + math.log(np.linalg.det(inner))
-        N = np.zeros((6, 3))
-        N[:3] = eye3
-        N[3:] = S_xx
-        S_x_given_z = S_xx - N.T.copy() @ np.linalg.solve(inner, T @ N)
-
-        # Each new landmark's measurement is D = I + sigma_u^2 G G^T on its own, tied to the others by the pose only.
-        log_new = 0.0
-        B_new = np.zeros((3, 3))
-        B_new_given_prior = np.zeros((3, 3))
-        for k in range(new_offsets[c], new_offsets[c + 1]):
-            u = new[k]
-            G_u = _whitened(p_MU[u, 0] - x, p_MU[u, 1] - y, noise)
-            K = np.zeros((2, 3))
-            K[:, :2] = -G_u
-            K[1, 2] = -1.0 / noise[3]
-            D = np.eye(2) + prior_sigma * prior_sigma * (G_u @ G_u.T)
-            count = new_count[u] * share_seen(math.sqrt((p_MU[u, 0] - x) ** 2 + (p_MU[u, 1] - y) ** 2), reach)
-            log_new += count * math.log(D[0, 0] * D[1, 1] - D[0, 1] * D[1, 0])
-            B_new += count * (K.T @ K)
-            B_new_given_prior += count * (K.T @ np.linalg.solve(D, K))
-
-        price_known = math.log(np.linalg.det(eye3 + S_x_given_L @ B_known))
-        price_all = math.log(np.linalg.det(eye3 + S_x_given_L @ (B_known + B_new)))
-        log_localised = math.log(np.linalg.det(eye3 + S_x_given_z @ B_new_given_prior))
-        out[c, 0] = 0.5 * (log_known - price_known)
-        out[c, 1] = 0.5 * (log_new + log_localised - price_all + price_known)
-        out[c, 2] = 0.5 * (log_map + log_new) - out[c, 0] - out[c, 1]
-    return out
 
 
 def turn_noise(sensor: TagSensorConfig, turn_rate: float) -> FloatArray:
@@ -270,24 +128,22 @@ def information_gain(
     tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new landmarks,
     seen where the frontier point is, less where the view ends soon behind it. The arrival pose is known through
     odometry since the last departure alone, as in the factor that will join the two goals. Landmarks that are not known
-    jointly with the departure pose count for nothing.
+    jointly with the departure pose count for nothing. explorer.gain names the formula.
     """
     tags = local_view(tags, estimate)
-    out = exact_gain(
-        np.ascontiguousarray(points),
-        odometry_covariance(estimate.X_MD, points, distance, time, odometry),
-        tags.offsets,
-        tags.index,
-        frontiers.offsets,
-        frontiers.index,
-        estimate.p_ML[estimate.local],
-        estimate.X_MD,
-        estimate.covariance,
-        departure_given_landmarks(estimate),
-        tfg.frontiers,
-        explorer.density * tfg.frontier_length,
-        explorer.prior_sigma,
-        turn_noise(sensor, explorer.turn_rate),
-        frontier_reach(sensor),
-    )
+    points = np.ascontiguousarray(points)
+    views = tags.offsets, tags.index, frontiers.offsets, frontiers.index
+    p_ML, S = estimate.p_ML[estimate.local], estimate.covariance
+    if explorer.gain == "authors":
+        open_ends = tfg.frontiers, tfg.frontier_normal, tfg.frontier_length
+        out = authors_gain(points, *views, p_ML, S, *open_ends, explorer.density)
+    else:
+        new: tuple[Any, ...] = tfg.frontiers, explorer.density * tfg.frontier_length, explorer.prior_sigma
+        new += turn_noise(sensor, explorer.turn_rate), frontier_reach(sensor)
+        if explorer.gain == "paper":
+            out = paper_gain(points, *views, p_ML, S, *new)
+        else:
+            kernel = {"exact": exact_gain, "limit": limit_gain}[explorer.gain]
+            Q = odometry_covariance(estimate.X_MD, points, distance, time, odometry)
+            out = kernel(points, Q, *views, p_ML, estimate.X_MD, S, departure_given_landmarks(estimate), *new)
     return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])

@@ -184,7 +184,7 @@ def forget(graph: GoalGraph, ids: IntArray) -> GoalGraph:
     lost = np.linalg.slogdet(2.0 * math.pi * math.e * graph.landmark_covariance[~keep])[1]
     return replace(
         graph,
-        observations=tuple(_forgetting(factor, ids) for factor in graph.observations),
+        observations=tuple(forgetting(factor, ids) for factor in graph.observations),
         ids=graph.ids[keep],
         p_ML=graph.p_ML[keep],
         sightings=graph.sightings[keep],
@@ -193,7 +193,8 @@ def forget(graph: GoalGraph, ids: IntArray) -> GoalGraph:
     )
 
 
-def _forgetting(factor: GoalFactor, ids: IntArray) -> GoalFactor:
+def forgetting(factor: GoalFactor, ids: IntArray) -> GoalFactor:
+    """A goal's observation with some tags marginalised out."""
     if not np.isin(factor.ids, ids).any():
         return factor
     return goal_factor(without_tags(factor.observation, ids))

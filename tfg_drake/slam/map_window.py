@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.goal_graph import GoalGraph, rows_of
 
 # Up to this many landmarks, and sightings of them counted once for each goal, a map is solved as a whole.
@@ -49,16 +49,22 @@ def _by_distance(X: FloatArray, place: FloatArray) -> IntArray:
     return np.argsort(np.hypot(*(X[:, :2] - place).T), kind="stable")
 
 
-def boundary_goals(graph: GoalGraph, goals: IntArray) -> IntArray:
-    """Of the other goals, those (b,), ascending, nearest to the newest one that have seen a landmark of the window's
-    goals (w,)."""
+def boundary_goals(graph: GoalGraph, goals: IntArray, place: FloatArray) -> IntArray:
+    """Of the other goals, those (b,), ascending, nearest to a place (2,), m in M, that have seen a landmark of the
+    window's goals (w,); none of a window that is the whole map."""
+    order = _by_distance(graph.X_MA, place)
+    order = order[~np.isin(order, goals)][: 4 * len(goals)]
+    seen = seen_by(graph, goals)
+    shares = [bool(seen[rows_of(graph.observations[k].ids, graph.ids)[0]].any()) for k in order]
+    return np.sort(_within_budget(graph, order[np.array(shares, dtype=bool)]))
+
+
+def seen_by(graph: GoalGraph, goals: IntArray) -> BoolArray:
+    """Which landmarks (n,) some goals (w,) have seen."""
     seen = np.zeros(len(graph.ids), dtype=bool)
     for k in goals:
         seen[rows_of(graph.observations[k].ids, graph.ids)[0]] = True
-    order = _by_distance(graph.X_MA, graph.X_MA[-1, :2])
-    order = order[~np.isin(order, goals)][: 4 * len(goals)]
-    shares = [bool(seen[rows_of(graph.observations[k].ids, graph.ids)[0]].any()) for k in order]
-    return np.sort(_within_budget(graph, order[np.array(shares, dtype=bool)]))
+    return seen
 
 
 def _within_budget(graph: GoalGraph, order: IntArray) -> IntArray:
