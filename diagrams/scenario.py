@@ -18,6 +18,7 @@ from pydrake.common.yaml import yaml_load_typed
 
 from tfg_drake.config import (
     GAINS,
+    GOAL_RULES,
     ExplorerConfig,
     OdometryConfig,
     RobotConfig,
@@ -100,7 +101,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.collision_probability": (0.0, 0.5),
 }
 # Texts that must be one of a few.
-_CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS}
+_CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS, "explorer.goal": GOAL_RULES}
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
 # Numbers that may have either sign.

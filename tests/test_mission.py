@@ -9,11 +9,12 @@ from tfg_drake.messages import FollowerStatus, GoalChoice, Path, PathStatus
 from tfg_drake.mission import MAX_FAILURES, MAX_REPLANS, MissionInputs, initial_status, step
 
 
-def goal(stage: int, verdict: str = "goal") -> GoalChoice:
+def goal(stage: int, verdict: str = "goal", node: int | None = None, latest_arrival: float = np.inf) -> GoalChoice:
     empty = np.zeros(0)
-    return GoalChoice(
-        stage, 3, np.zeros(2), np.zeros(0, dtype=np.int64), empty, empty, empty, empty, empty, verdict, "because"
-    )
+    node = (3 if verdict == "goal" else -1) if node is None else node
+    none = np.zeros(0, dtype=np.int64)
+    fields = empty, empty, empty, empty, empty
+    return GoalChoice(stage, node, np.zeros(2), none, *fields, verdict, "because.", latest_arrival)
 
 
 def inputs(time: float, **changes) -> MissionInputs:
@@ -64,7 +65,7 @@ def test_a_turn_reported_done_before_the_phase_settled_is_the_last_one_and_ignor
 def test_the_selectors_verdict_ends_the_mission_with_its_reason(verdict):
     status = dataclasses.replace(initial_status(), phase="choose", stage=4)
     status = step(status, inputs(50.0, goal=goal(4, verdict)))
-    assert (status.phase, status.outcome, status.reason) == ("done", verdict, "because")
+    assert (status.phase, status.outcome, status.reason) == ("done", verdict, "because.")
     assert step(status, inputs(51.0, stop=True)) is status
 
 
@@ -127,3 +128,25 @@ def test_nothing_moves_before_the_operator_enables_it():
 def test_stop_ends_the_mission_as_interrupted():
     status = step(following(), inputs(20.0, stop=True))
     assert (status.phase, status.outcome, status.reason) == ("done", "interrupted", "stopped by the operator")
+
+
+def test_a_robot_that_must_come_home_ends_its_mission_there():
+    home = goal(1, "budget", node=5)
+    status = dataclasses.replace(following(), since=10.0)
+    assert step(status, inputs(12.0, goal=home)) is status
+    arrived = inputs(15.0, goal=home, follower=FollowerStatus(15.0, 7, True, 0.0, False))
+    status = step(status, arrived)
+    assert (status.phase, status.outcome) == ("done", "budget")
+    assert status.reason == "because. The robot is where it began."
+
+
+def test_a_verdict_with_a_way_home_is_driven_first():
+    status = dataclasses.replace(initial_status(), phase="choose", stage=4)
+    assert step(status, inputs(50.0, goal=goal(4, "complete", node=5))).phase == "plan"
+
+
+def test_a_robot_too_late_for_its_goal_looks_round_where_it_is():
+    status = following(10.0)
+    in_time = inputs(30.0, goal=goal(1, latest_arrival=30.0))
+    assert step(status, in_time) is status
+    assert step(status, dataclasses.replace(in_time, time=30.1)).phase == "observe"

@@ -10,6 +10,9 @@ NODE_MARGIN = 0.05
 # The formulas of the information gain, by name: the exact one, its limit for a wide prior of new landmarks, and those
 # of the paper and of its authors' program.
 GAINS = ("exact", "limit", "paper", "authors")
+# The rules by which the next goal is picked, by name: most gain per expected time, most gain (the paper's), the first
+# of a short tour, the frontier reached soonest.
+GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier")
 
 
 @dataclasses.dataclass
@@ -109,6 +112,15 @@ class ExplorerConfig:
 
     # The formula of the information gain, one of GAINS.
     gain: str = "exact"
+    # The rule by which the next goal is picked, one of GOAL_RULES.
+    goal: str = "gain_per_time"
+    # Whether the choice pays for arriving with an uncertain pose, and how many known tags a goal should have in view.
+    pose_price: bool = True
+    least_tags: int = 0
+    # Seconds and metres that the mission may take, 0: as many as it needs; and whether the robot comes home at the end.
+    budget_time: float = 0.0
+    budget_distance: float = 0.0
+    return_home: bool = False
     # Landmarks expected per metre of unexplored surface.
     density: float = 1.0
     # Standard deviation of an unknown landmark's position, each axis, m.

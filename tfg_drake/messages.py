@@ -11,6 +11,7 @@ covariance of a pose X_MB is that of (x, y) in M and theta.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
@@ -226,7 +227,8 @@ class Roadmap:
     stage. points: (n, 2) m. edges: (e, 2) node indices, those within the chance constraint. reachable: (n,) from where
     the robot stands, along edges. enterable: (n,) there is room enough for the robot all the way, though perhaps not
     for its uncertainty; roomy: (n,) there is room for a robot that knows its place fairly well, too. travel_time: (n,)
-    expected s from the robot, turns included, inf where unreachable.
+    expected s from the robot, turns included, inf where unreachable, travel_length: (n,) m. home_time and home_length:
+    (n,) the same from each node to where the robot began, empty unless it must come home. driven: m, so far.
     """
 
     stage: int
@@ -236,6 +238,10 @@ class Roadmap:
     enterable: BoolArray
     roomy: BoolArray
     travel_time: FloatArray
+    travel_length: FloatArray
+    home_time: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    home_length: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    driven: float = 0.0
 
 
 @message
@@ -244,7 +250,9 @@ class GoalChoice:
 
     stage. node: index into Roadmap.points, -1 for none. p_MG: (2,). candidates: (c,) node indices evaluated,
     exploitation, exploration, pose_price: (c,) nats (gain = exploitation + exploration, price included in it).
-    value: (c,) what was maximised. verdict: "goal", "complete" or "stuck". reason: one sentence.
+    value: (c,) what was maximised. verdict: "goal", or how the mission ends: "complete", "stuck" or "budget", where
+    there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not
+    at the goal by then, it must turn back.
     """
 
     stage: int
@@ -258,6 +266,7 @@ class GoalChoice:
     value: FloatArray
     verdict: str
     reason: str
+    latest_arrival: float = math.inf
 
 
 @message

@@ -94,7 +94,7 @@ def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     goal = inputs.goal
     if goal.stage != status.stage:
         return status
-    if goal.verdict == "goal":
+    if goal.node >= 0:
         return _begin(status, inputs, "plan")
     return _end(status, inputs, goal.verdict, goal.reason)
 
@@ -111,7 +111,11 @@ def _plan(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     follower = inputs.follower
     if follower.path_id == status.path_id and follower.arrived:
+        if inputs.goal.verdict != "goal":
+            return _end(status, inputs, inputs.goal.verdict, f"{inputs.goal.reason} The robot is where it began.")
         return _begin(status, inputs, "observe", failures=0)
+    if inputs.time > inputs.goal.latest_arrival:
+        return _begin(status, inputs, "observe")
     blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE

@@ -3,26 +3,35 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.goal_choice import given_up_open, pick, thin_candidates, why_end
+from tfg_drake.planning.goal_choice import pick, thin_candidates
+from tfg_drake.planning.mission_end import given_up_open, why_end
 from tfg_drake.tfg.graph import empty_map
 
 
-def best(gain, value, sees):
-    return pick(np.asarray(gain, dtype=float), np.asarray(value, dtype=float), np.asarray(sees, dtype=bool), 20.0)
+def best(value, worth, preferred=None):
+    worth = np.asarray(worth, dtype=bool)
+    preferred = worth if preferred is None else np.asarray(preferred, dtype=bool)
+    return pick(np.asarray(value, dtype=float), worth, preferred)
 
 
-def test_the_best_gain_per_time_wins_and_the_first_of_equals():
-    assert best([30, 50, 40, 40], [3, 2, 4, 4], [1, 0, 0, 0]) == 2
+def test_the_most_value_wins_and_the_first_of_equals():
+    assert best([3, 2, 4, 4], [1, 1, 1, 1]) == 2
 
 
-def test_a_visible_frontier_keeps_the_mission_going_whatever_the_gain():
-    assert best([5, 6], [1, 2], [1, 0]) == 0
+def test_only_what_is_worth_going_to_is_picked():
+    assert best([9, 1], [0, 1]) == 1
+    assert best([9, 1], [0, 0]) == -1
+    assert best([], []) == -1
 
 
-def test_without_a_frontier_a_goal_must_promise_more_than_the_stop_gain():
-    assert best([15, 25], [9, 1], [0, 0]) == 1
-    assert best([15, 20], [9, 1], [0, 0]) == -1
-    assert best([], [], []) == -1
+def test_a_preferred_place_wins_where_there_is_one():
+    assert best([9, 1], [1, 1], [0, 1]) == 1
+    assert best([9, 1], [1, 0], [0, 1]) == 0
+
+
+def test_a_place_that_the_rule_does_not_want_is_picked_only_where_no_other_is_left():
+    assert best([-np.inf, -5], [1, 1]) == 1
+    assert best([-np.inf, -5], [1, 0]) == 0
 
 
 def end(candidates=True, barred=0.0, given_up=0.0, frontier=0.0, cut_off=False):
@@ -85,7 +94,7 @@ def given_up_behind(width: float, *walls: tuple[float, float, float, float]) -> 
     )
     both = np.array([True, True])
     places = np.array([[0.2, -0.8], [2.0, -0.8]])
-    roadmap = Roadmap(1, places, np.zeros((0, 2), dtype=np.int64), both, both, both, np.zeros(2))
+    roadmap = Roadmap(1, places, np.zeros((0, 2), dtype=np.int64), both, both, both, np.zeros(2), np.zeros(2))
     return given_up_open(tfg, roadmap, NEED)
 
 

@@ -20,7 +20,9 @@ def test_a_past_goal_is_no_place_to_see_a_frontier_from():
 
     def seen(reachable):
         reachable = np.array(reachable, dtype=bool)
-        roadmap = Roadmap(1, points, np.zeros((0, 2), dtype=int), reachable, *2 * [np.ones(3, dtype=bool)], np.zeros(3))
+        roadmap = Roadmap(
+            1, points, np.zeros((0, 2), dtype=int), reachable, *2 * [np.ones(3, dtype=bool)], *2 * [np.zeros(3)]
+        )
         return frontier_in_sight(roadmap, estimate, tfg, TagSensorConfig())
 
     assert seen([1, 1, 1]) == (True, False)

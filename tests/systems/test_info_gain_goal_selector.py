@@ -42,7 +42,7 @@ def roadmap(stage=1):
         points = NONE
     reachable = points[:, 1] <= 1.0
     time = np.where(reachable, np.hypot(*points.T) / 0.5, np.inf)
-    return Roadmap(stage, points, IDS.reshape(0, 2), reachable, reachable, reachable, time)
+    return Roadmap(stage, points, IDS.reshape(0, 2), reachable, reachable, reachable, time, time)
 
 
 class Selector:

@@ -85,6 +85,7 @@ def make_messages(f=2):
         enterable=np.ones(f, dtype=bool),
         roomy=np.ones(f, dtype=bool),
         travel_time=np.ones(f),
+        travel_length=np.ones(f),
     )
     goal = GoalChoice(
         stage=1,

@@ -1,4 +1,4 @@
-"""Where to go next: the candidate with the most expected information per expected time."""
+"""Where to go next: the candidate with the most expected information per expected time, or by another rule."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
+from tfg_drake.planning.budget import budget_left, way_home
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
+from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
+from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, barred_places, given_up_open, why_end
 from tfg_drake.tfg.drift import known_jointly
-from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
@@ -22,12 +23,8 @@ OVERHEAD = 1.0
 NOTHING_AFTER = 5
 # The robot never turns again within this of where it has turned before, m: it would see the same once more.
 APART = 0.3
-# The robot could drive straight up to the edge of a frontier from a place this near, m.
-AT_HAND = 1.0
 # A place is judged anew where all landmarks within this share of the sensor's range are known jointly.
 KNOWN_REACH = 0.5
-# Less live frontier than this is not worth a visit, m.
-ENOUGH_FRONTIER = 0.24
 
 
 def empty_choice() -> GoalChoice:
@@ -95,34 +92,57 @@ def choose(
     candidates = np.union1d(asked, nodes[kept])
     frontiers = seen.of(np.searchsorted(nodes, candidates))
 
-    def expected(points: FloatArray, time: FloatArray, frontiers: View) -> Gains:
-        tags = expected_tags(points, estimate, tfg, sensor)
+    def expected(points: FloatArray, time: FloatArray, tags: View, frontiers: View) -> Gains:
         distance = robot.max_speed * time
         return information_gain(points, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
     points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
-    enough = seen_length(points, frontiers, tfg, sensor) >= ENOUGH_FRONTIER
+    open_ahead = frontier_seen(points, frontiers, tfg, sensor)
+    enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
     ask = np.isin(candidates, asked)
-    now = expected(points[ask], time[ask], frontiers.of(np.flatnonzero(ask)))
+    tags = expected_tags(points[ask], estimate, tfg, sensor)
+    now = expected(points[ask], time[ask], tags, frontiers.of(np.flatnonzero(ask)))
     gains = _filled(previous, candidates, ask, now, enough)
-    value = gains.gain / (time + 2.0 * math.pi / explorer.turn_rate + OVERHEAD)
-    best = pick(gains.gain, value, enough, explorer.stop_gain)
+    known = np.full(len(candidates), explorer.least_tags)
+    known[ask] = tags.count
+
+    stay = 2.0 * math.pi / explorer.turn_rate + OVERHEAD
+    budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
+    worth = enough | (gains.gain > explorer.stop_gain)
+    affordable = budget.affords(roadmap, candidates)
+    paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
+    if explorer.goal == "argmax":
+        value = paid
+    elif explorer.goal == "nearest_frontier":
+        value = nearest_frontier(time, enough & affordable)
+    elif explorer.goal == "tour":
+        open_ahead[~(worth & affordable)] = 0.0
+        value = tour(paid, time, stay, open_ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
+    else:
+        value = gain_per_time(paid, time + stay)
+    best = pick(value, worth & affordable, known >= explorer.least_tags)
     if best >= 0:
         node, p_MG, verdict = int(candidates[best]), points[best], "goal"
-        reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {value[best]:.2f} nats per second."
+        rate = gains.gain[best] / (time[best] + stay)
+        reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     else:
-        node, p_MG = -1, np.zeros(2)
-        barred, barred_time = _barred(roadmap, robot.max_speed)
-        barred_gains = expected(barred, barred_time, expected_frontiers(barred, tfg, sensor))
-        _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
-        verdict, reason = why_end(
-            bool(len(candidates)),
-            float(barred_gains.gain.max(initial=0.0)),
-            given_up_open(tfg, roadmap, robot.radius + NODE_MARGIN),
-            float(tfg.frontier_length.sum()),
-            not roadmap.reachable[home],
-            explorer.stop_gain,
-        )
+        if worth.any():
+            verdict, reason = "budget", f"{budget} of the budget are left: too little for another goal."
+        else:
+            barred, barred_time = barred_places(roadmap, robot.max_speed)
+            views = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
+            barred_gains = expected(barred, barred_time, *views)
+            _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
+            verdict, reason = why_end(
+                bool(len(candidates)),
+                float(barred_gains.gain.max(initial=0.0)),
+                given_up_open(tfg, roadmap, robot.radius + NODE_MARGIN),
+                float(tfg.frontier_length.sum()),
+                not roadmap.reachable[home],
+                explorer.stop_gain,
+            )
+        node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2]) if explorer.return_home else -1
+        p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
     return GoalChoice(
         stage=estimate.stage,
         node=node,
@@ -135,6 +155,7 @@ def choose(
         value=value,
         verdict=verdict,
         reason=reason,
+        latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
     )
 
 
@@ -159,72 +180,19 @@ def _filled(
     )
 
 
-def _barred(roadmap: Roadmap, speed: float) -> tuple[FloatArray, FloatArray]:
-    """Places (b, 2), m in M, with room for the robot but which it may not try to reach, and how long (b,), s, it would
-    take at the speed (m/s), were it surer of its own place and the map's."""
-    if not roadmap.reachable.any():
-        return np.zeros((0, 2)), np.zeros(0)
-    points = roadmap.points[roadmap.roomy & ~roadmap.reachable]
-    distance, nearest = cKDTree(roadmap.points[roadmap.reachable]).query(points)
-    return points, roadmap.travel_time[roadmap.reachable][nearest] + distance / speed
-
-
-def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
-    """Length (m) of the frontier that was tried in vain though a robot that needs so much room (m) to every side could
-    drive up to it and through.
-
-    What it only ever saw through a crack does not keep the mission from being complete.
-    """
-    places = roadmap.points[roadmap.enterable]
-    before = tfg.given_up + (PUSH + ROOT) * tfg.given_up_normal
-    if not len(places) or not len(before):
-        return 0.0
-    near = cKDTree(places).query_ball_point(before, AT_HAND)
-    point = np.repeat(np.arange(len(before)), [len(rows) for rows in near])
-    ways = np.hstack([places[np.concatenate([np.array(rows, dtype=np.int64) for rows in near])], before[point]])
-    reached = np.unique(point[clearance(ways, tfg.segments, need) >= need])
-    through = np.hstack([before, tfg.given_up])[reached]
-    return float(tfg.given_up_length[reached[clearance(through, tfg.segments, need) >= need]].sum())
-
-
-def seen_length(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
-    """Length (c,), m, of the live frontier that each of the points (c, 2), m in M, sees, less where the view ends soon
-    behind it."""
+def frontier_seen(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
+    """Length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, less where the view
+    ends soon behind it."""
     point = np.repeat(np.arange(len(points)), frontiers.count)
     distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
-    length = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
-    return np.asarray(np.bincount(point, length, minlength=len(points)), dtype=np.float64)
+    length = np.zeros((len(points), len(tfg.frontiers)))
+    length[point, frontiers.index] = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
+    return length
 
 
-def pick(gain: FloatArray, value: FloatArray, sees_frontier: BoolArray, stop_gain: float) -> int:
-    """The candidate (c,) of most value, the first of equals, among those worth going to; -1 if none is."""
-    worth = sees_frontier | (gain > stop_gain)
-    return int(np.argmax(np.where(worth, value, -np.inf))) if worth.any() else -1
-
-
-def why_end(
-    candidates: bool,
-    barred_gain: float,
-    given_up_length: float,
-    frontier_length: float,
-    cut_off: bool,
-    stop_gain: float,
-) -> tuple[str, str]:
-    """Verdict and reason where no candidate is worth going to.
-
-    candidates: there are any. barred_gain: nats that a place promises that has room for the robot but that it may not
-    try to reach. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier,
-    seen or not: what remains when nothing else does is closed to this robot. cut_off: the robot cannot get back to
-    where it began.
-    """
-    if not candidates:
-        return "stuck", "The robot cannot reach any other place."
-    if cut_off and frontier_length >= ENOUGH_FRONTIER:
-        left = f"{frontier_length:.1f} m of frontier are left"
-        return "stuck", f"The robot cannot get back to where it began, and {left}."
-    if barred_gain > stop_gain:
-        return "stuck", f"{barred_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
-    if given_up_length > 0.0:
-        return "stuck", f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
-    but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length > 0.0 else ""
-    return "complete", f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."
+def pick(value: FloatArray, worth: BoolArray, preferred: BoolArray) -> int:
+    """The candidate (c,) of most value, the first of equals, among those worth going to (c,), if possible a preferred
+    one (c,); -1 if none is worth it."""
+    among = worth & preferred if (worth & preferred).any() else worth
+    among = among & (value > -np.inf) if (among & (value > -np.inf)).any() else among
+    return int(np.argmax(np.where(among, value, -np.inf))) if among.any() else -1

@@ -23,7 +23,8 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.planning.goal_choice import ENOUGH_FRONTIER, apart_from_goals, seen_length
+from tfg_drake.planning.goal_choice import apart_from_goals, frontier_seen
+from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     EFFORTS,
@@ -50,7 +51,7 @@ class PlannerState:
     nodes: the roadmap itself. roadmap, path, status: what it says of it. replans: the mission's count when the path
     was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the goals
     obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the robot
-    has been at this stage, m in M.
+    has been at this stage, m in M, driven_before: m, before this stage.
     """
 
     nodes: RoadmapState
@@ -62,6 +63,7 @@ class PlannerState:
     obstacle_goal: IntArray
     scan_stamp: float
     driven: FloatArray
+    driven_before: float
 
 
 def initial_state() -> PlannerState:
@@ -70,7 +72,7 @@ def initial_state() -> PlannerState:
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
         nodes=nodes,
-        roadmap=Roadmap(0, nodes.points, nodes.edges, nowhere, nowhere, nowhere, none),
+        roadmap=Roadmap(0, nodes.points, nodes.edges, nowhere, nowhere, nowhere, none, none),
         path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
         replans=0,
@@ -78,6 +80,7 @@ def initial_state() -> PlannerState:
         obstacle_goal=np.zeros(0, dtype=np.int64),
         scan_stamp=-np.inf,
         driven=np.zeros((0, 2)),
+        driven_before=0.0,
     )
 
 
@@ -111,10 +114,12 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
 
 def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
+    driven_before = state.driven_before + float(np.hypot(*np.diff(state.driven, axis=0).T).sum())
+    state = replace(state, driven_before=driven_before)
     nodes = state.nodes
     for effort in range(len(EFFORTS)):
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
-        roadmap = _roadmap(nodes, tfg, estimate, parameters, _obstacles(state, estimate))
+        roadmap = _roadmap(nodes, tfg, estimate, parameters, _obstacles(state, estimate), driven_before)
         within, beyond = frontier_in_sight(roadmap, estimate, tfg, parameters.sensor)
         if within or len(tfg.frontiers) == 0 or (effort > 0 and not beyond):
             break
@@ -122,15 +127,23 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
     if len(state.obstacles) and (shut_in or (beyond and not within)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        roadmap = _roadmap(nodes, tfg, estimate, parameters, state.obstacles)
+        roadmap = _roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before)
     return replace(state, nodes=nodes, roadmap=roadmap, driven=estimate.X_MD[None, :2])
 
 
 def _roadmap(
-    nodes: RoadmapState, tfg: TfgMap, estimate: MapEstimate, parameters: RoadmapParameters, obstacles: FloatArray
+    nodes: RoadmapState,
+    tfg: TfgMap,
+    estimate: MapEstimate,
+    parameters: RoadmapParameters,
+    obstacles: FloatArray,
+    driven: float,
 ) -> Roadmap:
     ways = routes(nodes, tfg, estimate.X_MD, parameters.robot, obstacles)
-    return roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability)
+    home = None
+    if parameters.explorer.return_home:
+        home = routes(nodes, tfg, estimate.X_MA[0], parameters.robot, obstacles)
+    return roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability, driven, home)
 
 
 def frontier_in_sight(
@@ -140,7 +153,8 @@ def frontier_in_sight(
     fit."""
     asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, estimate)
     points = roadmap.points[asked]
-    enough = seen_length(points, expected_frontiers(points, tfg, sensor), tfg, sensor) >= ENOUGH_FRONTIER
+    seen = frontier_seen(points, expected_frontiers(points, tfg, sensor), tfg, sensor)
+    enough = seen.sum(axis=1) >= ENOUGH_FRONTIER
     reachable = roadmap.reachable[asked]
     return bool(enough[reachable].any()), bool(enough[~reachable].any())
 

@@ -513,8 +513,18 @@ def _with_room(
     return np.isin(label, label[np.isfinite(ways.cost)])
 
 
-def roadmap_message(state: RoadmapState, ways: Routes, robot: RobotConfig, collision_probability: float) -> Roadmap:
-    """What the goal selector and the pictures need of a roadmap and the routes through it."""
+def roadmap_message(
+    state: RoadmapState,
+    ways: Routes,
+    robot: RobotConfig,
+    collision_probability: float,
+    driven: float = 0.0,
+    home: Routes | None = None,
+) -> Roadmap:
+    """What the goal selector and the pictures need of a roadmap and the routes through it.
+
+    driven: m, so far. home: the routes from where the robot began, where it must come back.
+    """
     return Roadmap(
         stage=state.stage,
         points=state.points,
@@ -523,6 +533,10 @@ def roadmap_message(state: RoadmapState, ways: Routes, robot: RobotConfig, colli
         enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, collision_probability),
         roomy=_with_room(state, ways, robot, FAIR_DEVIATION, collision_probability),
         travel_time=ways.time,
+        travel_length=ways.length,
+        home_time=np.zeros(0) if home is None else home.time,
+        home_length=np.zeros(0) if home is None else home.length,
+        driven=driven,
     )
 
 

@@ -1,0 +1,66 @@
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tfg_drake.messages import Roadmap
+from tfg_drake.planning.goal_rules import _shortest_order, gain_per_time, nearest_frontier, tour
+
+
+def test_gain_per_time():
+    np.testing.assert_array_equal(gain_per_time(np.array([10.0, 30.0]), np.array([5.0, 30.0])), [2.0, 1.0])
+
+
+def test_the_nearest_frontier_wins_and_the_nearest_place_where_there_is_no_frontier():
+    time = np.array([5.0, 3.0, 4.0])
+    np.testing.assert_array_equal(nearest_frontier(time, np.array([True, False, True])), [-5.0, -np.inf, -4.0])
+    np.testing.assert_array_equal(nearest_frontier(time, np.zeros(3, dtype=bool)), -time)
+
+
+@given(st.integers(1, 6), st.integers(0, 1000))
+def test_the_order_of_a_tour_is_the_shortest_of_all(count, seed):
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0, 10, (count + 1, 2))
+    time = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+
+    def length(order):
+        return time[0, order[0] + 1] + sum(time[a + 1, b + 1] for a, b in itertools.pairwise(order))
+
+    found = _shortest_order(time[0, 1:], time[1:, 1:])
+    assert sorted(found) == list(range(count))
+    assert length(found) == pytest.approx(min(length(order) for order in itertools.permutations(range(count))))
+
+
+def corridor(where):
+    """A roadmap along a line, the robot at 0; its nodes at the places where (n,), m."""
+    n = len(where)
+    points = np.stack([np.asarray(where, dtype=float), np.zeros(n)], axis=1)
+    all_of = np.ones(n, dtype=bool)
+    edges = np.array(list(itertools.combinations(range(n), 2)))
+    away = np.abs(points[:, 0])
+    return Roadmap(1, points, edges, all_of, all_of, all_of, away, away)
+
+
+def tour_of(where, gain, frontier):
+    roadmap = corridor(where)
+    frontier = np.asarray(frontier, dtype=float)
+    return tour(np.asarray(gain), roadmap.travel_time, 2.0, frontier, 0.24, np.arange(len(where)), roadmap, 1.0)
+
+
+def test_a_tour_clears_the_short_end_before_it_leaves_for_the_long_one():
+    # By gain per time the rich end to the right would come first, and the robot would have to come back.
+    value = tour_of([-3.0, 5.0, 9.0], [5.0, 60.0, 60.0], np.eye(3))
+    assert np.argmax(value) == 0
+    np.testing.assert_array_equal(value, [-5.0, -15.0, -21.0])
+
+
+def test_of_two_places_that_see_the_same_a_tour_visits_one():
+    value = tour_of([1.0, 1.5, 9.0], [30.0, 20.0, 20.0], [[1, 0], [1, 0], [0, 1]])
+    assert np.isfinite(value).tolist() == [True, False, True]
+
+
+def test_without_a_frontier_gain_per_time_decides():
+    value = tour_of([1.0, 8.0], [30.0, 40.0], np.zeros((2, 1)))
+    np.testing.assert_array_equal(value, [10.0, 4.0])

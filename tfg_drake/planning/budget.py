@@ -1,0 +1,65 @@
+"""What time and distance are left of a mission's budget, and what they allow (the paper's q(u) <= c)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from tfg_drake.config import ExplorerConfig
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
+
+# Ways take this much more time and length than expected, at most; and seconds and metres kept for detours.
+MARGIN = 1.15
+RESERVE_TIME = 20.0
+RESERVE_DISTANCE = 3.0
+# A robot this near to where it began is home, m.
+AT_HOME = 0.3
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """What is left: until when the mission may last, s, how much time, s, and how far the robot may drive, m; inf where
+    there is no budget. stay: s that a goal costs besides the way to it."""
+
+    end: float
+    time: float
+    distance: float
+    stay: float
+
+    def affords(self, roadmap: Roadmap, nodes: IntArray) -> BoolArray:
+        """Whether the robot could go to each of the nodes (c,) of the roadmap, observe, and come home if it must."""
+        if not self.limited:
+            return np.ones(len(nodes), dtype=np.bool_)
+        time = roadmap.travel_time[nodes] + (roadmap.home_time[nodes] if len(roadmap.home_time) else 0.0)
+        length = roadmap.travel_length[nodes] + (roadmap.home_length[nodes] if len(roadmap.home_length) else 0.0)
+        in_time = MARGIN * time + self.stay + RESERVE_TIME <= self.time
+        return np.asarray(in_time & (MARGIN * length + RESERVE_DISTANCE <= self.distance))
+
+    def latest_arrival(self, roadmap: Roadmap, node: int) -> float:
+        """When the robot must be at a node at the latest, s, to observe there and be home in time."""
+        home = float(roadmap.home_time[node]) if len(roadmap.home_time) else 0.0
+        return self.end - MARGIN * home - self.stay - RESERVE_TIME if self.limited else math.inf
+
+    @property
+    def limited(self) -> bool:
+        """Whether there is a budget at all."""
+        return math.isfinite(self.time) or math.isfinite(self.distance)
+
+    def __str__(self) -> str:
+        parts = [f"{left:.0f} {unit}" for left, unit in ((self.time, "s"), (self.distance, "m")) if left < math.inf]
+        return " and ".join(parts)
+
+
+def budget_left(explorer: ExplorerConfig, stamp: float, driven: float, stay: float) -> Budget:
+    """The budget at a time stamp (s) after driven (m)."""
+    end = explorer.budget_time or math.inf
+    return Budget(end, end - stamp, (explorer.budget_distance or math.inf) - driven, stay)
+
+
+def way_home(roadmap: Roadmap, p_MH: FloatArray, p_MB: FloatArray) -> int:
+    """The node at home (2,), m in M, or -1 where the robot (2,) is there already or cannot get there."""
+    node = int(np.argmin(np.hypot(*(roadmap.points - p_MH).T)))
+    there = np.hypot(*(p_MB - p_MH)) <= max(float(np.hypot(*(roadmap.points[node] - p_MH))), AT_HOME)
+    return -1 if there or not roadmap.reachable[node] else node

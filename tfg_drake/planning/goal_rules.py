@@ -1,0 +1,104 @@
+"""By what a goal is preferred to another, by name: explorer.goal.
+
+Every rule gives the candidates a value; the one of most value among those worth going to is the next goal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from tfg_drake.messages import FloatArray, IntArray, Roadmap
+
+# Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
+TOUR_GOALS = 11
+
+
+def gain_per_time(gain: FloatArray, time: FloatArray) -> FloatArray:
+    """Nats (c,) over seconds (c,): what exploring as a whole is quick by."""
+    return np.asarray(gain / time)
+
+
+def nearest_frontier(time: FloatArray, sees_frontier: FloatArray) -> FloatArray:
+    """The quickest to reach, time (c,), s, of those that see a frontier (c,); of all where none does."""
+    return np.where(sees_frontier if sees_frontier.any() else True, -time, -np.inf)
+
+
+def tour(
+    gain: FloatArray,
+    time: FloatArray,
+    stay: float,
+    frontier: FloatArray,
+    least: float,
+    nodes: IntArray,
+    roadmap: Roadmap,
+    speed: float,
+) -> FloatArray:
+    """Minus the time (c,), s, of arrival at each goal of a short tour, -inf for the others: the tour's first is best.
+
+    The tour's goals look through all that is open near the robot: one after the other, the candidate that adds most
+    gain (c,), nats, by what it sees of the frontier that those before do not, over the time (c,), s, of going there
+    and the stay, s. Their order is the one that takes least time from the robot to the last of them. frontier: (c, f)
+    m that each candidate sees of each frontier point. least: m, less than this is not worth a goal. nodes: (c,) of the
+    roadmap; speed: m/s. Where no frontier is left, gain per time decides.
+    """
+    left = np.ones(frontier.shape[1])
+    seen = frontier.sum(axis=1)
+    chosen: list[int] = []
+    while len(chosen) < TOUR_GOALS:
+        new = frontier @ left
+        rate = np.where(new >= least, gain * new / np.maximum(seen, 1e-9) / (time + stay), -np.inf)
+        if not len(rate) or rate.max() <= 0.0:
+            break
+        best = int(np.argmax(rate))
+        chosen.append(best)
+        left[frontier[best] > 0.0] = 0.0
+    if not chosen:
+        return gain_per_time(gain, time + stay)
+    between = _times_between(nodes[chosen], roadmap, speed)
+    value = np.full(len(gain), -np.inf)
+    arrival = 0.0
+    order = _shortest_order(time[chosen], between)
+    for before, k in zip([-1, *order[:-1]], order, strict=True):
+        arrival += (time[chosen[k]] if before < 0 else between[before, k]) + stay
+        value[chosen[k]] = -arrival
+    return value
+
+
+def _times_between(nodes: IntArray, roadmap: Roadmap, speed: float) -> FloatArray:
+    """Seconds (n, n) between nodes (n,) of the roadmap, by the shortest way."""
+    a, b = roadmap.edges.T
+    length = np.hypot(*(roadmap.points[a] - roadmap.points[b]).T)
+    graph = csr_matrix((np.maximum(length, 1e-9), (a, b)), shape=2 * (len(roadmap.points),))
+    return np.asarray(dijkstra(graph, directed=False, indices=nodes)[:, nodes] / speed)
+
+
+@njit(cache=True)
+def _shortest_order(first: FloatArray, between: FloatArray) -> list[int]:
+    """The order in which to visit n places so that the last is reached soonest: first (n,) s to each from the start,
+    between (n, n) s. By dynamic programming over subsets (Held and Karp)."""
+    n = len(first)
+    cost = np.full((1 << n, n), np.inf)
+    before = np.full((1 << n, n), -1)
+    for k in range(n):
+        cost[1 << k, k] = first[k]
+    for visited in range(1, 1 << n):
+        for last in range(n):
+            here = cost[visited, last]
+            if not here < np.inf:
+                continue
+            for k in range(n):
+                if visited & (1 << k):
+                    continue
+                then = visited | (1 << k)
+                if here + between[last, k] < cost[then, k]:
+                    cost[then, k], before[then, k] = here + between[last, k], last
+    visited = (1 << n) - 1
+    last = int(np.argmin(cost[visited]))
+    order = []
+    while last >= 0:
+        order.append(last)
+        last, visited = before[visited, last], visited & ~(1 << last)
+    return order[::-1]
