@@ -13,10 +13,12 @@ def test_gain_per_time():
     np.testing.assert_array_equal(gain_per_time(np.array([10.0, 30.0]), np.array([5.0, 30.0])), [2.0, 1.0])
 
 
-def test_the_nearest_frontier_wins_and_the_nearest_place_where_there_is_no_frontier():
+def test_the_nearest_frontier_is_driven_up_to():
     time = np.array([5.0, 3.0, 4.0])
-    np.testing.assert_array_equal(nearest_frontier(time, np.array([True, False, True])), [-5.0, -np.inf, -4.0])
-    np.testing.assert_array_equal(nearest_frontier(time, np.zeros(3, dtype=bool)), -time)
+    distance = np.array([[1.0, np.inf], [2.0, np.inf], [np.inf, 3.0]])
+    np.testing.assert_array_equal(nearest_frontier(time, distance), [-5.0, -np.inf, -4.0])
+    np.testing.assert_array_equal(nearest_frontier(time, np.full((3, 2), np.inf)), -time)
+    np.testing.assert_array_equal(nearest_frontier(time, np.zeros((3, 0))), -time)
 
 
 @given(st.integers(1, 6), st.integers(0, 1000))

@@ -114,7 +114,8 @@ def choose(
     if explorer.goal == "argmax":
         value = paid
     elif explorer.goal == "nearest_frontier":
-        value = nearest_frontier(time, enough & affordable)
+        apart = np.hypot(*(points[:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
+        value = nearest_frontier(time, np.where((open_ahead > 0.0) & (enough & affordable)[:, None], apart, np.inf))
     elif explorer.goal == "tour":
         open_ahead[~(worth & affordable)] = 0.0
         value = tour(paid, time, stay, open_ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)

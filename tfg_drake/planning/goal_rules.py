@@ -21,9 +21,18 @@ def gain_per_time(gain: FloatArray, time: FloatArray) -> FloatArray:
     return np.asarray(gain / time)
 
 
-def nearest_frontier(time: FloatArray, sees_frontier: FloatArray) -> FloatArray:
-    """The quickest to reach, time (c,), s, of those that see a frontier (c,); of all where none does."""
-    return np.where(sees_frontier if sees_frontier.any() else True, -time, -np.inf)
+def nearest_frontier(time: FloatArray, frontier_distance: FloatArray) -> FloatArray:
+    """Minus the time (c,), s, to each place that is the nearest to a frontier point it sees, -inf for the others.
+
+    frontier_distance: (c, f) m, inf where a place does not see a frontier point. Where none sees any, minus the time.
+    """
+    if not np.isfinite(frontier_distance).any():
+        return -time
+    seen = np.isfinite(frontier_distance).any(axis=0)
+    value = np.full(len(time), -np.inf)
+    before = np.argmin(frontier_distance[:, seen], axis=0)
+    value[before] = -time[before]
+    return value
 
 
 def tour(

@@ -16,7 +16,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.goal_graph import GoalGraph, rows_of
 
 # Up to this many landmarks, and sightings of them counted once for each goal, a map is solved as a whole.
-SMALL = 2000
+SMALL = 400
 SMALL_SIGHTINGS = 12_000
 # A window's goals have seen this many tags at most, counted once for each goal, and its poses count like some more.
 SIGHTINGS = 1200
