@@ -31,7 +31,7 @@ VARIANTS |= {
 
 def interval(ratios: np.ndarray) -> str:
     """Mean and its 95 % bootstrap interval."""
-    if len(ratios) < 2:
+    if np.ptp(ratios) == 0.0:
         return f"{ratios.mean():.3f}"
     bounds = bootstrap((ratios,), np.mean, rng=np.random.default_rng(0)).confidence_interval
     return f"{ratios.mean():.3f} ({bounds.low:.3f}-{bounds.high:.3f})"

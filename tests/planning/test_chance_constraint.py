@@ -8,7 +8,9 @@ from tfg_drake.planning.chance_constraint import localised_deviation, required_c
 def deviation(targets, frames=4.0):
     targets = np.asarray(targets, dtype=float)
     n = len(targets)
-    return localised_deviation(np.zeros((1, 2)), np.array([0, n]), np.arange(n), targets, 0.02, 0.01, 0.01, frames)[0]
+    none = np.zeros((0, 0))
+    views = np.array([0, n]), np.arange(n)
+    return localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, frames, none)[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -21,6 +23,32 @@ def test_deviation_is_the_inverse_information_with_heading_unknown(seed):
         information += 4.0 * J.T @ np.diag([(0.02 + 0.01 * r) ** -2, 0.01**-2]) @ J
     worst = np.linalg.eigvalsh(np.linalg.inv(information)[:2, :2])[-1] ** 0.5
     assert deviation(targets) == pytest.approx(worst, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_uncertain_map_adds_what_the_robot_does_not_share_with_the_surface(seed):
+    """Against samples: landmarks are drawn, the robot finds its place by linear least squares as if they were exact."""
+    rng = np.random.default_rng(seed)
+    targets = np.array([[1.0, 0.3], [-1.2, 2.0], [2.5, -3.0], [0.5, -2.0]])
+    loose = rng.normal(0, 0.05, (8, 8))
+    common = np.tile(np.eye(2), (4, 1))
+    S = loose @ loose.T + 0.5 * common @ common.T
+    r = np.linalg.norm(targets, axis=1)
+    rows = []
+    for (x, y), d in zip(targets, r, strict=True):
+        rows += [np.array([-x / d, -y / d, 0]) / (0.02 + 0.01 * d), np.array([y / d**2, -x / d**2, -1]) / 0.01]
+    K = 2.0 * np.array(rows)
+    G = np.zeros((8, 8))
+    for i in range(4):
+        G[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = -K[2 * i : 2 * i + 2, :2]
+    dL = rng.multivariate_normal(np.zeros(8), S, 200_000)
+    seen = dL @ G.T + rng.normal(size=dL.shape)
+    error = -np.linalg.lstsq(K, seen.T, rcond=None)[0][:2].T
+    # Only the first landmark is near enough to carry a surface.
+    worst = np.linalg.eigvalsh(np.cov((error - dL[:, :2]).T))[-1] ** 0.5
+    views = np.array([0, 4]), np.arange(4)
+    sigma = localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, 4.0, S)[0]
+    assert sigma == pytest.approx(worst, rel=0.01)
 
 
 def test_one_landmark_does_not_localise():

@@ -3,7 +3,9 @@ import itertools
 import numpy as np
 import shapely
 
-from tfg_drake.planning.expected_view import View, visible_targets
+from tfg_drake.messages import replace
+from tfg_drake.planning.expected_view import View, local_view, visible_targets
+from tfg_drake.slam.goal_graph import empty_map
 
 STEEPEST = np.radians(75)
 
@@ -59,3 +61,10 @@ def test_the_view_from_some_of_the_points():
     assert (some.offsets.tolist(), some.index.tolist()) == ([0, 2, 2, 3], [3, 4, 7])
     none = view_of_four.of(np.zeros(0, dtype=np.int64))
     assert (none.offsets.tolist(), none.index.tolist()) == ([0], [])
+
+
+def test_a_view_counts_the_landmarks_known_jointly_by_their_place_among_them():
+    estimate = replace(empty_map(), ids=np.arange(10, 16), local=np.array([1, 3, 4]))
+    view = local_view(View(np.array([0, 3, 4, 4, 6]), np.array([0, 1, 4, 5, 3, 4])), estimate)
+    assert view.offsets.tolist() == [0, 2, 2, 2, 4]
+    assert view.index.tolist() == [0, 2, 1, 2]

@@ -2,11 +2,8 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
-from tfg_drake.messages import replace
 from tfg_drake.planning.exact_gain import exact_gain, share_seen
-from tfg_drake.planning.expected_view import View
-from tfg_drake.planning.information_gain import local_view, odometry_covariance, turn_noise
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.planning.information_gain import odometry_covariance, turn_noise
 
 
 def whitened(p_AL, noise):
@@ -134,10 +131,3 @@ def test_odometry_covariance_is_that_of_simulated_dead_reckoning():
     scale = np.sqrt(np.diag(Q))
     np.testing.assert_allclose(forward @ np.cov(ends.T) @ forward.T / np.outer(scale, scale),
                                Q / np.outer(scale, scale), atol=0.08)  # fmt: skip
-
-
-def test_a_view_counts_the_landmarks_known_jointly_by_their_place_among_them():
-    estimate = replace(empty_map(), ids=np.arange(10, 16), local=np.array([1, 3, 4]))
-    view = local_view(View(np.array([0, 3, 4, 4, 6]), np.array([0, 1, 4, 5, 3, 4])), estimate)
-    assert view.offsets.tolist() == [0, 2, 2, 2, 4]
-    assert view.index.tolist() == [0, 2, 1, 2]

@@ -5,8 +5,8 @@ counts is its position relative to the surface: a path must keep
 
     d >= r + Phi^-1(1 - delta) sigma
 
-from every surface, sigma being the predicted deviation of the robot relative to the landmarks nearby, across any
-direction. Its absolute uncertainty far from the start does not close a door: the door moves with it.
+from every surface, sigma being the predicted deviation of the robot relative to the landmarks that carry the surfaces
+nearby, across any direction. Its absolute uncertainty far from the start does not close a door: the door moves with it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,18 @@ from scipy.stats import norm
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
-from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, visible_targets
+from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, View, local_view, visible_targets
 
-# Landmarks farther away are left out of the prediction: they add little and cost most, m.
+# Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
+# so many.
 LOCALISATION_RANGE = 5.0
+LOCALISATION_TAGS = 10
 # The pose is what this much time of frames makes it, s.
 LOCALISATION_TIME = 1.0
 # Deviation of the robot from its path and of a surface from the landmarks it is anchored to, m.
 TRACKING_DEVIATION = 0.02
+# Surfaces that a robot at a point might touch are carried by landmarks this near, m.
+SURFACE_REACH = 1.5
 
 
 @njit(cache=True)
@@ -40,35 +44,100 @@ def localised_deviation(
     range_noise_per_metre: float,
     bearing_noise: float,
     frames: float,
+    covariance: FloatArray,
 ) -> FloatArray:
-    """Greatest deviation (n,), m, of a robot's position at each point, relative to the landmarks it sees there.
+    """Greatest deviation (n,), m, of a robot's position at each point, relative to the landmarks near it.
 
-    Point i sees targets[index[offsets[i]:offsets[i + 1]]], each in `frames` frames of range and bearing; heading
-    unknown. inf with fewer than two in view.
+    Point i sees targets[index[offsets[i]:offsets[i + 1]]] of targets (t, 2), each in `frames` frames of range and
+    bearing, heading unknown, and takes them to be where the map has them; LOCALISATION_TAGS of them count, the nearest.
+    covariance: (>= 2t, >= 2t) of the targets, m^2; (0, 0) where their own errors are left out. Relative to which
+    targets: those within SURFACE_REACH. inf with fewer than two in view.
     """
     out = np.full(len(points), np.inf)
+    uncertain = len(covariance) > 0
     for i in range(len(points)):
-        if offsets[i + 1] - offsets[i] < 2:
+        x, y = points[i, 0], points[i, 1]
+        rows = index[offsets[i] : offsets[i + 1]]
+        if len(rows) < 2:
             continue
-        a, b, c = 0.0, 0.0, 0.0  # information on x, y: [[a, b], [b, c]]
-        hx, hy, h = 0.0, 0.0, 0.0  # its cross terms with the heading, and the heading's own
-        for k in range(offsets[i], offsets[i + 1]):
-            dx, dy = targets[index[k], 0] - points[i, 0], targets[index[k], 1] - points[i, 1]
+        if len(rows) > LOCALISATION_TAGS:
+            square = np.empty(len(rows))
+            for k in range(len(rows)):
+                square[k] = (targets[rows[k], 0] - x) ** 2 + (targets[rows[k], 1] - y) ** 2
+            rows = rows[np.argsort(square)[:LOCALISATION_TAGS]]
+        m = len(rows)
+        B = np.zeros((3, 3))  # information on the pose
+        H = np.empty((m, 3, 2))  # K^T G: what an error of each landmark does to it
+        for k in range(m):
+            dx, dy = targets[rows[k], 0] - x, targets[rows[k], 1] - y
             r = max(math.sqrt(dx * dx + dy * dy), 0.05)
             ux, uy = dx / r, dy / r
             w_range = frames / (range_noise + range_noise_per_metre * r) ** 2
             w_bearing = frames / bearing_noise**2
-            a += w_range * ux * ux + w_bearing * uy * uy / (r * r)
-            b += w_range * ux * uy - w_bearing * ux * uy / (r * r)
-            c += w_range * uy * uy + w_bearing * ux * ux / (r * r)
-            hx -= w_bearing * uy / r
-            hy += w_bearing * ux / r
-            h += w_bearing
-        a, b, c = a - hx * hx / h, b - hx * hy / h, c - hy * hy / h
-        least = 0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)
-        if least > 0.0:
-            out[i] = 1.0 / math.sqrt(least)
+            xx = w_range * ux * ux + w_bearing * uy * uy / (r * r)
+            xy = w_range * ux * uy - w_bearing * ux * uy / (r * r)
+            yy = w_range * uy * uy + w_bearing * ux * ux / (r * r)
+            hx, hy = -w_bearing * uy / r, w_bearing * ux / r
+            B[0, 0] += xx
+            B[0, 1] += xy
+            B[1, 1] += yy
+            B[0, 2] += hx
+            B[1, 2] += hy
+            B[2, 2] += w_bearing
+            H[k, 0, 0], H[k, 0, 1], H[k, 1, 1] = xx, xy, yy
+            H[k, 1, 0] = xy
+            H[k, 2, 0], H[k, 2, 1] = hx, hy
+        B[1, 0], B[2, 0], B[2, 1] = B[0, 1], B[0, 2], B[1, 2]
+        if np.linalg.det(B) <= 0.0:
+            continue
+        P = np.linalg.inv(B)
+        if not uncertain:
+            out[i] = math.sqrt(_largest(P[0, 0], P[0, 1], P[1, 1]))
+            continue
+
+        # The robot's error is M dL + noise: it takes part in those of the landmarks it goes by. N = S M^T.
+        M = np.empty((m, 2, 2))
+        for k in range(m):
+            for q in range(2):
+                for j in range(2):
+                    M[k, q, j] = P[q, 0] * H[k, 0, j] + P[q, 1] * H[k, 1, j] + P[q, 2] * H[k, 2, j]
+        xx, xy, yy = P[0, 0], P[0, 1], P[1, 1]
+        for k in range(m):
+            n00, n01, n10, n11 = _shared(covariance, rows[k], rows, M)
+            xx += M[k, 0, 0] * n00 + M[k, 0, 1] * n10
+            xy += M[k, 0, 0] * n01 + M[k, 0, 1] * n11
+            yy += M[k, 1, 0] * n01 + M[k, 1, 1] * n11
+        worst = 0.0
+        for s in range(len(targets)):
+            if (targets[s, 0] - x) ** 2 + (targets[s, 1] - y) ** 2 > SURFACE_REACH**2:
+                continue
+            n00, n01, n10, n11 = _shared(covariance, s, rows, M)
+            a = xx - 2.0 * n00 + covariance[2 * s, 2 * s]
+            b = xy - n01 - n10 + covariance[2 * s, 2 * s + 1]
+            c = yy - 2.0 * n11 + covariance[2 * s + 1, 2 * s + 1]
+            worst = max(worst, _largest(a, b, c))
+        out[i] = math.sqrt(worst if worst > 0.0 else _largest(P[0, 0], P[0, 1], P[1, 1]))
     return out
+
+
+@njit(cache=True)
+def _shared(covariance: FloatArray, row: int, rows: IntArray, M: FloatArray) -> tuple[float, float, float, float]:
+    """The covariance (2, 2), row by row, of one landmark's error with the sum of those of others times M (m, 2, 2)."""
+    a = 2 * row
+    n00, n01, n10, n11 = 0.0, 0.0, 0.0, 0.0
+    for j in range(len(rows)):
+        b = 2 * rows[j]
+        n00 += covariance[a, b] * M[j, 0, 0] + covariance[a, b + 1] * M[j, 0, 1]
+        n01 += covariance[a, b] * M[j, 1, 0] + covariance[a, b + 1] * M[j, 1, 1]
+        n10 += covariance[a + 1, b] * M[j, 0, 0] + covariance[a + 1, b + 1] * M[j, 0, 1]
+        n11 += covariance[a + 1, b] * M[j, 1, 0] + covariance[a + 1, b + 1] * M[j, 1, 1]
+    return n00, n01, n10, n11
+
+
+@njit(cache=True)
+def _largest(a: float, b: float, c: float) -> float:
+    """The larger eigenvalue of [[a, b], [b, c]]."""
+    return 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
 
 
 def predicted_deviation(
@@ -82,18 +151,28 @@ def predicted_deviation(
     """Deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
 
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
-    field of view covers); elsewhere that of the nearest such point, or of the place where the robot stands, grown by
-    odometry over the straight way from there at `speed` (m/s).
+    field of view covers), and of the map there, as far as its landmarks are known jointly; elsewhere that of the
+    nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
+    `speed` (m/s).
     """
-    near = visible_targets(
-        points, estimate.p_ML, tfg.facing, tfg.segments,
-        min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence, SURFACE_TOLERANCE,
+    near = View(
+        *visible_targets(
+            points, estimate.p_ML, tfg.facing, tfg.segments,
+            min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence, SURFACE_TOLERANCE,
+        )
     )  # fmt: skip
     frames = sensor.detection_probability * sensor.rate * LOCALISATION_TIME
     frames *= min(1.0, sensor.field_of_view / (2 * math.pi))
-    sigma = localised_deviation(
-        points, *near, estimate.p_ML, sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames
-    )
+    noise = sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames
+    local = local_view(near, estimate)
+    joint = local.count >= 2
+    sigma = np.empty(len(points))
+    for which, view, p_ML, covariance in (
+        (joint, local, estimate.p_ML[estimate.local], estimate.covariance),
+        (~joint, near, estimate.p_ML, np.zeros((0, 0))),
+    ):
+        view = view.of(np.flatnonzero(which))
+        sigma[which] = localised_deviation(points[which], view.offsets, view.index, p_ML, *noise, covariance)
     localised = np.isfinite(sigma)
     if not localised.all():
         anchors = np.vstack([points[localised], estimate.X_MD[None, :2]])

@@ -122,3 +122,12 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig)
             0.0,
         )
     )
+
+
+def local_view(tags: View, estimate: MapEstimate) -> View:
+    """A view of rows of estimate.ids as one of the entries of estimate.local, those that are not in it left out."""
+    entry = np.full(len(estimate.ids), -1)
+    entry[estimate.local] = np.arange(len(estimate.local))
+    index = entry[tags.index]
+    point = np.repeat(np.arange(len(tags.count)), tags.count)[index >= 0]
+    return View(np.append(0, np.cumsum(np.bincount(point, minlength=len(tags.count)))), index[index >= 0])

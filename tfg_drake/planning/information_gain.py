@@ -18,7 +18,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
 from tfg_drake.planning.exact_gain import exact_gain
-from tfg_drake.planning.expected_view import View
+from tfg_drake.planning.expected_view import View, local_view
 
 # A turn's measurements of one tag are never worth more than this, m and rad: the headings of its frames are uncertain
 # and tie all tags of a goal together.
@@ -100,15 +100,6 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
         return S_DD
     conditional = S_DD - S[n:, :n] @ cho_solve(cho_factor(S[:n, :n], lower=True), S[:n, n:])
     return np.asarray(0.5 * (conditional + conditional.T))
-
-
-def local_view(tags: View, estimate: MapEstimate) -> View:
-    """A view of rows of estimate.ids as one of the entries of estimate.local, those that are not in it left out."""
-    entry = np.full(len(estimate.ids), -1)
-    entry[estimate.local] = np.arange(len(estimate.local))
-    index = entry[tags.index]
-    point = np.repeat(np.arange(len(tags.count)), tags.count)[index >= 0]
-    return View(np.append(0, np.cumsum(np.bincount(point, minlength=len(tags.count)))), index[index >= 0])
 
 
 def information_gain(
