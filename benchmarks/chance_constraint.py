@@ -27,7 +27,8 @@ from tfg_drake.messages import MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner
 from tfg_drake.planning.monte_carlo import collisions
 from tfg_drake.planning.path import plan_path
-from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState, extend, roadmap_message, routes
+from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState, extend
+from tfg_drake.planning.routes import roadmap_message, routes
 
 Stage = tuple[MapEstimate, TfgMap, RoadmapState]
 
@@ -76,20 +77,20 @@ def main() -> None:
     sensor, odometry = inflated(scenario, options.inflate)
     print("asked   paths  points  worst point  points above   path mean  path most  reachable")
     for probability in options.probability:
-        explorer = copy.copy(scenario.explorer)
-        explorer.collision_probability = probability
-        parameters = RoadmapParameters(scenario.robot, sensor, odometry, explorer, scenario.seed)
+        config = copy.copy(scenario.planner)
+        config.collision_probability = probability
+        parameters = RoadmapParameters(scenario.robot, sensor, odometry, scenario.explorer, config, scenario.seed)
         rng = np.random.default_rng(0)
         worst, above, points, whole, reach = 0.0, 0, 0, [], []
         for estimate, tfg, nodes in stages:
             loose = replace(estimate, covariance=options.inflate**2 * estimate.covariance)
             again = extend(nodes, tfg, loose, parameters)
-            ways = routes(again, tfg, loose.X_MD, scenario.robot)
-            roadmap = roadmap_message(again, ways, scenario.robot, probability)
+            ways = routes(again, tfg, loose.X_MD, scenario.robot, config)
+            roadmap = roadmap_message(again, ways, scenario.robot, config)
             reach.append(roadmap.reachable.sum() / max(roadmap.enterable.sum(), 1))
             there = np.flatnonzero(roadmap.reachable)
             for node in rng.choice(there, min(options.paths, len(there)), replace=False):
-                path = plan_path(again, tfg, loose.X_MD, int(node), scenario.robot)
+                path = plan_path(again, tfg, loose.X_MD, int(node), scenario.robot, config)
                 if len(path) < 2:
                     continue
                 hits = collisions(path, loose, tfg, scenario.robot, sensor, odometry, rng, options.rollouts)

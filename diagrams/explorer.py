@@ -39,7 +39,8 @@ def MakeTfgExplorer(scenario: Scenario) -> Diagram:
         "goal_selector", InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer)
     )
     planner = builder.AddNamedSystem(
-        "prm_planner", PrmPlanner(robot, scenario.odometry, scenario.tags, explorer, seed=scenario.seed)
+        "prm_planner",
+        PrmPlanner(robot, scenario.odometry, scenario.tags, explorer, scenario.planner, seed=scenario.seed),
     )
     follower = builder.AddNamedSystem("follower", PurePursuitFollower(robot, explorer))
     sequencer = builder.AddNamedSystem("mission_sequencer", MissionSequencer(robot))

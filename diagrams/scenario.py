@@ -19,8 +19,10 @@ from pydrake.common.yaml import yaml_load_typed
 from tfg_drake.config import (
     GAINS,
     GOAL_RULES,
+    RISKS,
     ExplorerConfig,
     OdometryConfig,
+    PlannerConfig,
     RobotConfig,
     SafetyConfig,
     ScanConfig,
@@ -71,6 +73,7 @@ class Scenario:
     scan: ScanConfig = dataclasses.field(default_factory=ScanConfig)
     safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
     explorer: ExplorerConfig = dataclasses.field(default_factory=ExplorerConfig)
+    planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
 
 
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
@@ -98,10 +101,10 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.samples": (1.0, math.inf),
     "explorer.frontier_attempts": (1.0, math.inf),
     "explorer.turn_rate": (0.0, math.inf),
-    "explorer.collision_probability": (0.0, 0.5),
+    "planner.collision_probability": (0.0, 0.5),
 }
 # Texts that must be one of a few.
-_CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS, "explorer.goal": GOAL_RULES}
+_CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS, "explorer.goal": GOAL_RULES, "planner.risk": RISKS}
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
 # Numbers that may have either sign.

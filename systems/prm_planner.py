@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import GoalChoice, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.planning.planner import PlannerState, initial_state, step
@@ -48,10 +48,11 @@ class PrmPlanner(LeafSystem):
         odometry: OdometryConfig,
         sensor: TagSensorConfig,
         explorer: ExplorerConfig,
+        planner: PlannerConfig,
         seed: int,
     ):
         super().__init__()
-        self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, seed)
+        self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
         self._pose = declare_message_input(self, "pose")

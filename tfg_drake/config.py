@@ -13,6 +13,8 @@ GAINS = ("exact", "limit", "paper", "authors")
 # The rules by which the next goal is picked, by name: most gain per expected time, most gain (the paper's), the first
 # of a short tour, the frontier reached soonest.
 GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier")
+# What a planned path's collision probability is bounded of.
+RISKS = ("point", "path")
 
 
 @dataclasses.dataclass
@@ -137,5 +139,13 @@ class ExplorerConfig:
     path_keyframe_period: float = 0.0
     # The robot stands and looks this long before its first turn, s: the map's heading is that of the start pose.
     first_look: float = 3.0
-    # Largest probability that a point of a path lies in an obstacle (the paper's last equation).
+
+
+@dataclasses.dataclass
+class PlannerConfig:
+    """The roadmap's chance constraint (the paper's last equation)."""
+
+    # Largest probability of a collision,
     collision_probability: float = 0.01
+    # and of what: of any point of a path by itself, or of the whole path; one of RISKS.
+    risk: str = "point"

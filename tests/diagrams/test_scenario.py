@@ -100,7 +100,7 @@ def test_world_and_config_are_inverse():
         ("robot: {radios: 1}", "robot.radios: unknown key; did you mean radius?"),
         (
             "wheels: {}",
-            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, safety, explorer",
+            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, safety, explorer, planner",
         ),
         ("robot: {radius: a}", "robot.radius: expected a number, found text ('a')"),
         ("robot: {radius: yes}", "robot.radius: expected a number, found a yes/no value (True)"),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from tfg_drake.planning.chance_constraint import localised_deviation, required_clearance
+from tfg_drake.planning.chance_constraint import collision_probability, localised_deviation, required_clearance
 
 
 def deviation(targets, frames=4.0):
@@ -56,7 +56,9 @@ def test_one_landmark_does_not_localise():
     assert deviation([[1, 0], [0, 1]]) < 0.05
 
 
-def test_required_clearance_keeps_the_collision_probability():
-    sigma = np.array([0.03])
+def test_required_clearance_keeps_the_collision_probability_between_two_surfaces():
+    sigma = np.array([0.03, 0.1])
     need = required_clearance(0.18, sigma, 0.01)
-    assert norm.cdf((0.18 - need) / sigma) == pytest.approx(0.01)
+    assert 2 * norm.cdf((0.18 - need) / sigma) == pytest.approx([0.01, 0.01])
+    assert collision_probability(need, 0.18, sigma) == pytest.approx([0.01, 0.01])
+    assert collision_probability(np.array([0.1]), 0.18, np.array([0.03])) == [1.0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.geometry.visibility import cast_rays
@@ -20,13 +20,13 @@ from tfg_drake.planning.roadmap import (
     extend,
     in_free_space,
     passages,
-    roadmap_message,
-    routes,
 )
+from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.slam.goal_graph import empty_map
 
 ROBOT = RobotConfig()
-PARAMETERS = RoadmapParameters(ROBOT, TagSensorConfig(), OdometryConfig(), ExplorerConfig(), seed=3)
+PLANNER = PlannerConfig()
+PARAMETERS = RoadmapParameters(ROBOT, TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PLANNER, seed=3)
 
 
 def two_rooms(door=0.8):
@@ -92,13 +92,13 @@ def nearest(state, place):
 def test_finds_a_door_of_80_cm():
     segments = two_rooms(0.8)
     state, estimate, tfg = build(segments, [(-4, 1, 0)])
-    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost)
+    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost)
     assert reachable[state.points[:, 0] > 1].sum() > 3
 
 
 def test_does_not_find_a_door_too_narrow():
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
-    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost)
+    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost)
     assert not reachable[state.points[:, 0] > 0.5].any()
 
 
@@ -149,13 +149,13 @@ def test_more_effort_gives_more_nodes():
 
 def test_the_last_effort_accepts_a_door_that_is_a_little_too_narrow():
     goals = [(-4, 0, 0)]
-    cautious = dataclasses.replace(PARAMETERS, explorer=ExplorerConfig(collision_probability=1e-4))
+    cautious = dataclasses.replace(PARAMETERS, planner=PlannerConfig(collision_probability=1e-4))
     widths = {}
     for effort in range(len(EFFORTS)):
         for width in (0.44, 0.5, 0.56):
             estimate, tfg = known(two_rooms(width), goals)
             state = extend(empty_roadmap(), tfg, estimate, cautious, effort=effort)
-            reached = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost)
+            reached = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost)
             if (state.points[reached, 0] > 0.3).any():
                 widths[effort] = min(widths.get(effort, 9.0), width)
     assert widths == {0: 0.56, 1: 0.56, 2: 0.5}
@@ -165,7 +165,7 @@ def test_what_was_travelled_stays_open_with_little_to_spare():
     segments = two_rooms(0.42)
     driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
     state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)
-    ways = routes(state, tfg, estimate.X_MD, ROBOT)
+    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
     assert np.isfinite(ways.cost[nearest(state, (-4, 0.1))])
 
 
@@ -173,10 +173,10 @@ def test_a_way_that_the_map_now_finds_too_narrow_is_open_only_to_go_home():
     segments = two_rooms(0.37)
     driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
     state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)
-    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost[nearest(state, (-4, 0.1))])
+    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost[nearest(state, (-4, 0.1))])
     estimate, tfg = known(segments, [(-4, 0.1, 0), (3, 0, 0), (-4, 1, 0)])
     state = extend(state, tfg, estimate, PARAMETERS)
-    assert not np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT).cost[nearest(state, (3, 0))])
+    assert not np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost[nearest(state, (3, 0))])
 
 
 def test_of_two_tight_doors_driven_through_the_wider_stays_open():
@@ -193,8 +193,8 @@ def test_of_two_tight_doors_driven_through_the_wider_stays_open():
 
 def test_routes_agree_with_their_own_path_and_prefer_room():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
-    ways = routes(state, tfg, estimate.X_MD, ROBOT)
-    message = roadmap_message(state, ways, ROBOT, 0.01)
+    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    message = roadmap_message(state, ways, ROBOT, PLANNER)
     assert message.stage == 2
     reachable = message.reachable
     assert (message.enterable >= reachable).all()
@@ -211,7 +211,7 @@ def test_a_lost_robot_may_not_pass_doors_that_it_would_fit_through():
     for width in (0.42, 0.5, 0.65):
         estimate, tfg = known(two_rooms(width), [(-4, 0, 0)])
         state = extend(empty_roadmap(), tfg, estimate, dataclasses.replace(PARAMETERS, sensor=vague))
-        message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT), ROBOT, 0.01)
+        message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), ROBOT, PLANNER)
         behind = message.points[:, 0] > 0.3
         seen[width] = [bool(where[behind].any()) for where in (message.reachable, message.enterable, message.roomy)]
     assert seen == {0.42: [False, False, False], 0.5: [False, True, False], 0.65: [False, True, True]}
@@ -220,13 +220,13 @@ def test_a_lost_robot_may_not_pass_doors_that_it_would_fit_through():
 def test_a_robot_too_near_a_wall_is_not_trapped():
     state, _, tfg = build(two_rooms(), [(-4, 1, 0)])
     for place in ([-4, -1.9, 0.0], [-5.95, 1.95, 0.0], [-4, -2.0, 0.0]):
-        assert np.isfinite(routes(state, tfg, np.array(place), ROBOT).cost).mean() > 0.5
+        assert np.isfinite(routes(state, tfg, np.array(place), ROBOT, PLANNER).cost).mean() > 0.5
 
 
 def test_path_goes_through_the_door_with_room_to_spare():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     node = nearest(state, (-5, -1))
-    path = plan_path(state, tfg, estimate.X_MD, node, ROBOT)
+    path = plan_path(state, tfg, estimate.X_MD, node, ROBOT, PLANNER)
     np.testing.assert_allclose(path[[0, -1]], [estimate.X_MD[:2], state.points[node]], atol=1e-9)
     step = np.hypot(*np.diff(path, axis=0).T)
     assert 0.05 < step.min() <= step.max() < 0.11
@@ -241,8 +241,8 @@ def test_path_goes_through_the_door_with_room_to_spare():
 def test_no_path_to_where_no_edge_leads():
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
     cut_off = dataclasses.replace(state, usable=np.zeros_like(state.usable))
-    assert len(plan_path(cut_off, tfg, estimate.X_MD, nearest(state, (-0.6, -1)), ROBOT)) == 0
-    assert len(plan_path(empty_roadmap(), tfg, estimate.X_MD, 0, ROBOT)) == 0
+    assert len(plan_path(cut_off, tfg, estimate.X_MD, nearest(state, (-0.6, -1)), ROBOT, PLANNER)) == 0
+    assert len(plan_path(empty_roadmap(), tfg, estimate.X_MD, 0, ROBOT, PLANNER)) == 0
 
 
 def test_shortcuts_and_rounding_lose_no_clearance():
@@ -267,7 +267,7 @@ def test_an_unmapped_box_on_the_path_blocks_it_and_is_planned_round(offset, free
     state, _, tfg = build(two_rooms(), [(-5, 0, 0)])
     node = nearest(state, (-1.2, 0))
     X_MB = np.array([-5.0, 0.0, 0.0])
-    path = plan_path(state, tfg, X_MB, node, ROBOT)
+    path = plan_path(state, tfg, X_MB, node, ROBOT, PLANNER)
     y = np.interp(-3.6, path[:, 0], path[:, 1]) + offset
     box = np.array([[-3.6, y - 0.15, -3.6, y + 0.15], [-3.6, y + 0.15, -3.3, y + 0.15]])
     X_MB = np.array([*path[0], np.arctan2(*(path[5] - path[0])[::-1])])
@@ -277,7 +277,7 @@ def test_an_unmapped_box_on_the_path_blocks_it_and_is_planned_round(offset, free
     if free:
         return
     obstacles = unmapped_obstacles(path, scan, X_MB, ROBOT.radius, tfg.segments)
-    around = plan_path(state, tfg, X_MB, node, ROBOT, obstacles)
+    around = plan_path(state, tfg, X_MB, node, ROBOT, PLANNER, obstacles)
     assert shapely.LineString(around).distance(shapely.LineString(box[0].reshape(2, 2))) > ROBOT.radius + 0.02
     assert path_is_free(around, scan, X_MB, ROBOT.radius, tfg.segments)
 
@@ -314,7 +314,7 @@ def test_an_empty_map_has_a_roadmap_of_open_space():
         np.array([0, 4]), square, np.zeros((1, 2)),
     )  # fmt: skip
     state = extend(empty_roadmap(), tfg, estimate, PARAMETERS)
-    assert np.isfinite(routes(state, tfg, np.zeros(3), ROBOT).cost).mean() > 0.9
+    assert np.isfinite(routes(state, tfg, np.zeros(3), ROBOT, PLANNER).cost).mean() > 0.9
 
 
 def test_the_way_driven_is_kept_by_chords_that_do_not_cut_its_corners():
@@ -339,5 +339,5 @@ def test_a_tight_bend_once_driven_can_be_driven_back():
     corner = np.array([[-3.0, 0.0], [0.0, 0.0], [0.0, 2.5]])
     way = np.vstack([resample(corner[:2], 0.1), resample(corner[1:], 0.1)])
     state, estimate, tfg = build(walls, [(-3.0, 0.0, 0.0), (0.0, 2.5, 1.57)], way)
-    ways = routes(state, tfg, estimate.X_MD, ROBOT)
+    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
     assert np.isfinite(ways.cost[nearest(state, (-3.0, 0.0))])

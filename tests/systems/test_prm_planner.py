@@ -2,7 +2,7 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import (
     GoalChoice,
     GoalObservation,
@@ -19,7 +19,7 @@ from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import goal_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
 
-CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig()
+CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig(), PlannerConfig()
 NONE = np.zeros((0, 2))
 IDS = np.zeros(0, dtype=np.int64)
 SQUARE = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])
@@ -173,8 +173,8 @@ def test_a_robot_shut_in_by_what_it_met_forgets_it():
     ring = 0.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     met = np.hstack([ring[:-1], ring[1:]])
     state = replace(initial_state(), obstacles=met, obstacle_goal=np.zeros(len(met), dtype=np.int64))
-    robot, odometry, sensor, explorer = CONFIGS
-    parameters = RoadmapParameters(robot, sensor, odometry, explorer, seed=1)
+    robot, odometry, sensor, explorer, planner = CONFIGS
+    parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
     mission = MissionStatus("choose", 1, 0.0)
     state = step(state, estimate, tfg, pose(1), empty_choice(), scan(), mission, parameters)
     assert state.roadmap.reachable.mean() > 0.9

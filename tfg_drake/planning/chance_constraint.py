@@ -3,10 +3,11 @@
 The paper asks for Pr(x in edge) < delta, which is zero for any line. Here the robot is a disc of radius r, and what
 counts is its position relative to the surface: a path must keep
 
-    d >= r + Phi^-1(1 - delta) sigma
+    d >= r + Phi^-1(1 - delta / 2) sigma
 
-from every surface, sigma being the predicted deviation of the robot relative to the landmarks that carry the surfaces
-nearby, across any direction. Its absolute uncertainty far from the start does not close a door: the door moves with it.
+from every surface: in a door and in a corner two of them are as near. sigma is the predicted deviation of the robot
+relative to the landmarks that carry the surfaces nearby, across any direction. Its absolute uncertainty far from the
+start does not close a door: the door moves with it.
 """
 
 from __future__ import annotations
@@ -186,5 +187,10 @@ def predicted_deviation(
 
 
 def required_clearance(radius: float, sigma: FloatArray, collision_probability: float) -> FloatArray:
-    """Clearance (n,), m, that a disc of this radius (m) needs with deviation sigma (n,), m."""
-    return np.asarray(radius + norm.ppf(1.0 - collision_probability) * sigma)
+    """Clearance (n,), m, that a disc of this radius (m) needs with deviation sigma (n,), m, between two surfaces."""
+    return np.asarray(radius + norm.ppf(1.0 - 0.5 * collision_probability) * sigma)
+
+
+def collision_probability(clearance: FloatArray, radius: float, sigma: FloatArray) -> FloatArray:
+    """The probability (n,) of a collision between two surfaces at this clearance (n,), m: see required_clearance."""
+    return np.asarray(np.minimum(1.0, 2.0 * norm.sf((clearance - radius) / sigma)))

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.config import RobotConfig
+from tfg_drake.config import PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray, LaserScan, TfgMap
-from tfg_drake.planning.roadmap import (
-    FREE_STEP,
-    OBSTACLE_MARGIN,
-    RoadmapState,
-    Routes,
-    in_free_space,
-    node_path,
-    routes,
-)
+from tfg_drake.planning.chance_constraint import required_clearance
+from tfg_drake.planning.roadmap import FREE_STEP, OBSTACLE_MARGIN, RoadmapState, in_free_space
+from tfg_drake.planning.routes import Routes, node_path, routes
 
 # A shortcut is as good as what it replaces with this clearance, m.
 SHORTCUT_CLEARANCE = 0.35
@@ -27,6 +21,8 @@ SHORTCUT_REACH = 24
 ROUNDING = 0.6
 # Interval of a path's points, m.
 PATH_STEP = 0.1
+# A collision as improbable as this is none.
+NO_RISK = 1e-4
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
@@ -104,28 +100,33 @@ def plan_path(
     X_MB: FloatArray,
     node: int,
     robot: RobotConfig,
+    planner: PlannerConfig,
     obstacles: FloatArray | None = None,
 ) -> FloatArray:
     """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
 
     obstacles: (b, 4) segments met at this stage that the map does not hold, m in M.
     """
-    ways = routes(state, tfg, X_MB, robot, obstacles)
+    ways = routes(state, tfg, X_MB, robot, planner, obstacles)
     points = node_path(state, ways, X_MB, node)
     if len(points) < 2 or np.hypot(*np.ptp(points, axis=0)) < 1e-6:
         return np.zeros((0, 2))
     segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
-    enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node))
+    enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
     points = shortcut(points, tfg, segments, enough)
     return resample(round_corners(points, segments, enough), PATH_STEP)
 
 
-def _required(state: RoadmapState, ways: Routes, node: int) -> float:
+def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, planner: PlannerConfig) -> float:
     """The largest clearance, m, that the chance constraint asks for on the way to a node."""
     nodes = []
     while node < len(state.points):
         nodes.append(node)
         node = int(ways.predecessor[node])
+    if planner.risk == "path":
+        # Where a shortcut passes, it should add nothing to the risk of the whole.
+        probability = np.minimum(planner.collision_probability, NO_RISK)
+        return float(required_clearance(robot.radius, state.sigma[nodes].max(initial=0.0), probability))
     on_way = np.isin(state.edges, nodes).all(axis=1) & state.usable
     return float(state.edge_required[on_way].max(initial=0.0))
 

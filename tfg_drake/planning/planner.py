@@ -33,9 +33,8 @@ from tfg_drake.planning.roadmap import (
     empty_roadmap,
     extend,
     place_in_map,
-    roadmap_message,
-    routes,
 )
+from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.pose_prediction import pose_at
 
 # Interval at which the robot's way is noted, m.
@@ -139,11 +138,12 @@ def _roadmap(
     obstacles: FloatArray,
     driven: float,
 ) -> Roadmap:
-    ways = routes(nodes, tfg, estimate.X_MD, parameters.robot, obstacles)
+    robot, planner = parameters.robot, parameters.planner
+    ways = routes(nodes, tfg, estimate.X_MD, robot, planner, obstacles)
     home = None
     if parameters.explorer.return_home:
-        home = routes(nodes, tfg, estimate.X_MA[0], parameters.robot, obstacles)
-    return roadmap_message(nodes, ways, parameters.robot, parameters.explorer.collision_probability, driven, home)
+        home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles)
+    return roadmap_message(nodes, ways, robot, planner, driven, home)
 
 
 def frontier_in_sight(
@@ -179,7 +179,8 @@ def _plan(
     parameters: RoadmapParameters,
 ) -> PlannerState:
     X_MB = pose.X_MB if pose.stage == estimate.stage else estimate.X_MD
-    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, _obstacles(state, estimate))
+    obstacles = _obstacles(state, estimate)
+    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, parameters.planner, obstacles)
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
     return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
 

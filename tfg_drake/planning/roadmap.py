@@ -14,15 +14,22 @@ import math
 import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.distance import clearance, nearest_on_segment, segment_distance
+from tfg_drake.config import (
+    NODE_MARGIN,
+    ExplorerConfig,
+    OdometryConfig,
+    PlannerConfig,
+    RobotConfig,
+    TagSensorConfig,
+)
+from tfg_drake.geometry.distance import clearance, nearest_on_segment
 from tfg_drake.geometry.segment_grid import cell_range, segment_grid
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap, message
-from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, predicted_deviation, required_clearance
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message
+from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
@@ -45,15 +52,12 @@ CHORD = 0.01
 SAME_NODE = 0.15
 # How hard a stage tries to reach a place that sees a frontier, one after the other: how many times as many samples are
 # thrown and as near to each other, and the probability of a collision that is accepted, if that is more than
-# explorer.collision_probability. The scan watches every path anyway.
-EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.1))
+# planner.collision_probability. The scan watches every path anyway.
+EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.2))
 # Edges are looked up in the free space at this interval, m.
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
-# The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
-# the building that is too narrow.
-FAIR_DEVIATION = 0.05
 # Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
 OBSTACLE_MARGIN = 0.08
 
@@ -66,6 +70,7 @@ class RoadmapParameters:
     sensor: TagSensorConfig
     odometry: OdometryConfig
     explorer: ExplorerConfig
+    planner: PlannerConfig
     seed: int
 
 
@@ -75,8 +80,9 @@ class RoadmapState:
 
     stage. anchor: (n,) the goal in whose arrival frame A each node is kept, p_AN: (n, 2), m. edges: (e, 2) nodes,
     all that were ever proposed. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space.
-    points: (n, 2) the nodes in M at this stage, m. edge_clearance and edge_required: (e,) m, what it has and needs (no
-    more than edge_reach is told apart). usable: (e,).
+    points: (n, 2) the nodes in M at this stage, m, sigma: (n,) m, the deviation of the robot there relative to the
+    surfaces. edge_clearance and edge_required: (e,) m, what it has and needs (beyond COMFORT or what any needs no more
+    is told apart). usable: (e,).
     """
 
     stage: int
@@ -86,6 +92,7 @@ class RoadmapState:
     travelled: BoolArray
     free: BoolArray
     points: FloatArray
+    sigma: FloatArray
     edge_clearance: FloatArray
     edge_required: FloatArray
     usable: BoolArray
@@ -101,6 +108,7 @@ def empty_roadmap() -> RoadmapState:
         travelled=np.zeros(0, dtype=np.bool_),
         free=np.zeros(0, dtype=np.bool_),
         points=np.zeros((0, 2)),
+        sigma=np.zeros(0),
         edge_clearance=np.zeros(0),
         edge_required=np.zeros(0),
         usable=np.zeros(0, dtype=np.bool_),
@@ -337,7 +345,7 @@ def extend(
     sigma = predicted_deviation(
         points, estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
     )
-    probability = max(parameters.explorer.collision_probability, accepted)
+    probability = max(parameters.planner.collision_probability, accepted)
     need = required_clearance(parameters.robot.radius, sigma[edges].max(axis=1), probability)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
@@ -356,6 +364,7 @@ def extend(
         travelled=was_travelled,
         free=free,
         points=points,
+        sigma=sigma,
         edge_clearance=has,
         edge_required=np.where(usable, np.minimum(need, has), need),
         usable=usable,
@@ -386,7 +395,7 @@ def _needed(
     return needed & ~keeps
 
 
-def _components(edges: IntArray, count: int) -> IntArray:
+def components(edges: IntArray, count: int) -> IntArray:
     """The connected component (count,) of each node under edges (e, 2)."""
     graph = csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1])
@@ -403,149 +412,3 @@ def _to_anchor(p_MN: FloatArray, anchor: IntArray, X_MA: FloatArray) -> FloatArr
     d, theta = p_MN - X_MA[anchor, :2], X_MA[anchor, 2]
     c, s = np.cos(theta), np.sin(theta)
     return np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]], axis=1)
-
-
-@dataclasses.dataclass(frozen=True)
-class Routes:
-    """Cheapest ways from the robot to all nodes of a roadmap.
-
-    cost: (n,) m weighted by clearance, inf where unreachable. predecessor: (n,) node before each, n for the robot
-    itself, -1 where unreachable. length: (n,) m. time: (n,) expected s of travel, turns included.
-    """
-
-    cost: FloatArray
-    predecessor: IntArray
-    length: FloatArray
-    time: FloatArray
-
-
-def routes(
-    state: RoadmapState, tfg: TfgMap, X_MB: FloatArray, robot: RobotConfig, obstacles: FloatArray | None = None
-) -> Routes:
-    """Cheapest ways from the robot's pose X_MB (3,) to every node.
-
-    An edge costs length * (1 + 2 max(0, 1 - d)^2), d its clearance in metres. obstacles: (b, 4) segments met at this
-    stage that the map does not hold, m in M. A robot that stands too near a surface may still leave, as long as it
-    comes no nearer.
-    """
-    n = len(state.points)
-    if n == 0:
-        return Routes(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
-    a, b = state.edges[state.usable].T
-    has = state.edge_clearance[state.usable]
-    if obstacles is not None and len(obstacles):
-        room = clearance(state.points[state.edges[state.usable]].reshape(-1, 4), obstacles, COMFORT)
-        passable = room >= robot.radius + OBSTACLE_MARGIN
-        a, b, has = a[passable], b[passable], np.minimum(has, room)[passable]
-    links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
-    length = np.hypot(*(state.points[a] - state.points[b]).T)
-    links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
-    source = np.concatenate([a, b, np.full(len(links), n)])
-    target = np.concatenate([b, a, links])
-    lengths = np.concatenate([length, length, links_length])
-    gap = np.concatenate([has, has, links_has])
-    weight = np.maximum(lengths, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
-    graph = csr_matrix((weight, (source, target)), shape=(n + 1, n + 1))
-    cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
-    predecessor = np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
-    cost = cost[:n]
-    travelled, time = _travel(
-        state.points, X_MB, predecessor, np.argsort(cost, kind="stable"), robot.max_speed, robot.max_turn_rate
-    )
-    time[np.isfinite(time)] += robot.max_speed / robot.max_acceleration
-    return Routes(cost, predecessor, travelled, time)
-
-
-@njit(cache=True)
-def _travel(
-    points: FloatArray, X_MB: FloatArray, predecessor: IntArray, order: IntArray, speed: float, turn_rate: float
-) -> tuple[FloatArray, FloatArray]:
-    """Length (m) and time (s) along the tree of routes; order: nodes by increasing cost."""
-    n = len(points)
-    length, time, heading = np.full(n, np.inf), np.full(n, np.inf), np.zeros(n)
-    for i in order:
-        before = predecessor[i]
-        if before < 0:
-            continue
-        at_robot = before == n
-        x, y = (X_MB[0], X_MB[1]) if at_robot else (points[before, 0], points[before, 1])
-        dx, dy = points[i, 0] - x, points[i, 1] - y
-        step = math.sqrt(dx * dx + dy * dy)
-        heading[i] = math.atan2(dy, dx)
-        turn = heading[i] - (X_MB[2] if at_robot else heading[before])
-        turn = abs(math.atan2(math.sin(turn), math.cos(turn)))
-        length[i] = step + (0.0 if at_robot else length[before])
-        time[i] = step / speed + turn / turn_rate + (0.0 if at_robot else time[before])
-    return length, time
-
-
-def _connect(
-    state: RoadmapState, tfg: TfgMap, X_MB: FloatArray, robot: RobotConfig, obstacles: FloatArray | None
-) -> tuple[IntArray, FloatArray]:
-    """Nodes the robot can drive to directly (l,), and the clearance of the way there (l,), m."""
-    here = X_MB[:2]
-    distance = np.hypot(*(state.points - here).T)
-    near = np.argsort(distance, kind="stable")[: 3 * NEIGHBOURS]
-    near = near[distance[near] <= EDGE_LENGTH]
-    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
-    # No surface can pass through where the robot stands.
-    apart = segment_distance(segments, np.concatenate([here, here])[None])
-    segments = segments[apart > 0.02]
-    own = float(apart[apart > 0.02].min(initial=np.inf))
-    lines = np.hstack([np.broadcast_to(here, (len(near), 2)), state.points[near]])
-    has = clearance(lines, segments, COMFORT)
-    ok = has >= min(robot.radius + NODE_MARGIN, 0.95 * own)
-    free = ok.copy()
-    free[ok] = in_free_space(lines[ok], tfg)
-    # Outside the space it has seen the robot may still drive where no surface is in the way.
-    chosen = free if free.any() else ok
-    return near[chosen].astype(np.int64), has[chosen]
-
-
-def _with_room(
-    state: RoadmapState, ways: Routes, robot: RobotConfig, deviation: float, collision_probability: float
-) -> BoolArray:
-    """Nodes (n,) that a robot could get to that strayed from its path, relative to the map, by this deviation (m)."""
-    n = len(state.points)
-    need = required_clearance(robot.radius, np.array(deviation), collision_probability)
-    fits = state.usable | (state.free & (state.edge_clearance >= need))
-    label = _components(state.edges[fits], n)
-    return np.isin(label, label[np.isfinite(ways.cost)])
-
-
-def roadmap_message(
-    state: RoadmapState,
-    ways: Routes,
-    robot: RobotConfig,
-    collision_probability: float,
-    driven: float = 0.0,
-    home: Routes | None = None,
-) -> Roadmap:
-    """What the goal selector and the pictures need of a roadmap and the routes through it.
-
-    driven: m, so far. home: the routes from where the robot began, where it must come back.
-    """
-    return Roadmap(
-        stage=state.stage,
-        points=state.points,
-        edges=state.edges[state.usable],
-        reachable=np.isfinite(ways.cost),
-        enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, collision_probability),
-        roomy=_with_room(state, ways, robot, FAIR_DEVIATION, collision_probability),
-        travel_time=ways.time,
-        travel_length=ways.length,
-        home_time=np.zeros(0) if home is None else home.time,
-        home_length=np.zeros(0) if home is None else home.length,
-        driven=driven,
-    )
-
-
-def node_path(state: RoadmapState, ways: Routes, X_MB: FloatArray, node: int) -> FloatArray:
-    """The way from the robot to a node as a polyline (k, 2), m in M, the robot's place first; empty if unreachable."""
-    if not 0 <= node < len(state.points) or not np.isfinite(ways.cost[node]):
-        return np.zeros((0, 2))
-    reverse = []
-    while node < len(state.points):
-        reverse.append(state.points[node])
-        node = int(ways.predecessor[node])
-    return np.array([X_MB[:2], *reverse[::-1]])

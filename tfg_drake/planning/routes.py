@@ -1,0 +1,215 @@
+"""The cheapest ways through a roadmap, how long they take and how risky they are."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numba import njit
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
+from tfg_drake.geometry.distance import clearance, segment_distance
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
+from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability, required_clearance
+from tfg_drake.planning.roadmap import (
+    COMFORT,
+    EDGE_LENGTH,
+    NEIGHBOURS,
+    OBSTACLE_MARGIN,
+    RoadmapState,
+    components,
+    in_free_space,
+)
+
+# The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
+# the building that is too narrow.
+FAIR_DEVIATION = 0.05
+# The robot strays from its path anew after this length, m.
+INDEPENDENT = 0.5
+# Detour, m, that spares the whole risk a path may take.
+RISK_LENGTH = 20.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Routes:
+    """Cheapest ways from the robot to all nodes of a roadmap.
+
+    cost: (n,) m weighted by clearance, inf where unreachable. predecessor: (n,) node before each, n for the robot
+    itself, -1 where unreachable. length: (n,) m. time: (n,) expected s of travel, turns included.
+    """
+
+    cost: FloatArray
+    predecessor: IntArray
+    length: FloatArray
+    time: FloatArray
+    risk: FloatArray
+
+
+def routes(
+    state: RoadmapState,
+    tfg: TfgMap,
+    X_MB: FloatArray,
+    robot: RobotConfig,
+    planner: PlannerConfig,
+    obstacles: FloatArray | None = None,
+) -> Routes:
+    """Cheapest ways from the robot's pose X_MB (3,) to every node.
+
+    An edge costs length * (1 + 2 max(0, 1 - d)^2), d its clearance in metres. With planner.risk "path" an edge's risk
+    costs too, and what cannot be reached within planner.collision_probability counts as unreachable. obstacles: (b, 4)
+    segments met at this stage that the map does not hold, m in M. A robot that stands too near a surface may still
+    leave, as long as it comes no nearer.
+    """
+    n = len(state.points)
+    if n == 0:
+        none = np.zeros(0)
+        return Routes(none, np.zeros(0, dtype=np.int64), none, none, none)
+    a, b = state.edges[state.usable].T
+    has = state.edge_clearance[state.usable]
+    if obstacles is not None and len(obstacles):
+        room = clearance(state.points[state.edges[state.usable]].reshape(-1, 4), obstacles, COMFORT)
+        passable = room >= robot.radius + OBSTACLE_MARGIN
+        a, b, has = a[passable], b[passable], np.minimum(has, room)[passable]
+    links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
+    links_sigma = state.sigma[links]
+    sigma = state.sigma[[a, b]].max(axis=0)
+    length = np.hypot(*(state.points[a] - state.points[b]).T)
+    links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
+    source = np.concatenate([a, b, np.full(len(links), n)])
+    target = np.concatenate([b, a, links])
+    lengths = np.concatenate([length, length, links_length])
+    gap = np.concatenate([has, has, links_has])
+    risk = _edge_risk(lengths, gap, np.concatenate([sigma, sigma, links_sigma]), robot.radius)
+    weight = np.maximum(lengths, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
+    if planner.risk == "path":
+        weight += RISK_LENGTH * risk / planner.collision_probability
+    graph = csr_matrix((weight, (source, target)), shape=(n + 1, n + 1))
+    cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
+    predecessor = np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
+    cost = cost[:n]
+    on_tree = predecessor >= 0
+    taken = np.zeros(n)
+    risks = csr_matrix((np.maximum(risk, 1e-300), (source, target)), shape=(n + 1, n + 1))
+    taken[on_tree] = np.asarray(risks[predecessor[on_tree], np.flatnonzero(on_tree)]).ravel()
+    length, time, risk = _travel(
+        state.points, X_MB, predecessor, taken, np.argsort(cost, kind="stable"), robot.max_speed, robot.max_turn_rate
+    )
+    time[np.isfinite(time)] += robot.max_speed / robot.max_acceleration
+    if planner.risk == "path":
+        too_risky = risk > planner.collision_probability
+        cost[too_risky] = length[too_risky] = time[too_risky] = np.inf
+        predecessor[too_risky] = -1
+    return Routes(cost, predecessor, length, time, risk)
+
+
+def _edge_risk(length: FloatArray, gap: FloatArray, sigma: FloatArray, radius: float) -> FloatArray:
+    """At most the probability (e,) of a collision somewhere on edges of a length (e,), m, with a clearance of gap (e,),
+    m, and a deviation sigma (e,), m: that at a point, for every INDEPENDENT metres. Beyond COMFORT there is none."""
+    risk = collision_probability(gap, radius, sigma) * np.ceil(length / INDEPENDENT)
+    return np.where(gap < COMFORT, risk, 0.0)
+
+
+@njit(cache=True)
+def _travel(
+    points: FloatArray,
+    X_MB: FloatArray,
+    predecessor: IntArray,
+    taken: FloatArray,
+    order: IntArray,
+    speed: float,
+    turn_rate: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Length (m), time (s) and risk along the tree of routes; taken: (n,) risk of the edge to each node; order: nodes
+    by increasing cost."""
+    n = len(points)
+    length, time, risk, heading = np.full(n, np.inf), np.full(n, np.inf), np.ones(n), np.zeros(n)
+    for i in order:
+        before = predecessor[i]
+        if before < 0:
+            continue
+        at_robot = before == n
+        x, y = (X_MB[0], X_MB[1]) if at_robot else (points[before, 0], points[before, 1])
+        dx, dy = points[i, 0] - x, points[i, 1] - y
+        step = math.sqrt(dx * dx + dy * dy)
+        heading[i] = math.atan2(dy, dx)
+        turn = heading[i] - (X_MB[2] if at_robot else heading[before])
+        turn = abs(math.atan2(math.sin(turn), math.cos(turn)))
+        length[i] = step + (0.0 if at_robot else length[before])
+        time[i] = step / speed + turn / turn_rate + (0.0 if at_robot else time[before])
+        risk[i] = taken[i] + (0.0 if at_robot else risk[before])
+    return length, time, risk
+
+
+def _connect(
+    state: RoadmapState, tfg: TfgMap, X_MB: FloatArray, robot: RobotConfig, obstacles: FloatArray | None
+) -> tuple[IntArray, FloatArray]:
+    """Nodes the robot can drive to directly (l,), and the clearance of the way there (l,), m."""
+    here = X_MB[:2]
+    distance = np.hypot(*(state.points - here).T)
+    near = np.argsort(distance, kind="stable")[: 3 * NEIGHBOURS]
+    near = near[distance[near] <= EDGE_LENGTH]
+    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
+    # No surface can pass through where the robot stands.
+    apart = segment_distance(segments, np.concatenate([here, here])[None])
+    segments = segments[apart > 0.02]
+    own = float(apart[apart > 0.02].min(initial=np.inf))
+    lines = np.hstack([np.broadcast_to(here, (len(near), 2)), state.points[near]])
+    has = clearance(lines, segments, COMFORT)
+    ok = has >= min(robot.radius + NODE_MARGIN, 0.95 * own)
+    free = ok.copy()
+    free[ok] = in_free_space(lines[ok], tfg)
+    # Outside the space it has seen the robot may still drive where no surface is in the way.
+    chosen = free if free.any() else ok
+    return near[chosen].astype(np.int64), has[chosen]
+
+
+def _with_room(
+    state: RoadmapState, ways: Routes, robot: RobotConfig, deviation: float, planner: PlannerConfig
+) -> BoolArray:
+    """Nodes (n,) that a robot could get to that strayed from its path, relative to the map, by this deviation (m)."""
+    n = len(state.points)
+    need = required_clearance(robot.radius, np.array(deviation), planner.collision_probability)
+    fits = state.usable | (state.free & (state.edge_clearance >= need))
+    label = components(state.edges[fits], n)
+    return np.isin(label, label[np.isfinite(ways.cost)])
+
+
+def roadmap_message(
+    state: RoadmapState,
+    ways: Routes,
+    robot: RobotConfig,
+    planner: PlannerConfig,
+    driven: float = 0.0,
+    home: Routes | None = None,
+) -> Roadmap:
+    """What the goal selector and the pictures need of a roadmap and the routes through it.
+
+    driven: m, so far. home: the routes from where the robot began, where it must come back.
+    """
+    return Roadmap(
+        stage=state.stage,
+        points=state.points,
+        edges=state.edges[state.usable],
+        reachable=np.isfinite(ways.cost),
+        enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, planner),
+        roomy=_with_room(state, ways, robot, FAIR_DEVIATION, planner),
+        travel_time=ways.time,
+        travel_length=ways.length,
+        home_time=np.zeros(0) if home is None else home.time,
+        home_length=np.zeros(0) if home is None else home.length,
+        driven=driven,
+    )
+
+
+def node_path(state: RoadmapState, ways: Routes, X_MB: FloatArray, node: int) -> FloatArray:
+    """The way from the robot to a node as a polyline (k, 2), m in M, the robot's place first; empty if unreachable."""
+    if not 0 <= node < len(state.points) or not np.isfinite(ways.cost[node]):
+        return np.zeros((0, 2))
+    reverse = []
+    while node < len(state.points):
+        reverse.append(state.points[node])
+        node = int(ways.predecessor[node])
+    return np.array([X_MB[:2], *reverse[::-1]])
