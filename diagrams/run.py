@@ -45,10 +45,10 @@ from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
 
-# Whose CPU time counts as the estimator's, the planner's, and within that as a stage's planning.
+# Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
 ESTIMATOR = ("slam_estimator",)
-STAGE = ("tfg_builder", "prm_planner", "goal_selector")
-PLANNER = (*STAGE, "follower", "mission_sequencer")
+STAGE = ("tfg", "roadmap", "goal", "path")
+PLANNER = (*STAGE, "tfg_builder", "prm_planner", "goal_selector", "follower", "mission_sequencer")
 
 # Simulated time between two looks at the mission, s; a stage takes several times as long.
 STEP = 1.0

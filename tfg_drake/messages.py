@@ -229,6 +229,8 @@ class Roadmap:
     for its uncertainty; roomy: (n,) there is room for a robot that knows its place fairly well, too. travel_time: (n,)
     expected s from the robot, turns included, inf where unreachable, travel_length: (n,) m. home_time and home_length:
     (n,) the same from each node to where the robot began, empty unless it must come home. driven: m, so far.
+    frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
+    TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet.
     """
 
     stage: int
@@ -242,6 +244,8 @@ class Roadmap:
     home_time: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     home_length: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     driven: float = 0.0
+    frontier_offsets: IntArray = dataclasses.field(default_factory=lambda: np.zeros(1, dtype=np.int64))
+    frontier_index: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @message

@@ -2,7 +2,7 @@ import numpy as np
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.planner import frontier_in_sight
+from tfg_drake.planning.planner import frontier_in_sight, with_frontiers
 from tfg_drake.slam import goal_graph
 from tfg_drake.tfg.graph import empty_map
 
@@ -23,7 +23,8 @@ def test_a_past_goal_is_no_place_to_see_a_frontier_from():
         roadmap = Roadmap(
             1, points, np.zeros((0, 2), dtype=int), reachable, *2 * [np.ones(3, dtype=bool)], *2 * [np.zeros(3)]
         )
-        return frontier_in_sight(roadmap, estimate, tfg, TagSensorConfig())
+        roadmap = with_frontiers(roadmap, estimate, tfg, TagSensorConfig())
+        return frontier_in_sight(roadmap, tfg, TagSensorConfig())
 
     assert seen([1, 1, 1]) == (True, False)
     assert seen([1, 0, 1]) == (False, True)

@@ -6,6 +6,7 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import MissionStatus, Roadmap, TfgMap
+from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam.goal_graph import empty_map
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
@@ -63,8 +64,9 @@ class Selector:
 
     def ready(self, **changes):
         estimate, tfg = half_known_room()
-        self.set(map=estimate, tfg=tfg, roadmap=roadmap(), mission=MissionStatus("choose", 1, 0.0))
-        self.set(**changes)
+        now = {"map": estimate, "tfg": tfg, "roadmap": roadmap(), "mission": MissionStatus("choose", 1, 0.0), **changes}
+        now["roadmap"] = with_frontiers(now["roadmap"], now["map"], now["tfg"], TagSensorConfig())
+        self.set(**now)
 
 
 def test_chooses_nothing_before_everything_is_ready():
@@ -170,8 +172,8 @@ def test_far_off_a_place_promises_what_it_did_when_the_robot_was_near():
     estimate = dataclasses.replace(
         estimate, stage=2, local=np.arange(2), covariance=np.diag([1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
     )
-    selector.set(map=estimate, tfg=dataclasses.replace(tfg, stage=2), roadmap=roadmap(2),
-                 mission=MissionStatus("choose", 2, 1.0))  # fmt: skip
+    selector.ready(map=estimate, tfg=dataclasses.replace(tfg, stage=2), roadmap=roadmap(2),
+                   mission=MissionStatus("choose", 2, 1.0))  # fmt: skip
     after = selector.goal()
     assert after.stage == 2
     np.testing.assert_array_equal(after.candidates, before.candidates)

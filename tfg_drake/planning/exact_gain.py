@@ -89,16 +89,24 @@ def new_terms(
     log_new = 0.0
     B_new = np.zeros((3, 3))
     B_new_given_prior = np.zeros((3, 3))
+    K = np.zeros((2, 3))
+    K[1, 2] = -1.0 / noise[3]
     for u in rows:
-        G = _whitened(p_MU[u, 0] - x, p_MU[u, 1] - y, noise)
-        K = np.zeros((2, 3))
+        dx, dy = p_MU[u, 0] - x, p_MU[u, 1] - y
+        count = new_count[u] * share_seen(math.sqrt(dx * dx + dy * dy), reach)
+        if count == 0.0:
+            continue
+        G = _whitened(dx, dy, noise)
+        # G G^T is diagonal: range and bearing vary along directions at right angles.
+        d_range = 1.0 + prior_sigma * prior_sigma * (G[0, 0] * G[0, 0] + G[0, 1] * G[0, 1])
+        d_bearing = 1.0 + prior_sigma * prior_sigma * (G[1, 0] * G[1, 0] + G[1, 1] * G[1, 1])
+        log_new += count * (math.log(d_range) + math.log(d_bearing))
         K[:, :2] = -G
-        K[1, 2] = -1.0 / noise[3]
-        D = np.eye(2) + prior_sigma * prior_sigma * (G @ G.T)
-        count = new_count[u] * share_seen(math.sqrt((p_MU[u, 0] - x) ** 2 + (p_MU[u, 1] - y) ** 2), reach)
-        log_new += count * math.log(D[0, 0] * D[1, 1] - D[0, 1] * D[1, 0])
-        B_new += count * (K.T @ K)
-        B_new_given_prior += count * (K.T @ np.linalg.solve(D, K))
+        for i in range(3):
+            for j in range(3):
+                of_range, of_bearing = count * K[0, i] * K[0, j], count * K[1, i] * K[1, j]
+                B_new[i, j] += of_range + of_bearing
+                B_new_given_prior[i, j] += of_range / d_range + of_bearing / d_bearing
     return log_new, B_new, B_new_given_prior
 
 

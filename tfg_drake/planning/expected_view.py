@@ -44,6 +44,20 @@ class View:
         row = np.repeat(self.offsets[points] - offsets[:-1], count) + np.arange(offsets[-1])
         return View(offsets, self.index[row])
 
+    def spread(self, points: IntArray, count: int) -> View:
+        """The view from as many points as count, these (k,) rows, ascending, among them; the others see nothing."""
+        counts = np.zeros(count, dtype=np.int64)
+        counts[points] = self.count
+        return View(np.append(0, np.cumsum(counts)), self.index)
+
+    def thinned(self, most: int) -> View:
+        """The view with at most so many targets a point, evenly taken."""
+        count = np.minimum(self.count, most)
+        offsets = np.append(0, np.cumsum(count))
+        place = np.arange(offsets[-1]) - np.repeat(offsets[:-1], count)
+        row = np.repeat(self.offsets[:-1], count) + place * np.repeat(self.count, count) // np.repeat(count, count)
+        return View(offsets, self.index[row])
+
 
 @njit(cache=True)
 def visible_targets(

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.budget import budget_left, way_home
 from tfg_drake.planning.exact_gain import share_seen
@@ -23,6 +24,9 @@ OVERHEAD = 1.0
 NOTHING_AFTER = 5
 # The robot never turns again within this of where it has turned before, m: it would see the same once more.
 APART = 0.3
+# Candidates are screened by so many of the tags in view, and so many of the best, by each of two rules, judged by all.
+SCREENING_TAGS = 10
+EXACT = 60
 # A place is judged anew where all landmarks within this share of the sensor's range are known jointly.
 KNOWN_REACH = 0.5
 
@@ -64,6 +68,7 @@ def apart_from_goals(points: FloatArray, estimate: MapEstimate) -> BoolArray:
     return np.asarray(distance >= APART)
 
 
+@metered("goal")
 def choose(
     estimate: MapEstimate,
     tfg: TfgMap,
@@ -79,34 +84,44 @@ def choose(
     Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees enough
     live frontier, whatever its gain, and what promises more than explorer.stop_gain. On a large map, a place where the
     landmarks are not known jointly with the robot's pose promises what it did when they last were: nothing has changed
-    there since.
+    there since. Candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a little less
+    than they would.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, estimate))
-    seen = expected_frontiers(roadmap.points[nodes], tfg, sensor)
+    sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = known_jointly(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
     kept = ~here & np.isin(nodes, previous.candidates)
-    asked = thin_candidates(nodes[~kept], seen.of(np.flatnonzero(~kept)).count, explorer.samples)
+    asked = thin_candidates(nodes[~kept], sees.count[nodes[~kept]], explorer.samples)
     candidates = np.union1d(asked, nodes[kept])
-    frontiers = seen.of(np.searchsorted(nodes, candidates))
+    ask = np.isin(candidates, asked)
 
-    def expected(points: FloatArray, time: FloatArray, tags: View, frontiers: View) -> Gains:
+    def expected_at(points: FloatArray, time: FloatArray, tags: View, frontiers: View) -> Gains:
         distance = robot.max_speed * time
         return information_gain(points, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
+    def expected(nodes: IntArray, tags: View) -> Gains:
+        return expected_at(roadmap.points[nodes], roadmap.travel_time[nodes], tags, sees.of(nodes))
+
     points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
-    open_ahead = frontier_seen(points, frontiers, tfg, sensor)
+    stay = 2.0 * math.pi / explorer.turn_rate + OVERHEAD
+    open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
     enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
-    ask = np.isin(candidates, asked)
     tags = expected_tags(points[ask], estimate, tfg, sensor)
-    now = expected(points[ask], time[ask], tags, frontiers.of(np.flatnonzero(ask)))
+    if explorer.gain == "exact" and len(asked) > 2 * EXACT:
+        now = expected(asked, tags.thinned(SCREENING_TAGS))
+        close = _best(now, roadmap.travel_time[asked] + stay)
+        if not (enough[ask] | (now.gain > explorer.stop_gain)).any():
+            close = np.arange(len(asked))
+        now = _replaced(now, close, expected(asked[close], tags.of(close)))
+    else:
+        now = expected(asked, tags)
     gains = _filled(previous, candidates, ask, now, enough)
     known = np.full(len(candidates), explorer.least_tags)
     known[ask] = tags.count
 
-    stay = 2.0 * math.pi / explorer.turn_rate + OVERHEAD
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
     worth = enough | (gains.gain > explorer.stop_gain)
     affordable = budget.affords(roadmap, candidates)
@@ -132,7 +147,7 @@ def choose(
         else:
             barred, barred_time = barred_places(roadmap, robot.max_speed)
             views = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
-            barred_gains = expected(barred, barred_time, *views)
+            barred_gains = expected_at(barred, barred_time, *views)
             _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
             verdict, reason = why_end(
                 bool(len(candidates)),
@@ -157,6 +172,26 @@ def choose(
         verdict=verdict,
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
+    )
+
+
+def _best(gains: Gains, time: FloatArray) -> IntArray:
+    """The rows, ascending, of the EXACT candidates of most gain per time (c,), s, and of as many of most gain."""
+    return np.union1d(np.argsort(-gains.gain / time)[:EXACT], np.argsort(-gains.gain - gains.pose_price)[:EXACT])
+
+
+def _replaced(gains: Gains, rows: IntArray, exact: Gains) -> Gains:
+    """The gains (c,) with those of some rows (r,) put in the place of what they were."""
+
+    def put(all_of: FloatArray, some: FloatArray) -> FloatArray:
+        result = all_of.copy()
+        result[rows] = some
+        return result
+
+    return Gains(
+        exploitation=put(gains.exploitation, exact.exploitation),
+        exploration=put(gains.exploration, exact.exploration),
+        pose_price=put(gains.pose_price, exact.pose_price),
     )
 
 

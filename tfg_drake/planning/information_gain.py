@@ -8,6 +8,7 @@ on relative covariance only. The approximations, by name: `approximate_gain`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Any
 
@@ -91,6 +92,7 @@ def odometry_covariance(
     return np.asarray(R @ Q @ R.transpose(0, 2, 1))
 
 
+@functools.lru_cache(maxsize=1)
 def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
     """Covariance (3, 3) of the departure pose X_MD given all landmarks that are known jointly with it."""
     n = 2 * len(estimate.local)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.config import TagSensorConfig
+from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import (
     BoolArray,
@@ -22,7 +23,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.planning.expected_view import expected_frontiers
+from tfg_drake.planning.expected_view import View, expected_frontiers
 from tfg_drake.planning.goal_choice import apart_from_goals, frontier_seen
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
@@ -111,6 +112,7 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
     return len(state.driven) > 0 and bool(np.hypot(*(pose.X_MB[:2] - state.driven[-1])) >= DRIVEN_STEP)
 
 
+@metered("roadmap")
 def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + float(np.hypot(*np.diff(state.driven, axis=0).T).sum())
@@ -119,7 +121,7 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
     for effort in range(len(EFFORTS)):
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
         roadmap = _roadmap(nodes, tfg, estimate, parameters, _obstacles(state, estimate), driven_before)
-        within, beyond = frontier_in_sight(roadmap, estimate, tfg, parameters.sensor)
+        within, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
         if within or len(tfg.frontiers) == 0 or (effort > 0 and not beyond):
             break
     shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, estimate)).any()
@@ -143,20 +145,22 @@ def _roadmap(
     home = None
     if parameters.explorer.return_home:
         home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles)
-    return roadmap_message(nodes, ways, robot, planner, driven, home)
+    return with_frontiers(roadmap_message(nodes, ways, robot, planner, driven, home), estimate, tfg, parameters.sensor)
 
 
-def frontier_in_sight(
-    roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig
-) -> tuple[bool, bool]:
+def with_frontiers(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> Roadmap:
+    """The roadmap with what its nodes see of the live frontiers."""
+    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, estimate)
+    view = expected_frontiers(roadmap.points[asked], tfg, sensor).spread(np.flatnonzero(asked), len(roadmap.points))
+    return replace(roadmap, frontier_offsets=view.offsets, frontier_index=view.index)
+
+
+def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
     """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
     fit."""
-    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, estimate)
-    points = roadmap.points[asked]
-    seen = frontier_seen(points, expected_frontiers(points, tfg, sensor), tfg, sensor)
-    enough = seen.sum(axis=1) >= ENOUGH_FRONTIER
-    reachable = roadmap.reachable[asked]
-    return bool(enough[reachable].any()), bool(enough[~reachable].any())
+    view = View(roadmap.frontier_offsets, roadmap.frontier_index)
+    enough = frontier_seen(roadmap.points, view, tfg, sensor).sum(axis=1) >= ENOUGH_FRONTIER
+    return bool(enough[roadmap.reachable].any()), bool(enough[~roadmap.reachable].any())
 
 
 def _obstacles(state: PlannerState, estimate: MapEstimate) -> FloatArray:
@@ -169,6 +173,7 @@ def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
     return replace(state, obstacles=state.obstacles[keep], obstacle_goal=state.obstacle_goal[keep])
 
 
+@metered("path")
 def _plan(
     state: PlannerState,
     estimate: MapEstimate,

@@ -1,0 +1,79 @@
+"""What one stage of planning costs, part by part, and whether screening the candidates changes the choice.
+
+    python benchmarks/planning_time.py paper --seeds 5
+
+CPU milliseconds a stage: the TFG's update, the roadmap's, the choice of a goal; median, 99th percentile and largest
+over all stages of the missions. Then the share of stages at which judging every candidate by all its tags, not only the
+best of those screened, leads to the same goal. Alone on the machine, or it measures the neighbours too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
+from tfg_drake.planning import goal_choice, planner
+from tfg_drake.systems import info_gain_goal_selector, tfg_builder
+
+
+def timed(function: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:
+    """The function, each call's CPU milliseconds noted."""
+
+    def inner(*arguments: Any) -> Any:
+        begin = time.thread_time()
+        result = function(*arguments)
+        spent.append(1e3 * (time.thread_time() - begin))
+        return result
+
+    return inner
+
+
+def main() -> None:
+    """Run the missions and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario", nargs="?", default="paper")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--max-time", type=float, default=3600.0)
+    parser.add_argument("--set", action="append", default=[], dest="settings")
+    options = parser.parse_args()
+    parts: dict[str, list[float]] = {"tfg": [], "roadmap": [], "goal": []}
+    same: list[bool] = []
+    choose = timed(goal_choice.choose, parts["goal"])
+
+    def compared(*arguments: Any) -> Any:
+        choice = choose(*arguments)
+        with mock.patch.object(goal_choice, "EXACT", 10**9):
+            same.append(goal_choice.choose(*arguments).node == choice.node)
+        return choice
+
+    with (
+        mock.patch.object(tfg_builder, "update", timed(tfg_builder.update, parts["tfg"])),
+        mock.patch.object(planner, "_grow", timed(planner._grow, parts["roadmap"])),
+        mock.patch.object(info_gain_goal_selector, "choose", compared),
+    ):
+        for seed in range(-1, options.seeds):
+            scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
+            scenario.seed = max(seed, 0)
+            explore(scenario, max_time=options.max_time, out_dir=Path(tempfile.mkdtemp(prefix="planning-")))
+            if seed < 0:  # It compiled the kernels.
+                for spent in parts.values():
+                    spent.clear()
+                same.clear()
+    rows = {**parts, "all": np.sum(list(parts.values()), axis=0).tolist()}
+    print(f"{len(same)} stages    median       p99   largest")
+    for name, spent in rows.items():
+        print(f"{name:10}{np.median(spent):>12.1f}{np.percentile(spent, 99):>10.1f}{max(spent):>10.1f}")
+    print(f"same goal without screening: {np.mean(same):.3f}")
+
+
+if __name__ == "__main__":
+    main()
