@@ -143,6 +143,30 @@ def slam(
         print(json.dumps(result.summary), flush=True)
 
 
+@app.command()
+def figures(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write them.")] = Path("figures"),
+) -> None:
+    """Draw the paper's figures from a mission of our own: information gain, priors, the TFG, the map as it grows."""
+    _make_writable(out)
+    _announce_compilation()
+
+    from tfg_drake.diagrams.figures import write_figures
+
+    def on_stage(stage: int, time: float) -> bool:
+        print(f"stage {stage}, {time:.0f} s", flush=True)
+        return _interrupted.is_set()
+
+    try:
+        files = write_figures(out, on_stage)
+    except OSError as error:
+        _bad_input(f"{error.filename or out}: cannot be written: {error.strerror or error}")
+    for file in files:
+        print(file)
+    if _interrupted.is_set():
+        raise typer.Exit(EXIT_CODES["interrupted"])
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
     _interrupted.clear()
