@@ -290,6 +290,17 @@ def test_returns_of_a_mapped_wall_do_not_block_a_door():
     assert not path_is_free(path, scan_of(two_rooms(0.26), X_MB), X_MB, ROBOT.radius, tfg.segments)
 
 
+def test_to_a_bold_robot_only_what_it_would_touch_is_in_the_way():
+    X_MB = np.array([-2.0, 0.0, 0.0])
+    path = np.stack([np.linspace(-2.0, 2.0, 41), np.zeros(41)], axis=1)
+    # A door as narrow as the robot and two centimetres, 10 cm from where the map has one.
+    for door, free in ((0.38, True), (0.26, False)):
+        scan = scan_of(two_rooms(door), X_MB)
+        nothing = np.zeros((0, 4))
+        assert not path_is_free(path, scan, X_MB, ROBOT.radius, nothing)
+        assert path_is_free(path, scan, X_MB, ROBOT.radius, nothing, bold=True) == free
+
+
 def test_passages_are_the_middle_of_narrow_gaps():
     segments = two_rooms(0.8)
     found = passages(segments, 0.5, 1.5)

@@ -14,7 +14,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.planning.planner import OBSTACLE_MEMORY, initial_state, step
+from tfg_drake.planning.planner import BOLD_AFTER, OBSTACLE_MEMORY, initial_state, step
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import goal_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
@@ -164,6 +164,18 @@ def test_what_blocked_the_way_is_kept_for_some_stages():
     assert nearest(2) > CONFIGS[0].radius
     assert nearest(1 + OBSTACLE_MEMORY) > CONFIGS[0].radius
     assert nearest(2 + OBSTACLE_MEMORY) < 0.1
+
+
+def test_a_robot_that_fails_again_and_again_forgets_what_it_met():
+    estimate, tfg = maps(2)
+    met = np.array([[1.0, -1.0, 1.0, 1.0]])
+    state = replace(initial_state(), obstacles=met, obstacle_goal=np.zeros(1, dtype=np.int64))
+    robot, odometry, sensor, explorer, planner = CONFIGS
+    parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
+    for failures, left in ((BOLD_AFTER - 1, 1), (BOLD_AFTER, 0)):
+        mission = MissionStatus("choose", 2, 0.0, failures=failures)
+        grown = step(state, estimate, tfg, pose(2), empty_choice(), scan(1.0), mission, parameters)
+        assert len(grown.obstacles) == left
 
 
 def test_a_robot_shut_in_by_what_it_met_forgets_it():

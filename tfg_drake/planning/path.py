@@ -148,20 +148,24 @@ def _ahead(points: FloatArray, X_MB: FloatArray) -> FloatArray:
     return _lines(ahead[:-1], ahead[1:])
 
 
-def path_is_free(points: FloatArray, scan: LaserScan, X_MB: FloatArray, radius: float, segments: FloatArray) -> bool:
+def path_is_free(
+    points: FloatArray, scan: LaserScan, X_MB: FloatArray, radius: float, segments: FloatArray, *, bold: bool = False
+) -> bool:
     """Whether the next two metres of a path (k, 2), m in M, are open to a disc of this radius (m) at pose X_MB (3,).
 
     Two returns of the scan that no mapped surface (segments (m, 4)) explains, nearer to the path than the radius and
-    2 cm, block it; so do returns of mapped surfaces, where the disc would touch them.
+    2 cm, block it; so do returns of mapped surfaces, where the disc would touch them. bold: only where it would touch
+    does anything block it.
     """
     ahead = _ahead(points, X_MB)
     hits = _returns(scan, X_MB)
     distance = point_distance(hits, ahead)
+    if int((distance < radius - 0.02).sum()) >= 2:
+        return False
     close = distance < radius + 0.02
-    if close.sum() < 2:
+    if bold or close.sum() < 2:
         return True
-    unmapped = point_distance(hits[close], segments) > MAPPED_WITHIN
-    return int(unmapped.sum()) < 2 and int((distance[close] < radius - 0.02).sum()) < 2
+    return int((point_distance(hits[close], segments) > MAPPED_WITHIN).sum()) < 2
 
 
 def unmapped_obstacles(

@@ -40,6 +40,9 @@ from tfg_drake.pose_prediction import pose_at
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
+# After this many goals in a row that could not be reached, what was met on the way is forgotten, and only what the
+# robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
+BOLD_AFTER = 2
 # What is met on the way is kept for this many stages: it may be too small for the map, or walk away.
 OBSTACLE_MEMORY = 10
 
@@ -96,12 +99,15 @@ def step(
 ) -> PlannerState:
     """The state after one look at the newest messages; the same object where nothing changed."""
     if tfg.stage == estimate.stage > state.nodes.stage:
+        if mission.failures >= BOLD_AFTER:
+            state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         return _grow(state, estimate, tfg, parameters)
     chosen = goal.stage == mission.stage == state.nodes.stage == estimate.stage and goal.node >= 0
     if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
         return _plan(state, estimate, tfg, pose, goal, mission, parameters)
     if mission.phase == "follow" and state.status.free and scan.stamp > state.scan_stamp:
-        state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius)
+        bold = mission.failures >= BOLD_AFTER
+        state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
     if pose.stage == state.nodes.stage and _moved(state, pose):
         state = replace(state, driven=np.vstack([state.driven, pose.X_MB[:2]]))
     return state
@@ -191,11 +197,17 @@ def _plan(
 
 
 def _watch(
-    state: PlannerState, estimate: MapEstimate, tfg: TfgMap, pose: PoseEstimate, scan: LaserScan, radius: float
+    state: PlannerState,
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    pose: PoseEstimate,
+    scan: LaserScan,
+    radius: float,
+    bold: bool,
 ) -> PlannerState:
     X_MS = pose_at(pose, scan.stamp)
     seen = replace(state, scan_stamp=scan.stamp)
-    if path_is_free(state.path.points, scan, X_MS, radius, tfg.segments):
+    if path_is_free(state.path.points, scan, X_MS, radius, tfg.segments, bold=bold):
         return seen
     met = unmapped_obstacles(state.path.points, scan, X_MS, radius, tfg.segments)
     in_A = transform(inverse(estimate.X_MA[-1]), met.reshape(-1, 2)).reshape(-1, 4)
