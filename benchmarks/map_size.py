@@ -41,22 +41,12 @@ SEGMENT = np.diag([0.1, 0.1, 0.02]) ** 2
 X_AD = np.array([0.0, 0.0, 0.1])
 
 
-class Plain:
-    """Goals in rows, to and fro, and landmarks all over."""
+class Synthetic:
+    """Goals X_WA (k, 3) and what a robot with noisy sensors observes there of landmarks p_WL (n, 2)."""
 
-    def __init__(self, landmarks: int, extra: int) -> None:
-        self.rng = np.random.default_rng(0)
-        self.before = round(landmarks / NEW)
-        across = max(4, round(math.sqrt(self.before)))
-        rows = math.ceil((self.before + extra) / across) + 1
-        number = np.arange(self.before + extra)
-        row, column = np.divmod(number, across)
-        column = np.where(row % 2 == 0, column, across - 1 - column)
-        heading = self.rng.uniform(-np.pi, np.pi, len(number))
-        self.X_WA = np.column_stack([PITCH * column, PITCH * row, heading])
-        corner = PITCH * np.array([across, rows])
-        self.p_WL = self.rng.uniform(-PITCH, corner, (NEW * across * rows, 2))
-        self.tree = cKDTree(self.p_WL)
+    def __init__(self, X_WA: FloatArray, p_WL: FloatArray, rng: np.random.Generator) -> None:
+        self.X_WA, self.p_WL, self.rng = X_WA, p_WL, rng
+        self.tree = cKDTree(p_WL)
 
     def observation(self, k: int) -> GoalObservation:
         """Goal k's: range and bearing of each tag for itself, and an error of heading that all share."""
@@ -88,6 +78,23 @@ class Plain:
         """X_DA (3,) from goal k - 1 to goal k as odometry has it."""
         X_WD = se2.compose(self.X_WA[k - 1], X_AD)
         return se2.between(X_WD, self.X_WA[k]) + np.sqrt(np.diag(SEGMENT)) * self.rng.standard_normal(3)
+
+
+class Plain(Synthetic):
+    """Goals in rows, to and fro, and landmarks all over."""
+
+    def __init__(self, landmarks: int, extra: int) -> None:
+        rng = np.random.default_rng(0)
+        self.before = round(landmarks / NEW)
+        across = max(4, round(math.sqrt(self.before)))
+        rows = math.ceil((self.before + extra) / across) + 1
+        number = np.arange(self.before + extra)
+        row, column = np.divmod(number, across)
+        column = np.where(row % 2 == 0, column, across - 1 - column)
+        heading = rng.uniform(-np.pi, np.pi, len(number))
+        X_WA = np.column_stack([PITCH * column, PITCH * row, heading])
+        corner = PITCH * np.array([across, rows])
+        super().__init__(X_WA, rng.uniform(-PITCH, corner, (NEW * across * rows, 2)), rng)
 
     def map(self) -> tuple[GoalGraph, MapEstimate]:
         """The solved map of the first goals, laid out at the truth: growing it goal by goal would take hours."""

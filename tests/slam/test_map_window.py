@@ -11,7 +11,14 @@ from tfg_drake.slam.goal_arrival import add_goal
 from tfg_drake.slam.goal_factors import factor_graph, values_of
 from tfg_drake.slam.goal_graph import empty_graph
 from tfg_drake.slam.map_solver import restored, seen_from, settle, solve, whole
-from tfg_drake.slam.map_window import boundary_goals, link, travelled_covariance, window_goals
+from tfg_drake.slam.map_window import (
+    boundary_goals,
+    link,
+    smoothed_block,
+    travelled_covariance,
+    window_goals,
+    with_travel,
+)
 
 SEGMENT = np.diag([0.05, 0.05, 0.02]) ** 2
 GOALS, RADIUS, SEEN = 36, 24.0, 5.5
@@ -121,6 +128,62 @@ def test_a_loop_about_to_close_is_as_loose_as_it_is(windows):
     ratio = sigmas(estimate, across) / sigmas(everything, across)
     assert ratio.min() > 0.9
     assert ratio.max() < 1.5
+
+
+def test_what_a_block_of_the_way_was_told_makes_a_loop_about_to_close_less_loose(windows, monkeypatch):
+    # Windows large enough to know two blocks and a half, but not the loop.
+    monkeypatch.setattr(map_window, "SIGHTINGS", 320)
+    across, off = None, []
+    for length in (4, 1000):
+        monkeypatch.setattr(map_window, "BLOCK", length)
+        graph, estimate, _ = block(GOALS - 3)
+        assert np.diff(window_goals(graph, graph.X_MA[-1, :2])).max() > 1
+        across = np.searchsorted(graph.ids, graph.observations[0].ids)
+        _, everything = whole(graph, 0.0, graph.observations[-1].observation)
+        off.append(sigmas(estimate, across).mean() / sigmas(everything, across).mean())
+    assert 0.97 < off[0] < 1.0 + 0.8 * (off[1] - 1.0)
+
+
+def test_goals_beyond_the_window_tell_what_they_have_seen_of_its_edge(windows, monkeypatch):
+    graph, _, _ = block()
+    goals = window_goals(graph, graph.X_MA[-1, :2])
+    beyond = boundary_goals(graph, goals, graph.X_MA[-1, :2])
+    edge = np.intersect1d(
+        np.concatenate([graph.observations[k].ids for k in goals]),
+        np.concatenate([graph.observations[k].ids for k in beyond]),
+    )
+    rows, observation = np.searchsorted(graph.ids, edge), graph.observations[-1].observation
+    _, everything = whole(graph, 0.0, observation)
+    with_them = sigmas(restored(graph, 0.0, observation), rows) / sigmas(everything, rows)
+    monkeypatch.setattr(map_solver, "boundary_goals", lambda *_: np.zeros(0, dtype=np.int64))
+    without = sigmas(restored(graph, 0.0, observation), rows) / sigmas(everything, rows)
+    assert np.all(with_them < without + 1e-9)
+    assert with_them.mean() < 1.0 + 0.8 * (without.mean() - 1.0)
+
+
+def test_travel_told_anew_adds_up_and_each_leg_keeps_its_share(windows):
+    graph, _, _ = block(12)
+    told = 0.5 * link(graph, travelled_covariance(graph), 2, 10)[1]
+    again = with_travel(graph, 2, 10, told)
+    legs = again.travel_covariance[2:10] / graph.travel_covariance[2:10]
+    assert 0.3 < legs[:, 0, 0].min() < legs[:, 0, 0].max() < 0.8
+    np.testing.assert_array_equal(again.travel_covariance[:2], graph.travel_covariance[:2])
+    # A link ends where its last turn begins; the turn is small here.
+    np.testing.assert_allclose(link(again, travelled_covariance(again), 2, 10)[1], told, rtol=0.05, atol=1e-6)
+
+
+def test_each_block_of_the_way_is_told_anew_once():
+    graph, _, _ = block(34)
+    goals = np.arange(34)
+    blocks = []
+    for k in range(3, 34):
+        short = replace(graph, observations=graph.observations[:k], is_goal=graph.is_goal[:k])
+        blocks.append(smoothed_block(short, goals[:k]))
+    assert [found for found in blocks if found is not None] == [(0, 8), (8, 16), (16, 24)]
+    assert (
+        smoothed_block(replace(graph, observations=graph.observations[:33], is_goal=graph.is_goal[:33]), goals[20:33])
+        is None
+    )
 
 
 def test_a_link_is_what_its_legs_add_up_to(windows):

@@ -21,13 +21,20 @@ HELD = 1e-7
 ErrorFunction = Callable[[gtsam.CustomFactor, gtsam.Values, "list[FloatArray] | None"], FloatArray]
 
 
-def joint_factor(graph: GoalGraph, k: int, pose_free: bool = True, free: BoolArray | None = None) -> gtsam.CustomFactor:
-    """Goal k's joint observation, whitened, on (A_k, D_k, its landmarks): see `_goal_error`.
+def joint_factor(
+    graph: GoalGraph,
+    k: int,
+    pose_free: bool = True,
+    free: BoolArray | None = None,
+    observation: GoalFactor | None = None,
+) -> gtsam.CustomFactor:
+    """Goal k's joint observation, or the part of it that is given, whitened, on (A_k, D_k, its landmarks): see
+    `_goal_error`.
 
     Unless pose_free, A_k and D_k are held at their values; free: (n,) which of the graph's landmarks are not held, by
     default all. What is held is none of the factor's variables.
     """
-    observation = graph.observations[k]
+    observation = graph.observations[k] if observation is None else observation
     row, _ = rows_of(observation.ids, graph.ids)
     loose = np.ones(len(row), dtype=bool) if free is None else free[row]
     keys = [A(k), D(k)] if pose_free else []

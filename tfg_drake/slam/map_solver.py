@@ -28,8 +28,10 @@ from tfg_drake.slam.map_window import (
     link,
     nearest_observer,
     seen_by,
+    smoothed_block,
     travelled_covariance,
     window_goals,
+    with_travel,
 )
 
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
@@ -56,9 +58,17 @@ def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple
         graph = settled if rim <= RIM_STEP else settle(settled)
         # The goal may turn out to lie elsewhere, as after the robot was carried.
         goals = window_goals(graph, graph.X_MA[-1, :2])
-    rows, covariance, entropy = _joint(graph, goals)
-    if len(goals) < len(graph.observations):
+    windowed = len(goals) < len(graph.observations)
+    block = smoothed_block(graph, goals) if windowed else None
+    rows, covariance, entropy = _joint(graph, goals, ends=block)
+    if windowed:
         entropy += graph.entropy - _entropy_before(graph, goals)
+    if block is not None:
+        # On arrival a leg is known by what came before alone; what is seen afterwards makes it surer, and the legs'
+        # errors make up for each other.
+        graph = with_travel(graph, *block, _between(graph, *block, covariance[-9:-3, -9:-3]))
+        kept = np.r_[: len(covariance) - 9, -3:0]
+        covariance = covariance[np.ix_(kept, kept)]
     return _noted(graph, rows, covariance, entropy, stamp, observation)
 
 
@@ -221,29 +231,46 @@ def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
     return values
 
 
-def _joint(graph: GoalGraph, goals: IntArray, pose: int | None = None) -> tuple[IntArray, FloatArray, float]:
+def _joint(
+    graph: GoalGraph, goals: IntArray, pose: int | None = None, ends: tuple[int, int] | None = None
+) -> tuple[IntArray, FloatArray, float]:
     """Rows (m,) of the landmarks that some goals (w,) have seen; the covariance (2m + 3, 2m + 3) of those and the
     departure pose of one of the goals, by default the last, of (x, y) in M and theta; and the landmarks' entropy,
-    nats."""
+    nats.
+
+    ends: two more goals whose departure poses come before that pose, (2m + 9, 2m + 9).
+    """
     pose = int(goals[-1]) if pose is None else pose
-    rows, information = _information(graph, goals, boundary_goals(graph, goals, graph.X_MD[pose, :2]), pose)
+    poses = (*(ends or ()), pose)
+    rows, information = _information(graph, goals, boundary_goals(graph, goals, graph.X_MD[pose, :2]), poses)
     factor = scipy.linalg.cholesky(information, check_finite=False)
-    entropy = _entropy(factor)
+    entropy = _entropy(factor, 2 * len(rows))
     upper, _ = scipy.linalg.lapack.dpotri(factor)
     covariance = upper + upper.T
     np.fill_diagonal(covariance, np.diag(upper))
     # Pose2 increments are in the body's frame.
-    R_MD = se2.rotation(float(graph.X_MD[pose, 2]))
-    covariance[-3:-1] = R_MD @ covariance[-3:-1]
-    covariance[:, -3:-1] = covariance[:, -3:-1] @ R_MD.T
+    for place, k in enumerate(poses):
+        R_MD = se2.rotation(float(graph.X_MD[k, 2]))
+        at = slice(2 * len(rows) + 3 * place, 2 * len(rows) + 3 * place + 2)
+        covariance[at] = R_MD @ covariance[at]
+        covariance[:, at] = covariance[:, at] @ R_MD.T
     return rows, np.asarray(covariance), entropy
 
 
-def _entropy(factor: FloatArray) -> float:
-    """1/2 log|2 pi e Sigma_L|, nats, from the upper Cholesky factor of the information on landmarks and pose."""
+def _between(graph: GoalGraph, i: int, j: int, covariance: FloatArray) -> FloatArray:
+    """The covariance (3, 3) of D_j seen from D_i, of (x, y) in D_i and theta, from that of both (6, 6) in M."""
+    lever = graph.X_MD[j, :2] - graph.X_MD[i, :2]
+    J = np.hstack([-np.eye(3), np.eye(3)])
+    J[:2, 2] = lever[1], -lever[0]
+    J[:2] = se2.rotation(float(graph.X_MD[i, 2])).T @ J[:2]
+    return np.asarray(J @ covariance @ J.T)
+
+
+def _entropy(factor: FloatArray, n: int) -> float:
+    """1/2 log|2 pi e Sigma_L|, nats, from the upper Cholesky factor of the information on landmarks, n numbers, and
+    poses."""
     diagonal = np.diag(factor)
-    n = len(diagonal) - 3
-    # The determinant of the whole is that of the pose given the landmarks times that of the landmarks alone.
+    # The determinant of the whole is that of the poses given the landmarks times that of the landmarks alone.
     log_pose = float(np.linalg.slogdet(factor[:, n:].T @ factor[:, n:])[1])
     log_information = 2.0 * float(np.sum(np.log(diagonal))) - log_pose
     return 0.5 * (n * math.log(2.0 * math.pi * math.e) - log_information) if n else 0.0
@@ -254,46 +281,27 @@ def _entropy_before(graph: GoalGraph, goals: IntArray) -> float:
     boundary = boundary_goals(graph, goals, graph.X_MD[-1, :2])
     # Without the newest goal and the pieces of the way to it.
     goals = goals[goals <= np.flatnonzero(graph.is_goal[:-1])[-1]]
-    rows, information = _information(graph, goals, boundary, int(goals[-1]))
+    rows, information = _information(graph, goals, boundary, (int(goals[-1]),))
     known = np.zeros(len(graph.ids), dtype=bool)
     known[rows_of(graph.observations[-1].ids, graph.ids)[0]] = True
     known &= graph.landmark_covariance[:, 0, 0] > 0.0
     known[rows] = False
     # Seen before from elsewhere only.
     others = np.linalg.slogdet(2.0 * math.pi * math.e * graph.landmark_covariance[known])[1]
-    return _entropy(scipy.linalg.cholesky(information, check_finite=False)) + 0.5 * float(np.sum(others))
+    before = _entropy(scipy.linalg.cholesky(information, check_finite=False), 2 * len(rows))
+    return before + 0.5 * float(np.sum(others))
 
 
-def _information(graph: GoalGraph, goals: IntArray, boundary: IntArray, pose: int) -> tuple[IntArray, FloatArray]:
-    """Rows (m,) of the landmarks that some goals (w,) have seen, and the information (2m + 3, 2m + 3) on them and the
-    departure pose of one of the goals, in its own frame. The goals of the boundary (b,) tell how those of the landmarks
-    that they have seen lie to each other.
-
-    The other poses, a chain, are eliminated from GTSAM's linear system by a Schur complement: with the inversion a
-    third of the time of gtsam.Marginals at n = 274.
-    """
-    seen = seen_by(graph, goals)
-    if len(boundary):
-        observations = list(graph.observations)
-        for k in boundary:
-            observations[k] = forgetting(observations[k], graph.ids[~seen])
-        graph = replace(graph, observations=tuple(observations))
-        boundary = np.array([k for k in boundary if len(observations[k].ids) >= WITNESSES], dtype=np.int64)
-    factors = gtsam.NonlinearFactorGraph()
-    values, ordering = gtsam.Values(), gtsam.Ordering()
-    for k in (*boundary, *goals):
+def _window_factors(graph: GoalGraph, goals: IntArray) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The factors of some goals (w,), with links where they are not consecutive and the anchor's prior or the origin,
+    and the values of all that is in them."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in goals:
         factors.add(joint_factor(graph, k))
         values.insert(A(k), gtsam.Pose2(*graph.X_MA[k]))
         values.insert(D(k), gtsam.Pose2(*graph.X_MD[k]))
-        ordering.push_back(A(k))
-        if k != pose:
-            ordering.push_back(D(k))
-    rows = np.flatnonzero(seen)
-    for row in rows:
+    for row in np.flatnonzero(seen_by(graph, goals)):
         values.insert(L(int(graph.ids[row])), graph.p_ML[row])
-        ordering.push_back(L(int(graph.ids[row])))
-    ordering.push_back(D(pose))
-
     gaps = np.diff(goals) > 1
     travelled = travelled_covariance(graph) if gaps.any() else np.zeros((0, 3, 3))
     for i, j, gap in zip(goals[:-1], goals[1:], gaps, strict=True):
@@ -301,16 +309,48 @@ def _information(graph: GoalGraph, goals: IntArray, boundary: IntArray, pose: in
             factors.add(segment_factor(i, j, *link(graph, travelled, i, j)))
         else:
             factors.add(segment_factor(i, j, graph.X_DA[i], graph.segment_covariance[i]))
-    origin_free = len(goals) < len(graph.observations)
-    if origin_free:
+    if len(goals) < len(graph.observations):
         anchor = anchor_goal(graph, goals)
         factors.add(pose_prior(D(anchor), graph.X_MD[anchor], graph.departure_covariance[anchor]))
     else:
         factors.add(held_pose(A(0), np.zeros(3)))
+    return factors, values
+
+
+def _information(
+    graph: GoalGraph, goals: IntArray, boundary: IntArray, poses: tuple[int, ...]
+) -> tuple[IntArray, FloatArray]:
+    """Rows (m,) of the landmarks that some goals (w,) have seen, and the information (2m + 3p, 2m + 3p) on them and the
+    departure poses of p of the goals, each in its own frame. The goals of the boundary (b,) tell how those of the
+    landmarks that they have seen lie to each other.
+
+    The other poses, a chain, are eliminated from GTSAM's linear system by a Schur complement: with the inversion a
+    third of the time of gtsam.Marginals at n = 274.
+    """
+    seen = seen_by(graph, goals)
+    factors, values = _window_factors(graph, goals)
+    ordering = gtsam.Ordering()
+    for k in boundary:
+        partly = forgetting(graph.observations[k], graph.ids[~seen])
+        if len(partly.ids) >= WITNESSES:
+            factors.add(joint_factor(graph, k, observation=partly))
+            values.insert(A(k), gtsam.Pose2(*graph.X_MA[k]))
+            values.insert(D(k), gtsam.Pose2(*graph.X_MD[k]))
+            ordering.push_back(A(k))
+            ordering.push_back(D(k))
+    for k in goals:
+        ordering.push_back(A(k))
+        if k not in poses:
+            ordering.push_back(D(k))
+    rows = np.flatnonzero(seen)
+    for row in rows:
+        ordering.push_back(L(int(graph.ids[row])))
+    for k in poses:
+        ordering.push_back(D(k))
     # A known origin's rows are left out.
-    first = 0 if origin_free else 3
+    first = 0 if len(goals) < len(graph.observations) else 3
     information = factors.linearize(values).hessian(ordering)[0][first:, first:]
-    split = len(information) - 2 * len(rows) - 3
+    split = len(information) - 2 * len(rows) - 3 * len(poses)
     if split == 0:
         return rows, np.asarray(information)
     # Only consecutive poses share a factor.

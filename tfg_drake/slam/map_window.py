@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, replace
 from tfg_drake.slam.goal_graph import GoalGraph, rows_of
 
 # Up to this many landmarks, and sightings of them counted once for each goal, a map is solved as a whole.
@@ -21,6 +21,8 @@ SMALL_SIGHTINGS = 12_000
 # A window's goals have seen this many tags at most, counted once for each goal, and its poses count like some more.
 SIGHTINGS = 1200
 POSES = 3
+# Goals of a block of the way, whose legs are told anew together.
+BLOCK = 8
 
 
 def window_goals(graph: GoalGraph, place: FloatArray) -> IntArray:
@@ -96,11 +98,39 @@ def travelled_covariance(graph: GoalGraph) -> FloatArray:
 def _about_origin(covariance: FloatArray, theta: FloatArray, end: FloatArray) -> FloatArray:
     """Covariances (n, 3, 3) of motions, of (x, y) in frames of heading theta (n,) and of the turn, which end at end (n,
     2): of the map's turn about its origin, and its shift, that each error amounts to."""
-    T = np.zeros_like(covariance)
+    T = _to_origin(theta, end)
+    return np.asarray(T @ covariance @ T.transpose(0, 2, 1))
+
+
+def _to_origin(theta: FloatArray, end: FloatArray) -> FloatArray:
+    """(n, 3, 3), see _about_origin."""
+    T = np.zeros((len(theta), 3, 3))
     c, s = np.cos(theta), np.sin(theta)
     T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = c, -s, s, c
     T[:, 0, 2], T[:, 1, 2], T[:, 2, 2] = end[:, 1], -end[:, 0], 1.0
-    return np.asarray(T @ covariance @ T.transpose(0, 2, 1))
+    return T
+
+
+def smoothed_block(graph: GoalGraph, goals: IntArray) -> tuple[int, int] | None:
+    """The first and the last goal of the newest block of the way that a window's goals (w,) know well, by what came
+    before and after; each block once, when the robot is a block farther on."""
+    last, before = ((int(k) // BLOCK - 1) * BLOCK for k in np.flatnonzero(graph.is_goal)[[-1, -2]])
+    whole = np.isin(np.arange(last - BLOCK, len(graph.observations)), goals).all()
+    return (last - BLOCK, last) if last != before and last >= BLOCK and whole else None
+
+
+def with_travel(graph: GoalGraph, i: int, j: int, covariance: FloatArray) -> GoalGraph:
+    """The graph with travel from D_i to D_j, i < j, that adds up to this covariance (3, 3), of (x, y) in D_i and theta:
+    each leg keeps its share."""
+    theta, end = graph.X_MD[i:j, 2], graph.X_MD[i + 1 : j + 1, :2]
+    T = _to_origin(theta, end)
+    legs = T @ graph.travel_covariance[i:j] @ T.transpose(0, 2, 1)
+    whole = _about_origin(covariance[None], theta[:1], graph.X_MD[j : j + 1, :2])[0]
+    A = np.linalg.cholesky(whole) @ np.linalg.inv(np.linalg.cholesky(legs.sum(axis=0)))
+    back = np.linalg.inv(T) @ A
+    travel_covariance = graph.travel_covariance.copy()
+    travel_covariance[i:j] = back @ legs @ back.transpose(0, 2, 1)
+    return replace(graph, travel_covariance=travel_covariance)
 
 
 def link(graph: GoalGraph, travelled: FloatArray, i: int, j: int) -> tuple[FloatArray, FloatArray]:
