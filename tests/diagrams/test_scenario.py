@@ -173,6 +173,11 @@ def test_settings_are_applied_in_order_to_a_copy():
     ("setting", "message"),
     [
         ("explorer.gain=best", "explorer.gain: must be one of exact, limit, paper, authors, is best"),
+        (
+            "explorer.goal=far",
+            "explorer.goal: must be one of gain_per_time, argmax, tour, nearest_frontier, is far",
+        ),
+        ("planner.risk=none", "planner.risk: must be one of point, path, is none"),
         ("explorer.stop_gian=5", "explorer.stop_gian: unknown key; did you mean stop_gain?"),
         ("robot.x=5", None),
         ("seed.x=5", "seed.x: unknown key; seed is a value, not a section"),

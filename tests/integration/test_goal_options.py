@@ -1,0 +1,47 @@
+"""Every named way of choosing goals drives, and a budget is kept."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.config import GAINS, GOAL_RULES
+from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
+
+
+def mission(tmp_path, max_time, *settings):
+    scenario = ApplySettings(LoadScenario(FindScenario("paper")), settings)
+    return explore(scenario, max_time=max_time, out_dir=tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [f"explorer.gain={name}" for name in GAINS]
+    + [f"explorer.goal={name}" for name in GOAL_RULES]
+    + ["explorer.pose_price=false", "explorer.least_tags=8", "planner.risk=path"],
+)
+def test_the_robot_explores(tmp_path, setting):
+    result = mission(tmp_path, 45.0, setting)
+    assert result.summary["outcome"] == "time_limit"
+    assert result.summary["stages"] >= 2
+    assert result.summary["landmarks_mapped"] > 30
+    assert result.summary["contacts"] == 0
+
+
+@pytest.mark.parametrize(("key", "limit"), [("budget_time", 75.0), ("budget_distance", 20.0)])
+def test_the_robot_is_home_before_its_budget_ends(tmp_path, key, limit):
+    result = mission(tmp_path, 300.0, f"explorer.{key}={limit}", "explorer.return_home=true")
+    summary = result.summary
+    assert summary["outcome"] == "budget"
+    assert summary["reason"].endswith(
+        "of the budget are left: too little for another goal. The robot is where it began."
+    )
+    assert summary["stages"] >= 2
+    assert (summary["sim_time_s"] if key == "budget_time" else summary["distance_m"]) <= limit
+    truth = np.loadtxt(result.folder / "truth.tum")
+    assert np.hypot(*(truth[-1, 1:3] - truth[0, 1:3])) < 0.5
+
+
+def test_without_the_way_home_more_of_a_budget_is_spent_on_goals(tmp_path):
+    summary = mission(tmp_path, 300.0, "explorer.budget_time=75").summary
+    assert (summary["outcome"], summary["sim_time_s"] <= 75.0) == ("budget", True)
+    assert summary["stages"] >= 3
