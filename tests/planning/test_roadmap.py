@@ -352,3 +352,17 @@ def test_a_tight_bend_once_driven_can_be_driven_back():
     state, estimate, tfg = build(walls, [(-3.0, 0.0, 0.0), (0.0, 2.5, 1.57)], way)
     ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
     assert np.isfinite(ways.cost[nearest(state, (-3.0, 0.0))])
+
+
+def test_a_path_keeps_the_risk_of_the_whole_by_a_detour_or_stays_away():
+    state, estimate, tfg = build(two_rooms(0.8), [(-4, 0, 0), (4, 0, 0)])
+    behind = nearest(state, (-3, 0))
+    sure = dataclasses.replace(PLANNER, risk="path")
+    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, sure).cost[behind])
+    # The same door for a robot whose deviation takes a share of the whole risk at each point of the way through.
+    doubtful = replace(state, sigma=np.full(len(state.points), 0.12))
+    assert np.isfinite(routes(doubtful, tfg, estimate.X_MD, ROBOT, PLANNER).cost[behind])
+    ways = routes(doubtful, tfg, estimate.X_MD, ROBOT, sure)
+    assert not np.isfinite(ways.cost[behind])
+    assert ways.predecessor[behind] == -1
+    assert np.isfinite(ways.time[nearest(state, (3, 0))])

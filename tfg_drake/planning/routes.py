@@ -45,7 +45,6 @@ class Routes:
     predecessor: IntArray
     length: FloatArray
     time: FloatArray
-    risk: FloatArray
 
 
 def routes(
@@ -66,7 +65,7 @@ def routes(
     n = len(state.points)
     if n == 0:
         none = np.zeros(0)
-        return Routes(none, np.zeros(0, dtype=np.int64), none, none, none)
+        return Routes(none, np.zeros(0, dtype=np.int64), none, none)
     a, b = state.edges[state.usable].T
     has = state.edge_clearance[state.usable]
     if obstacles is not None and len(obstacles):
@@ -74,35 +73,46 @@ def routes(
         passable = room >= robot.radius + OBSTACLE_MARGIN
         a, b, has = a[passable], b[passable], np.minimum(has, room)[passable]
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
-    links_sigma = state.sigma[links]
-    sigma = state.sigma[[a, b]].max(axis=0)
     length = np.hypot(*(state.points[a] - state.points[b]).T)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
     source = np.concatenate([a, b, np.full(len(links), n)])
     target = np.concatenate([b, a, links])
     lengths = np.concatenate([length, length, links_length])
     gap = np.concatenate([has, has, links_has])
-    risk = _edge_risk(lengths, gap, np.concatenate([sigma, sigma, links_sigma]), robot.radius)
     weight = np.maximum(lengths, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
+    risk = np.zeros(len(weight))
     if planner.risk == "path":
+        sigma = state.sigma[[a, b]].max(axis=0)
+        risk = _edge_risk(lengths, gap, np.concatenate([sigma, sigma, state.sigma[links]]), robot.radius)
         weight += RISK_LENGTH * risk / planner.collision_probability
     graph = csr_matrix((weight, (source, target)), shape=(n + 1, n + 1))
     cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
     predecessor = np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
     cost = cost[:n]
-    on_tree = predecessor >= 0
-    taken = np.zeros(n)
-    risks = csr_matrix((np.maximum(risk, 1e-300), (source, target)), shape=(n + 1, n + 1))
-    taken[on_tree] = np.asarray(risks[predecessor[on_tree], np.flatnonzero(on_tree)]).ravel()
-    length, time, risk = _travel(
-        state.points, X_MB, predecessor, taken, np.argsort(cost, kind="stable"), robot.max_speed, robot.max_turn_rate
-    )
+    order = np.argsort(cost, kind="stable")
+    length, time = _travel(state.points, X_MB, predecessor, order, robot.max_speed, robot.max_turn_rate)
     time[np.isfinite(time)] += robot.max_speed / robot.max_acceleration
     if planner.risk == "path":
-        too_risky = risk > planner.collision_probability
+        taken = csr_matrix((np.maximum(risk, 1e-300), (source, target)), shape=(n + 1, n + 1))
+        too_risky = _risk_to(predecessor, order, taken) > planner.collision_probability
         cost[too_risky] = length[too_risky] = time[too_risky] = np.inf
         predecessor[too_risky] = -1
-    return Routes(cost, predecessor, length, time, risk)
+    return Routes(cost, predecessor, length, time)
+
+
+def _risk_to(predecessor: IntArray, order: IntArray, edge_risk: csr_matrix) -> FloatArray:
+    """At most the probability (n,) of a collision anywhere on the way to each node along a tree of routes.
+
+    order: nodes by increasing cost. edge_risk: (n + 1, n + 1), from node to node, the robot last.
+    """
+    on_tree = np.flatnonzero(predecessor >= 0)
+    risk = np.ones(len(predecessor) + 1)
+    risk[-1] = 0.0
+    step = np.zeros(len(predecessor))
+    step[on_tree] = np.asarray(edge_risk[predecessor[on_tree], on_tree]).ravel()
+    for i in order[np.isin(order, on_tree)]:
+        risk[i] = risk[predecessor[i]] + step[i]
+    return risk[:-1]
 
 
 def _edge_risk(length: FloatArray, gap: FloatArray, sigma: FloatArray, radius: float) -> FloatArray:
@@ -117,15 +127,13 @@ def _travel(
     points: FloatArray,
     X_MB: FloatArray,
     predecessor: IntArray,
-    taken: FloatArray,
     order: IntArray,
     speed: float,
     turn_rate: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Length (m), time (s) and risk along the tree of routes; taken: (n,) risk of the edge to each node; order: nodes
-    by increasing cost."""
+) -> tuple[FloatArray, FloatArray]:
+    """Length (m) and time (s) along the tree of routes; order: nodes by increasing cost."""
     n = len(points)
-    length, time, risk, heading = np.full(n, np.inf), np.full(n, np.inf), np.ones(n), np.zeros(n)
+    length, time, heading = np.full(n, np.inf), np.full(n, np.inf), np.zeros(n)
     for i in order:
         before = predecessor[i]
         if before < 0:
@@ -139,8 +147,7 @@ def _travel(
         turn = abs(math.atan2(math.sin(turn), math.cos(turn)))
         length[i] = step + (0.0 if at_robot else length[before])
         time[i] = step / speed + turn / turn_rate + (0.0 if at_robot else time[before])
-        risk[i] = taken[i] + (0.0 if at_robot else risk[before])
-    return length, time, risk
+    return length, time
 
 
 def _connect(
