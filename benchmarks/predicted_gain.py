@@ -24,7 +24,7 @@ from tfg_drake.diagrams.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate
 from tfg_drake.planning import goal_choice
-from tfg_drake.planning.exact_gain import exact_gain
+from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.information_gain import departure_given_landmarks, odometry_covariance, turn_noise
 from tfg_drake.slam import estimator
@@ -41,23 +41,16 @@ def predicted(before: MapEstimate, after: MapEstimate, distance: float, scenario
     rows = np.flatnonzero(np.isin(before.ids[before.local], seen))
     new = after.p_ML[np.isin(after.ids, np.setdiff1d(seen, before.ids))]
     time = np.array([distance / scenario.robot.max_speed])
-    return exact_gain(
-        place,
-        odometry_covariance(before.X_MD, place, np.array([distance]), time, scenario.odometry),
-        np.array([0, len(rows)]),
-        rows,
-        np.array([0, len(new)]),
-        np.arange(len(new)),
-        before.p_ML[before.local],
+    arrival = Arrival(
         before.X_MD,
-        before.covariance,
         departure_given_landmarks(before),
-        new,
-        np.ones(len(new)),
-        scenario.explorer.prior_sigma,
-        turn_noise(scenario.tags, scenario.explorer.turn_rate),
-        IN_REACH,
-    )[0, :2]
+        odometry_covariance(before.X_MD, place, np.array([distance]), time, scenario.odometry),
+    )
+    known = Known(np.array([0, len(rows)]), rows, before.p_ML[before.local], before.covariance)
+    offsets, each = np.array([0, len(new)]), np.arange(len(new))
+    unknown = New(offsets, each, new, np.ones(len(new)), scenario.explorer.prior_sigma, IN_REACH)
+    noise = turn_noise(scenario.tags, scenario.explorer.turn_rate)
+    return exact_gain(place, arrival, known, unknown, noise)[0, :2]
 
 
 def entropy(covariance: FloatArray) -> float:

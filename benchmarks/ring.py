@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, MapEstimate
-from tfg_drake.planning.exact_gain import exact_gain
+from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
 from tfg_drake.planning.information_gain import departure_given_landmarks, odometry_covariance, turn_noise
 from tfg_drake.slam import map_solver
 from tfg_drake.slam.departure_frame import in_departure_frame
@@ -50,23 +50,12 @@ def exploitation(estimate: MapEstimate, places: FloatArray) -> tuple[FloatArray,
     count = np.array([len(rows) for rows in views])
     offsets, none = np.append(0, np.cumsum(count)), np.zeros(0, dtype=np.int64)
     distance = np.hypot(*(places - estimate.X_MD[:2]).T)
-    gains = exact_gain(
-        places,
-        odometry_covariance(estimate.X_MD, places, distance, distance / SPEED, OdometryConfig()),
-        offsets,
-        np.concatenate(views),
-        np.zeros(len(places) + 1, dtype=np.int64),
-        none,
-        p_ML,
-        estimate.X_MD,
-        estimate.covariance,
-        departure_given_landmarks(estimate),
-        np.zeros((0, 2)),
-        np.zeros(0),
-        10.0,
-        turn_noise(TagSensorConfig(), 1.0),
-        np.array([REACH, 0.5 * REACH]),
-    )
+    Q = odometry_covariance(estimate.X_MD, places, distance, distance / SPEED, OdometryConfig())
+    arrival = Arrival(estimate.X_MD, departure_given_landmarks(estimate), Q)
+    known = Known(offsets, np.concatenate(views), p_ML, estimate.covariance)
+    no_new = np.zeros(len(places) + 1, dtype=np.int64)
+    new = New(no_new, none, np.zeros((0, 2)), np.zeros(0), 10.0, np.array([REACH, 0.5 * REACH]))
+    gains = exact_gain(places, arrival, known, new, turn_noise(TagSensorConfig(), 1.0))
     return gains[:, 0], count
 
 

@@ -3,28 +3,18 @@ import math
 import numpy as np
 import pytest
 
-from tests.planning.test_information_gain import NOISE, kernel, problem, whitened
+from tests.planning.test_information_gain import NOISE, kernel, problem, problem_of, whitened
 from tfg_drake.planning.approximate_gain import AUTHORS_NATS, AUTHORS_WEIGHT, authors_gain, limit_gain, paper_gain
-
-EVERYTHING_IN_REACH = np.array([1e9, 1.0])
-
-
-def views(known, new):
-    return (
-        np.array([0, len(known)]),
-        np.asarray(known, dtype=np.int64),
-        np.array([0, len(new)]),
-        np.arange(len(new)),
-    )
 
 
 def limit(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma):
-    n = 2 * len(p_ML)
-    S = covariance
-    given = S[n:, n:] - S[n:, :n] @ np.linalg.solve(S[:n, :n], S[:n, n:])
-    return limit_gain(
-        point[None], Q, *views(known, p_MU), p_ML, X_MD, S, given, p_MU, count, prior_sigma, NOISE, EVERYTHING_IN_REACH
-    )[0]
+    return limit_gain(*problem_of(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma), NOISE)[0]
+
+
+def without_arrival(point, known, p_ML, covariance, p_MU, count):
+    """The arguments of the gains that take no notice of the way to a candidate."""
+    points, _, seen, new = problem_of(point, np.eye(3)[None], known, p_ML, np.zeros(3), covariance, p_MU, count, 10.0)
+    return points, seen, new
 
 
 def blocks(points, point):
@@ -96,9 +86,7 @@ def test_paper_is_theorem_1_with_the_sigma_that_its_proof_lost(seed, seen, new):
     B = K.T @ K + K_u.T @ K_u
     old = np.eye(2 * seen) + Sigma @ G.T @ G - Sigma @ G.T @ K @ np.linalg.solve(B, K.T @ G)
     expected = [logdet(old) if seen else 0.0, logdet(np.eye(2 * new) + 100.0 * G_u @ G_u.T) if new else 0.0]
-    gains = paper_gain(
-        point[None], *views(known, p_MU), p_ML, covariance, p_MU, np.ones(new), 10.0, NOISE, EVERYTHING_IN_REACH
-    )[0]
+    gains = paper_gain(*without_arrival(point, known, p_ML, covariance, p_MU, np.ones(new)), NOISE)[0]
     assert gains[:2] == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
@@ -106,9 +94,7 @@ def test_paper_is_theorem_1_with_the_sigma_that_its_proof_lost(seed, seen, new):
 def test_paper_promises_nothing_where_the_pose_is_not_determined(known):
     _, p_ML, _, covariance, point, _ = problem(0)
     p_MU = np.zeros((1 - len(known), 2))
-    gains = paper_gain(
-        point[None], *views(known, p_MU), p_ML, covariance, p_MU, np.ones(len(p_MU)), 10.0, NOISE, EVERYTHING_IN_REACH
-    )
+    gains = paper_gain(*without_arrival(point, known, p_ML, covariance, p_MU, np.ones(len(p_MU))), NOISE)
     assert gains.tolist() == [[0.0, 0.0, 0.0]]
 
 
@@ -118,8 +104,8 @@ def test_authors_gain_is_that_of_their_program(seen):
     A = AUTHORS_WEIGHT * np.kron(np.eye(seen) - np.full((seen, seen), 1 / seen), np.eye(2))
     Sigma = covariance[: 2 * seen, : 2 * seen]
     p_MU = (point + np.array([4.0, 0.0]))[None]
-    normal, length = np.array([[-math.cos(0.5), math.sin(0.5)]]), np.array([0.4])
-    gains = authors_gain(point[None], *views(range(seen), p_MU), p_ML, covariance, p_MU, normal, length, 2.0)[0]
+    normal = np.array([[-math.cos(0.5), math.sin(0.5)]])
+    gains = authors_gain(*without_arrival(point, range(seen), p_ML, covariance, p_MU, np.array([2.0 * 0.4])), normal)[0]
     assert gains[0] == pytest.approx(logdet(np.eye(2 * seen) + Sigma @ A), abs=1e-9)
     assert gains[1] == pytest.approx(AUTHORS_NATS * 2.0 * 0.4 * math.cos(0.5) / 4.0)
 
@@ -127,7 +113,6 @@ def test_authors_gain_is_that_of_their_program(seen):
 def test_authors_program_does_not_look_at_places_that_see_two_tags():
     _, p_ML, _, covariance, point, _ = problem(1)
     p_MU = (point + np.array([4.0, 0.0]))[None]
-    gains = authors_gain(
-        point[None], *views([0, 1], p_MU), p_ML, covariance, p_MU, np.array([[-1.0, 0.0]]), np.ones(1), 1.0
-    )
+    arguments = without_arrival(point, [0, 1], p_ML, covariance, p_MU, np.ones(1))
+    gains = authors_gain(*arguments, np.array([[-1.0, 0.0]]))
     assert gains.tolist() == [[0.0, 0.0, 0.0]]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
-from tfg_drake.planning.exact_gain import exact_gain, share_seen
+from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
 from tfg_drake.planning.information_gain import odometry_covariance, turn_noise
 
 
@@ -61,15 +61,22 @@ def problem(seed, n=9, common=0.3):
 SEE_ALL = 1e9
 
 
-def kernel(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma, noise):
+def problem_of(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma):
+    """The kernels' arguments for one candidate that sees some of the landmarks and all new ones."""
     n = 2 * len(p_ML)
     S = covariance
     given = S[n:, n:] - S[n:, :n] @ np.linalg.solve(S[:n, :n], S[:n, n:]) if n else S
-    ends = np.array([0, len(known)]), np.array([0, len(p_MU)])
-    return exact_gain(
-        point[None], Q, ends[0], np.asarray(known, dtype=np.int64), ends[1], np.arange(len(p_MU)), p_ML, X_MD, S,
-        given, p_MU, count, prior_sigma, noise, np.array([SEE_ALL, 1.0]),
-    )[0]  # fmt: skip
+    rows = np.asarray(known, dtype=np.int64)
+    return (
+        point[None],
+        Arrival(X_MD, given, Q),
+        Known(np.array([0, len(rows)]), rows, p_ML, S),
+        New(np.array([0, len(p_MU)]), np.arange(len(p_MU)), p_MU, count, prior_sigma, np.array([SEE_ALL, 1.0])),
+    )
+
+
+def kernel(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma, noise):
+    return exact_gain(*problem_of(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma), noise)[0]
 
 
 NOISE = turn_noise(TagSensorConfig(), 1.0)

@@ -14,8 +14,8 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.planning.exact_gain import known_terms, new_terms, solved_by_cholesky, to_arrival
+from tfg_drake.messages import FloatArray
+from tfg_drake.planning.exact_gain import Arrival, Known, New, known_terms, new_terms, solved_by_cholesky, to_arrival
 
 # The authors' program: weight of one landmark against the others, 1/m^2, the least landmarks in view that count, and
 # nats of an expected landmark at their constants.
@@ -25,23 +25,7 @@ AUTHORS_NATS = 5.0 * math.log(100.0)
 
 
 @njit(cache=True)
-def limit_gain(
-    points: FloatArray,
-    odometry: FloatArray,
-    known_offsets: IntArray,
-    known: IntArray,
-    new_offsets: IntArray,
-    new: IntArray,
-    p_ML: FloatArray,
-    X_MD: FloatArray,
-    covariance: FloatArray,
-    departure_given_map: FloatArray,
-    p_MU: FloatArray,
-    new_count: FloatArray,
-    prior_sigma: float,
-    noise: FloatArray,
-    reach: FloatArray,
-) -> FloatArray:
+def limit_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
     """What Theorem 1 of the paper tends to as the prior of new landmarks grows; arguments and result of exact_gain.
 
         1/2 log|I + Sigma_o A_o - Sigma_o H_o Bo'^-1 H_o^T| + 1/2 n_x log|I + sigma_u a_u|
@@ -55,10 +39,9 @@ def limit_gain(
     eye3 = np.eye(3)
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        F = to_arrival(X_MD, x, y)
-        S = F @ departure_given_map @ F.T + odometry[c]  # Pi^-1
-        rows = known[known_offsets[c] : known_offsets[c + 1]]
-        _, K, C = known_terms(x, y, rows, p_ML, covariance, noise)
+        F = to_arrival(arrival.X_MD, x, y)
+        S = F @ arrival.departure_given_map @ F.T + arrival.odometry[c]  # Pi^-1
+        rows, _, K, C = known_terms(x, y, c, known, noise)
         log_map = 0.0
         B_known = np.zeros((3, 3))
         B_given_map = np.zeros((3, 3))
@@ -66,8 +49,7 @@ def limit_gain(
             B_known = K.T.copy() @ K
             log_map = solved_by_cholesky(C, K)
             B_given_map = K.T.copy() @ K
-        seen = new[new_offsets[c] : new_offsets[c + 1]]
-        log_new, B_new, _ = new_terms(x, y, seen, p_MU, new_count, prior_sigma, noise, reach)
+        log_new, B_new, _ = new_terms(x, y, c, new, noise)
         price_known = math.log(np.linalg.det(eye3 + S @ B_known))
         out[c, 0] = 0.5 * (log_map + math.log(np.linalg.det(eye3 + S @ B_given_map)) - price_known)
         out[c, 1] = 0.5 * (log_new - math.log(np.linalg.det(eye3 + S @ (B_known + B_new))) + price_known)
@@ -76,20 +58,7 @@ def limit_gain(
 
 
 @njit(cache=True)
-def paper_gain(
-    points: FloatArray,
-    known_offsets: IntArray,
-    known: IntArray,
-    new_offsets: IntArray,
-    new: IntArray,
-    p_ML: FloatArray,
-    covariance: FloatArray,
-    p_MU: FloatArray,
-    new_count: FloatArray,
-    prior_sigma: float,
-    noise: FloatArray,
-    reach: FloatArray,
-) -> FloatArray:
+def paper_gain(points: FloatArray, known: Known, new: New, noise: FloatArray) -> FloatArray:
     """Theorem 1 as printed (the paper's last equation of Sec. IV-C); arguments and result of exact_gain.
 
         log|I + Sigma_o A_o - Sigma_o H_o B^-1 H_o^T| + n_x log|I + sigma_u a_u|,   B = B_o + B_u
@@ -100,14 +69,13 @@ def paper_gain(
     out = np.zeros((len(points), 3))
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        rows = known[known_offsets[c] : known_offsets[c + 1]]
-        seen = new[new_offsets[c] : new_offsets[c + 1]]
-        log_new, B_new, _ = new_terms(x, y, seen, p_MU, new_count, prior_sigma, noise, reach)
-        _, K, C = known_terms(x, y, rows, p_ML, covariance, noise)
+        seen = new.offsets[c + 1] - new.offsets[c]
+        log_new, B_new, _ = new_terms(x, y, c, new, noise)
+        rows, _, K, C = known_terms(x, y, c, known, noise)
         B = B_new.copy()
         if len(rows) > 0:
             B += K.T.copy() @ K
-        if len(rows) + len(seen) < 2 or np.linalg.det(B) <= 0.0:
+        if len(rows) + seen < 2 or np.linalg.det(B) <= 0.0:
             continue
         log_map = 0.0
         B_given_map = B_new
@@ -121,31 +89,18 @@ def paper_gain(
 
 
 @njit(cache=True)
-def authors_gain(
-    points: FloatArray,
-    known_offsets: IntArray,
-    known: IntArray,
-    new_offsets: IntArray,
-    new: IntArray,
-    p_ML: FloatArray,
-    covariance: FloatArray,
-    p_MU: FloatArray,
-    normal: FloatArray,
-    length: FloatArray,
-    density: float,
-) -> FloatArray:
+def authors_gain(points: FloatArray, known: Known, new: New, normal: FloatArray) -> FloatArray:
     """The gain of the authors' C++ program, for point landmarks; shared arguments and result of exact_gain.
 
         log|I + Sigma_o A|,   A = w (I - 1 1^T / m),   and   5 density log 100 times the angle of frontier in view, rad
 
     It knows neither range nor bearing: every landmark is as good, and only a common shift of all brings nothing.
-    Places that see fewer than three known landmarks are not considered. normal: (u, 2) and length: (u,), m, of the
-    frontier at p_MU (u, 2). density: landmarks per metre.
+    Places that see fewer than three known landmarks are not considered. normal: (u, 2) of the frontier at new.p_MU.
     """
     out = np.zeros((len(points), 3))
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        rows = known[known_offsets[c] : known_offsets[c + 1]]
+        rows = known.rows[known.offsets[c] : known.offsets[c + 1]]
         m = len(rows)
         if m < AUTHORS_LEAST:
             continue
@@ -153,16 +108,15 @@ def authors_gain(
         for i in range(m):
             for j in range(m):
                 a, b = 2 * rows[i], 2 * rows[j]
-                C[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] += AUTHORS_WEIGHT * covariance[a : a + 2, b : b + 2]
+                C[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] += AUTHORS_WEIGHT * known.covariance[a : a + 2, b : b + 2]
         shift = np.zeros((2 * m, 2))
         shift[0::2, 0] = shift[1::2, 1] = 1.0 / math.sqrt(m)
         log_map = solved_by_cholesky(C, shift)
         out[c, 0] = log_map + math.log(np.linalg.det(shift.T.copy() @ shift))
         angle = 0.0
-        for k in range(new_offsets[c], new_offsets[c + 1]):
-            u = new[k]
-            dx, dy = x - p_MU[u, 0], y - p_MU[u, 1]
-            angle += length[u] * max(0.0, dx * normal[u, 0] + dy * normal[u, 1]) / (dx * dx + dy * dy)
-        out[c, 1] = AUTHORS_NATS * density * angle
+        for u in new.rows[new.offsets[c] : new.offsets[c + 1]]:
+            dx, dy = x - new.p_MU[u, 0], y - new.p_MU[u, 1]
+            angle += new.number[u] * max(0.0, dx * normal[u, 0] + dy * normal[u, 1]) / (dx * dx + dy * dy)
+        out[c, 1] = AUTHORS_NATS * angle
         out[c, 2] = log_map - out[c, 0]
     return out

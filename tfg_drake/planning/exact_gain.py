@@ -9,11 +9,50 @@ both and S_x|L the covariance of the pose given all landmarks.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
+
+
+class Known(NamedTuple):
+    """The known landmarks and which of them c candidates see.
+
+    Candidate i sees rows[offsets[i]:offsets[i + 1]] of p_ML (n, 2), m in M. covariance: (2n + 3, 2n + 3) of p_ML row by
+    row and of the departure pose.
+    """
+
+    offsets: IntArray
+    rows: IntArray
+    p_ML: FloatArray
+    covariance: FloatArray
+
+
+class New(NamedTuple):
+    """The new landmarks that c candidates are expected to see.
+
+    Candidate i sees as many as number (u,) says, a fraction allowed, at each of rows[offsets[i]:offsets[i + 1]] of p_MU
+    (u, 2), m in M. Their priors are independent, of deviation prior_sigma, m. reach: (sensor range, depth), m: one
+    counts in proportion to how far the view goes on behind its frontier point, in full from depth on.
+    """
+
+    offsets: IntArray
+    rows: IntArray
+    p_MU: FloatArray
+    number: FloatArray
+    prior_sigma: float
+    reach: FloatArray
+
+
+class Arrival(NamedTuple):
+    """How c candidates are arrived at: the departure pose X_MD (3,), its covariance given all landmarks (3, 3), and
+    what odometry adds on the way to each, (c, 3, 3), of (x, y) in M and theta."""
+
+    X_MD: FloatArray
+    departure_given_map: FloatArray
+    odometry: FloatArray
 
 
 @njit(cache=True)
@@ -34,17 +73,19 @@ def _whitened(dx: float, dy: float, noise: FloatArray) -> FloatArray:
 def share_seen(distance: FloatArray | float, reach: FloatArray) -> FloatArray:
     """How much of what a frontier point stands for is seen from a distance (m): the depth of view left behind it.
 
-    distance: (n,) or a number, m. reach: (sensor range, depth), m, as in exact_gain.
+    distance: (n,) or a number, m. reach: as in New.
     """
     return np.minimum(1.0, np.maximum(0.0, (reach[0] - distance) / reach[1]))  # type: ignore[no-any-return]
 
 
 @njit(cache=True)
 def known_terms(
-    x: float, y: float, rows: IntArray, p_ML: FloatArray, covariance: FloatArray, noise: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of the known landmarks seen from (x, y), rows (m,) of p_ML (n, 2): the whitened Jacobians G (m, 2, 2) by each and
-    K (2m, 3) by the pose, and C (2m, 2m) = I + G S_LL G^T. Other arguments as in exact_gain."""
+    x: float, y: float, c: int, known: Known, noise: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Of the known landmarks that candidate c sees from (x, y): their rows (m,), the whitened Jacobians G (m, 2, 2) by
+    each and K (2m, 3) by the pose, and C (2m, 2m) = I + G S_LL G^T. noise: as in _whitened."""
+    rows = known.rows[known.offsets[c] : known.offsets[c + 1]]
+    p_ML, covariance = known.p_ML, known.covariance
     m = len(rows)
     G = np.empty((m, 2, 2))
     K = np.zeros((2 * m, 3))
@@ -67,22 +108,13 @@ def known_terms(
         C[i, i] += 1.0
         for j in range(i):
             C[j, i] = C[i, j]
-    return G, K, C
+    return rows, G, K, C
 
 
 @njit(cache=True)
-def new_terms(
-    x: float,
-    y: float,
-    rows: IntArray,
-    p_MU: FloatArray,
-    new_count: FloatArray,
-    prior_sigma: float,
-    noise: FloatArray,
-    reach: FloatArray,
-) -> tuple[float, FloatArray, FloatArray]:
-    """Of the new landmarks seen from (x, y), at rows (u,) of p_MU: log|D|, D = I + sigma_u^2 G G^T, the information
-    K^T K (3, 3) that they give of the pose were they known, and K^T D^-1 K (3, 3). Arguments as in exact_gain.
+def new_terms(x: float, y: float, c: int, new: New, noise: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Of the new landmarks that candidate c sees from (x, y): log|D|, D = I + sigma_u^2 G G^T, the information K^T K
+    (3, 3) that they give of the pose were they known, and K^T D^-1 K (3, 3). noise: as in _whitened.
 
     Each new landmark's measurement is on its own, tied to the others by the pose only.
     """
@@ -91,15 +123,16 @@ def new_terms(
     B_new_given_prior = np.zeros((3, 3))
     K = np.zeros((2, 3))
     K[1, 2] = -1.0 / noise[3]
-    for u in rows:
-        dx, dy = p_MU[u, 0] - x, p_MU[u, 1] - y
-        count = new_count[u] * share_seen(math.sqrt(dx * dx + dy * dy), reach)
+    variance = new.prior_sigma * new.prior_sigma
+    for u in new.rows[new.offsets[c] : new.offsets[c + 1]]:
+        dx, dy = new.p_MU[u, 0] - x, new.p_MU[u, 1] - y
+        count = new.number[u] * share_seen(math.sqrt(dx * dx + dy * dy), new.reach)
         if count == 0.0:
             continue
         G = _whitened(dx, dy, noise)
         # G G^T is diagonal: range and bearing vary along directions at right angles.
-        d_range = 1.0 + prior_sigma * prior_sigma * (G[0, 0] * G[0, 0] + G[0, 1] * G[0, 1])
-        d_bearing = 1.0 + prior_sigma * prior_sigma * (G[1, 0] * G[1, 0] + G[1, 1] * G[1, 1])
+        d_range = 1.0 + variance * (G[0, 0] * G[0, 0] + G[0, 1] * G[0, 1])
+        d_bearing = 1.0 + variance * (G[1, 0] * G[1, 0] + G[1, 1] * G[1, 1])
         log_new += count * (math.log(d_range) + math.log(d_bearing))
         K[:, :2] = -G
         for i in range(3):
@@ -134,43 +167,21 @@ def to_arrival(X_MD: FloatArray, x: float, y: float) -> FloatArray:
 
 
 @njit(cache=True)
-def exact_gain(
-    points: FloatArray,
-    odometry: FloatArray,
-    known_offsets: IntArray,
-    known: IntArray,
-    new_offsets: IntArray,
-    new: IntArray,
-    p_ML: FloatArray,
-    X_MD: FloatArray,
-    covariance: FloatArray,
-    departure_given_map: FloatArray,
-    p_MU: FloatArray,
-    new_count: FloatArray,
-    prior_sigma: float,
-    noise: FloatArray,
-    reach: FloatArray,
-) -> FloatArray:
+def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
     """Exploitation, exploration and price of the pose, (c, 3), nats, of a turn at each point (c, 2), m in M.
 
-    The arrival pose is the departure pose X_MD composed with odometry of covariance odometry (c, 3, 3), in M.
-    covariance: (2n + 3, 2n + 3) of landmarks p_ML (n, 2) and X_MD. departure_given_map: (3, 3), that of X_MD given
-    all landmarks. Point i sees the rows known[known_offsets[i]:known_offsets[i + 1]] of p_ML and as many new landmarks
-    as new_count (u,) says, a fraction allowed, at each of the rows new[new_offsets[i]:...] of p_MU (u, 2), whose
-    priors are independent, of deviation prior_sigma (m). noise: as in _whitened. reach: (sensor range, depth), m: a
-    new landmark counts in proportion to how far the view goes on behind its frontier point, in full from depth on.
+    noise: as in _whitened.
     """
     out = np.zeros((len(points), 3))
-    pose = 2 * len(p_ML)
+    pose, covariance = 2 * len(known.p_ML), known.covariance
     eye3 = np.eye(3)
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        F = to_arrival(X_MD, x, y)
-        S_xx = F @ covariance[pose:, pose:].copy() @ F.T + odometry[c]
-        S_x_given_L = F @ departure_given_map @ F.T + odometry[c]
+        F = to_arrival(arrival.X_MD, x, y)
+        S_xx = F @ covariance[pose:, pose:].copy() @ F.T + arrival.odometry[c]
+        S_x_given_L = F @ arrival.departure_given_map @ F.T + arrival.odometry[c]
 
-        rows = known[known_offsets[c] : known_offsets[c + 1]]
-        G, K, C = known_terms(x, y, rows, p_ML, covariance, noise)
+        rows, G, K, C = known_terms(x, y, c, known, noise)
         W = np.empty((2 * len(rows), 6))  # [G S_Lx, K]
         for i in range(len(rows)):
             a = 2 * rows[i]
@@ -200,8 +211,7 @@ def exact_gain(
         N[3:] = S_xx
         S_x_given_z = S_xx - N.T.copy() @ np.linalg.solve(inner, T @ N)
 
-        seen = new[new_offsets[c] : new_offsets[c + 1]]
-        log_new, B_new, B_new_given_prior = new_terms(x, y, seen, p_MU, new_count, prior_sigma, noise, reach)
+        log_new, B_new, B_new_given_prior = new_terms(x, y, c, new, noise)
         price_known = math.log(np.linalg.det(eye3 + S_x_given_L @ B_known))
         price_all = math.log(np.linalg.det(eye3 + S_x_given_L @ (B_known + B_new)))
         log_localised = math.log(np.linalg.det(eye3 + S_x_given_z @ B_new_given_prior))

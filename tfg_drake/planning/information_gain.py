@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -18,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
-from tfg_drake.planning.exact_gain import exact_gain
+from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
 from tfg_drake.planning.expected_view import View, local_view
 
 # A turn's measurements of one tag are never worth more than this, m and rad: the headings of its frames are uncertain
@@ -125,18 +124,17 @@ def information_gain(
     """
     tags = local_view(tags, estimate)
     points = np.ascontiguousarray(points)
-    views = tags.offsets, tags.index, frontiers.offsets, frontiers.index
-    p_ML, S = estimate.p_ML[estimate.local], estimate.covariance
+    number, reach = explorer.density * tfg.frontier_length, frontier_reach(sensor)
+    known = Known(tags.offsets, tags.index, estimate.p_ML[estimate.local], estimate.covariance)
+    new = New(frontiers.offsets, frontiers.index, tfg.frontiers, number, explorer.prior_sigma, reach)
+    noise = turn_noise(sensor, explorer.turn_rate)
     if explorer.gain == "authors":
-        open_ends = tfg.frontiers, tfg.frontier_normal, tfg.frontier_length
-        out = authors_gain(points, *views, p_ML, S, *open_ends, explorer.density)
+        out = authors_gain(points, known, new, tfg.frontier_normal)
+    elif explorer.gain == "paper":
+        out = paper_gain(points, known, new, noise)
     else:
-        new: tuple[Any, ...] = tfg.frontiers, explorer.density * tfg.frontier_length, explorer.prior_sigma
-        new += turn_noise(sensor, explorer.turn_rate), frontier_reach(sensor)
-        if explorer.gain == "paper":
-            out = paper_gain(points, *views, p_ML, S, *new)
-        else:
-            kernel = {"exact": exact_gain, "limit": limit_gain}[explorer.gain]
-            Q = odometry_covariance(estimate.X_MD, points, distance, time, odometry)
-            out = kernel(points, Q, *views, p_ML, estimate.X_MD, S, departure_given_landmarks(estimate), *new)
+        Q = odometry_covariance(estimate.X_MD, points, distance, time, odometry)
+        arrival = Arrival(estimate.X_MD, departure_given_landmarks(estimate), Q)
+        kernel = {"exact": exact_gain, "limit": limit_gain}[explorer.gain]
+        out = kernel(points, arrival, known, new, noise)
     return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])
