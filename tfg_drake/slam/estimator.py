@@ -48,6 +48,7 @@ from tfg_drake.slam.odometry_model import (
     reckon,
 )
 from tfg_drake.slam.range_scale import compare, corrected, correction
+from tfg_drake.slam.rejoin import rejoined
 from tfg_drake.slam.segment import start_segment, step_segment
 from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
@@ -294,12 +295,13 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     solution = _solve(state, turn)
     hardly_seen = solution.sightings < CONFIRMATIONS
     arguments = (solution.observation, turn.X_DA, turn.segment_covariance, state.way, hardly_seen)
-    graph, rejected = add_goal(state.graph, state.map, *arguments)
+    before, estimate = rejoined(state.graph, state.map, solution.observation)
+    graph, rejected = add_goal(before, estimate, *arguments)
     suspects, count = _suspects(state, solution, rejected)
     moved = suspects[count >= MOVED]
     if len(moved):
         _log.warning("%.2f s: moved since they were mapped: tags %s", state.stamp, _names(moved))
-        known = goal_graph.forget(state.graph, moved)
+        known = goal_graph.forget(before, moved)
         _, estimate = solve(known, state.stamp, solution.observation)
         graph, rejected = add_goal(known, estimate, *arguments)
         suspects, count = suspects[count < MOVED], count[count < MOVED]
