@@ -132,9 +132,9 @@ def ours(plain: Plain, graph: GoalGraph, estimate: MapEstimate, goals: int) -> t
     spent = np.zeros((goals, 2))
     joint = map_solver._joint
 
-    def timed(*arguments):
+    def timed(*arguments, **named):
         begin = time.process_time()
-        result = joint(*arguments)
+        result = joint(*arguments, **named)
         spent[i, 1] += time.process_time() - begin
         return result
 

@@ -331,7 +331,8 @@ def _information(
     factors, values = _window_factors(graph, goals)
     ordering = gtsam.Ordering()
     for k in boundary:
-        partly = forgetting(graph.observations[k], graph.ids[~seen])
+        ids = graph.observations[k].ids
+        partly = forgetting(graph.observations[k], ids[~seen[rows_of(ids, graph.ids)[0]]])
         if len(partly.ids) >= WITNESSES:
             factors.add(joint_factor(graph, k, observation=partly))
             values.insert(A(k), gtsam.Pose2(*graph.X_MA[k]))
