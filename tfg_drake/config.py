@@ -145,7 +145,7 @@ class ExplorerConfig:
 class PlannerConfig:
     """The roadmap's chance constraint (the paper's last equation)."""
 
-    # Largest probability of a collision,
+    # Largest probability of a collision.
     collision_probability: float = 0.01
-    # and of what: of any point of a path by itself, or of the whole path; one of RISKS.
+    # What it is the probability of: of any point of a path by itself, or of the whole path; one of RISKS.
     risk: str = "point"

@@ -172,6 +172,11 @@ def test_travel_told_anew_adds_up_and_each_leg_keeps_its_share(windows):
     np.testing.assert_allclose(link(again, travelled_covariance(again), 2, 10)[1], told, rtol=0.05, atol=1e-6)
 
 
+def test_travel_that_rounding_made_no_covariance_stays_as_it_was():
+    graph, _, _ = block(12)
+    assert with_travel(graph, 2, 10, np.diag([1e-3, 1e-3, -1e-12])) is graph
+
+
 def test_each_block_of_the_way_is_told_anew_once():
     graph, _, _ = block(34)
     goals = np.arange(34)

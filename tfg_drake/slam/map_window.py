@@ -121,12 +121,15 @@ def smoothed_block(graph: GoalGraph, goals: IntArray) -> tuple[int, int] | None:
 
 def with_travel(graph: GoalGraph, i: int, j: int, covariance: FloatArray) -> GoalGraph:
     """The graph with travel from D_i to D_j, i < j, that adds up to this covariance (3, 3), of (x, y) in D_i and theta:
-    each leg keeps its share."""
+    each leg keeps its share. As it was where rounding leaves no covariance, as of what hangs on nothing."""
     theta, end = graph.X_MD[i:j, 2], graph.X_MD[i + 1 : j + 1, :2]
     T = _to_origin(theta, end)
     legs = T @ graph.travel_covariance[i:j] @ T.transpose(0, 2, 1)
     whole = _about_origin(covariance[None], theta[:1], graph.X_MD[j : j + 1, :2])[0]
-    A = np.linalg.cholesky(whole) @ np.linalg.inv(np.linalg.cholesky(legs.sum(axis=0)))
+    try:
+        A = np.linalg.cholesky(whole) @ np.linalg.inv(np.linalg.cholesky(legs.sum(axis=0)))
+    except np.linalg.LinAlgError:
+        return graph
     back = np.linalg.inv(T) @ A
     travel_covariance = graph.travel_covariance.copy()
     travel_covariance[i:j] = back @ legs @ back.transpose(0, 2, 1)
