@@ -21,6 +21,7 @@ from tfg_drake.config import (
     GOAL_RULES,
     RISKS,
     ExplorerConfig,
+    GridConfig,
     OdometryConfig,
     PlannerConfig,
     RobotConfig,
@@ -74,6 +75,7 @@ class Scenario:
     safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
     explorer: ExplorerConfig = dataclasses.field(default_factory=ExplorerConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
+    grid: GridConfig = dataclasses.field(default_factory=GridConfig)
 
 
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
@@ -102,6 +104,11 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.frontier_attempts": (1.0, math.inf),
     "explorer.turn_rate": (0.0, math.inf),
     "planner.collision_probability": (0.0, 0.5),
+    "grid.resolution": (0.0, math.inf),
+    "grid.particles": (1.0, math.inf),
+    "grid.update_period": (0.0, math.inf),
+    "grid.update_distance": (0.0, math.inf),
+    "grid.update_angle": (0.0, math.inf),
 }
 # Texts that must be one of a few.
 _CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS, "explorer.goal": GOAL_RULES, "planner.risk": RISKS}

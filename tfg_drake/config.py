@@ -149,3 +149,20 @@ class PlannerConfig:
     collision_probability: float = 0.01
     # What it is the probability of: of any point of a path by itself, or of the whole path; one of RISKS.
     risk: str = "point"
+
+
+@dataclasses.dataclass
+class GridConfig:
+    """The grid baseline: GMapping and the choice of frontiers on its map."""
+
+    # Side of a cell, m.
+    resolution: float = 0.05
+    # Particles of the filter, each with a map of its own.
+    particles: int = 100
+    # A scan goes into the map after this much time (s), way (m) or turn (rad), whatever comes first.
+    update_period: float = 3.0
+    update_distance: float = 1.0
+    update_angle: float = 0.5
+    # Weights of the weighted sum (the paper's eq. 1): of the grid's entropy (per nat of a cell) and of the pose's.
+    weight_map: float = 1.0
+    weight_pose: float = 1.0

@@ -221,6 +221,22 @@ class TfgMap:
 
 
 @message
+class GridMap:
+    """An occupancy grid in the map frame, of the baselines that keep one.
+
+    stage: number of goals visited. stamp: s, of the newest scan in it. resolution: side of a cell, m. origin: (2,) the
+    corner of cell [0, 0] with the least x and y, in M, m. probability: (h, w) of each cell being occupied, 0.5 where
+    nothing was ever measured; rows go along y, columns along x.
+    """
+
+    stage: int
+    stamp: float
+    resolution: float
+    origin: FloatArray
+    probability: NDArray[np.float32]
+
+
+@message
 class Roadmap:
     """The probabilistic roadmap of one stage, in the map frame.
 
