@@ -20,6 +20,7 @@ from tfg_drake.config import (
     GAINS,
     GOAL_RULES,
     RISKS,
+    DisturbanceConfig,
     ExplorerConfig,
     GridConfig,
     OdometryConfig,
@@ -73,8 +74,12 @@ class Scenario:
     tags: TagSensorConfig = dataclasses.field(default_factory=TagSensorConfig)
     scan: ScanConfig = dataclasses.field(default_factory=ScanConfig)
     safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
+    # What moves the base besides its wheels.
+    disturbances: list[DisturbanceConfig] = dataclasses.field(default_factory=list)
     explorer: ExplorerConfig = dataclasses.field(default_factory=ExplorerConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
+    # Where a human operator would drive and look round, [x, y] in W, m: the method "scripted".
+    drive: list[list[float]] = dataclasses.field(default_factory=list)
     grid: GridConfig = dataclasses.field(default_factory=GridConfig)
 
 
@@ -98,6 +103,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "scan.resolution": (1e-4, math.pi),
     "scan.rate": (1.0, math.inf),
     "safety.command_timeout": (0.0, math.inf),
+    "disturbances[].duration": (0.0, math.inf),
     "explorer.density": (0.0, math.inf),
     "explorer.prior_sigma": (0.0, math.inf),
     "explorer.samples": (1.0, math.inf),
@@ -115,12 +121,21 @@ _CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS, "explorer.goal":
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
 # Numbers that may have either sign.
-_SIGNED = ("world.walls", "world.tags", "world.start")
+_SIGNED = (
+    "world.walls",
+    "world.tags",
+    "world.start",
+    "drive",
+    "disturbances[].ahead",
+    "disturbances[].left",
+    "disturbances[].turn",
+)
 # Lists of a fixed length, and how to write them.
 _LENGTHS = {
     "world.walls[]": (4, "[x0, y0, x1, y1]"),
     "world.tags[].position": (2, "[x, y]"),
     "world.start": (3, "[x, y, yaw]"),
+    "drive[]": (2, "[x, y]"),
 }
 
 
@@ -370,10 +385,11 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
         raise ScenarioError(f"{source}: {place}: must be finite, is {number}")
     if schema is int and not 0 <= number <= _MOST:
         raise ScenarioError(f"{source}: {place}: must be between 0 and {_MOST}, is {number}")
-    if place.startswith(_SIGNED):
+    general = _General(place)
+    if general.startswith(_SIGNED):
         return
-    least, greatest = _BOUNDS.get(place, (-math.inf, math.inf))
-    if place not in _BOUNDS and number < 0:
+    least, greatest = _BOUNDS.get(general, (-math.inf, math.inf))
+    if general not in _BOUNDS and number < 0:
         raise ScenarioError(f"{source}: {place}: must not be negative, is {number:g}")
     if number < least or (number == least == 0.0):
         relation = "greater than 0" if least == 0.0 else f"at least {least:g}"

@@ -43,12 +43,14 @@ def MakeTurtlebotStation(scenario: Scenario) -> Diagram:
     All noise comes from Drake's random sources: diagram.SetRandomContext(context, RandomGenerator(seed)) makes a run
     reproducible; each seed gives another one.
     """
-    world = MakeWorld(scenario.world)
+    world, disturbances = MakeWorld(scenario.world), scenario.disturbances
     builder = DiagramBuilder()
 
     safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety))
-    plant = builder.AddNamedSystem("differential_drive_plant", DifferentialDrivePlant(world, scenario.robot))
-    wheels = builder.AddNamedSystem("odometry", Odometry(world.start, scenario.odometry))
+    plant = builder.AddNamedSystem(
+        "differential_drive_plant", DifferentialDrivePlant(world, scenario.robot, disturbances)
+    )
+    wheels = builder.AddNamedSystem("odometry", Odometry(world.start, scenario.odometry, disturbances))
     tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags))
     scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan))
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from tfg_drake.config import RobotConfig
+from tfg_drake.config import DisturbanceConfig, RobotConfig
 from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
+from tfg_drake.simulation.disturbance import displacement
 from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.world.world import World
 
@@ -34,9 +37,10 @@ class DifferentialDrivePlant(LeafSystem):
     touch a wall. clearance: the least distance of its outline to any wall so far, m.
     """
 
-    def __init__(self, world: World, robot: RobotConfig):
+    def __init__(self, world: World, robot: RobotConfig, disturbances: Sequence[DisturbanceConfig] = ()):
+        """disturbances: what moves the base besides its wheels."""
         super().__init__()
-        self._walls, self._robot = world.walls, robot
+        self._walls, self._robot, self._disturbances = world.walls, robot, tuple(disturbances)
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self.DeclareDiscreteState(drive.initial_state(world.start, world.walls, robot))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Step)
@@ -48,8 +52,11 @@ class DifferentialDrivePlant(LeafSystem):
 
     @metered_in_detail("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
-        command = self._command.Eval(context)
-        update.set_value(drive.step(self._State(context), command, self._walls, self._robot, PERIOD))
+        command, state = self._command.Eval(context), self._State(context)
+        moved = drive.UNMOVED
+        if self._disturbances:
+            moved = displacement(self._disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
+        update.set_value(drive.step(state, command, self._walls, self._robot, PERIOD, moved))
 
     def _State(self, context: Context) -> FloatArray:
         state: FloatArray = context.get_discrete_state_vector().value()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import DisturbanceConfig, OdometryConfig
 from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray
-from tfg_drake.simulation.odometry import initial_state, integrate, message, run_errors
+from tfg_drake.simulation.differential_drive import UNMOVED
+from tfg_drake.simulation.disturbance import displacement
+from tfg_drake.simulation.odometry import TIME, initial_state, integrate, message, run_errors
 from tfg_drake.systems.ports import declare_message_output
 
 PERIOD = 1.0 / 16.0
@@ -31,9 +35,10 @@ class Odometry(LeafSystem):
     normal numbers, the same all along. odometry: an Odometry message; X_OB is 0 at the start X_WS (3,).
     """
 
-    def __init__(self, X_WS: FloatArray, config: OdometryConfig):
+    def __init__(self, X_WS: FloatArray, config: OdometryConfig, disturbances: Sequence[DisturbanceConfig] = ()):
+        """disturbances: what moves the base besides its wheels, which do not notice."""
         super().__init__()
-        self._config = config
+        self._config, self._disturbances = config, tuple(disturbances)
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", 2, RandomDistribution.kGaussian)
         self._run_errors = self.DeclareVectorInputPort("run_errors", 3, RandomDistribution.kGaussian)
@@ -50,5 +55,6 @@ class Odometry(LeafSystem):
     def _Integrate(self, context: Context, update: DiscreteValues) -> None:
         state = context.get_discrete_state_vector().value()
         errors = run_errors(self._run_errors.Eval(context), self._config)
-        noise = self._noise.Eval(context)
-        update.set_value(integrate(state, context.get_time(), self._pose.Eval(context), errors, noise, self._config))
+        noise, pose, now = self._noise.Eval(context), self._pose.Eval(context), context.get_time()
+        moved = displacement(self._disturbances, state[TIME], now) if self._disturbances else UNMOVED
+        update.set_value(integrate(state, now, pose, errors, noise, self._config, moved))

@@ -109,6 +109,21 @@ class SafetyConfig:
 
 
 @dataclasses.dataclass
+class DisturbanceConfig:
+    """The base is moved while its wheels notice nothing: they slip, or somebody pushes it."""
+
+    # When it begins and how long it takes, s.
+    time: float = 0.0
+    duration: float = 1.0
+    # How far the base is moved in all, ahead and to its left, m, and how far it is turned, rad.
+    ahead: float = 0.0
+    left: float = 0.0
+    turn: float = 0.0
+    # Whether the gyro feels that turn.
+    gyro_feels: bool = True
+
+
+@dataclasses.dataclass
 class ExplorerConfig:
     """The method's own parameters. None is read from the world."""
 

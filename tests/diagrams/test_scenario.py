@@ -100,8 +100,11 @@ def test_world_and_config_are_inverse():
         ("robot: {radios: 1}", "robot.radios: unknown key; did you mean radius?"),
         (
             "wheels: {}",
-            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, safety, explorer, planner",
+            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, safety, disturbances, explorer,"
+            " planner, drive, grid",
         ),
+        ("disturbances: [{duration: 0}]", "disturbances[0].duration: must be greater than 0, is 0"),
+        ("drive: [[1, 2, 3]]", "drive[0]: expected 2 numbers [x, y], found 3"),
         ("robot: {radius: a}", "robot.radius: expected a number, found text ('a')"),
         ("robot: {radius: yes}", "robot.radius: expected a number, found a yes/no value (True)"),
         ("robot: {radius: .nan}", "robot.radius: must be finite, is nan"),

@@ -27,6 +27,9 @@ _CENTRE_HALF_WIDTH = math.pi / 6.0
 # Penetration that is rounding, m.
 _ROUNDING = 1e-9
 
+# Nothing but its wheels moves the base.
+UNMOVED = np.zeros(4)
+
 
 @njit(cache=True)
 def advance(pose: FloatArray, speed: float, turn_rate: float, duration: float) -> FloatArray:
@@ -117,6 +120,7 @@ def _towards(value: float, target: float, limit: float, change: float) -> float:
 def _step(
     state: FloatArray,
     command: FloatArray,
+    moved: FloatArray,
     walls: FloatArray,
     period: float,
     radius: float,
@@ -131,6 +135,11 @@ def _step(
     turn_rate = _towards(state[TURN_RATE], command[1], max_turn_rate, max_turn_acceleration * period)
     previous = state[X : THETA + 1]
     pose = advance(previous, speed, turn_rate, period)
+    cosine, sine = math.cos(previous[2]), math.sin(previous[2])
+    pose[0] += cosine * moved[0] - sine * moved[1]
+    pose[1] += sine * moved[0] + cosine * moved[1]
+    if moved[2] != 0.0:
+        pose[2] = math.pi - (math.pi - pose[2] - moved[2]) % (2.0 * math.pi)
     blocked = _push_out(walls, pose, previous, radius)
     if blocked:
         # What is left of the speed is the progress the walls allowed along the heading.
@@ -152,11 +161,19 @@ def _step(
     return after
 
 
-def step(state: FloatArray, command: FloatArray, walls: FloatArray, robot: RobotConfig, period: float) -> FloatArray:
+def step(
+    state: FloatArray,
+    command: FloatArray,
+    walls: FloatArray,
+    robot: RobotConfig,
+    period: float,
+    moved: FloatArray = UNMOVED,
+) -> FloatArray:
     """The base's state one period (s) later.
 
     state: (STATE_SIZE,), see the constants above. command: (2,) forward speed (m/s) and turn rate (rad/s), followed
-    within the robot's limits on both and on their rates. walls: (m, 4) in W, m.
+    within the robot's limits on both and on their rates. walls: (m, 4) in W, m. moved: how far something else moves the
+    base meanwhile, see tfg_drake.simulation.disturbance.displacement.
 
     The disc does not pass a wall: it is pushed back along the wall's normal, so it slides, and keeps the part of its
     speed that the wall leaves it. A contact is counted when it begins and lasts until the outline is 1 cm clear.
@@ -164,6 +181,7 @@ def step(state: FloatArray, command: FloatArray, walls: FloatArray, robot: Robot
     after: FloatArray = _step(
         state,
         command,
+        moved,
         walls,
         period,
         robot.radius,

@@ -12,6 +12,7 @@ from numba import njit
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.messages import FloatArray, Odometry
+from tfg_drake.simulation.differential_drive import UNMOVED
 
 # Where the entries of the state begin: the time (s) it holds at, the true pose X_WB (3), the integrated pose X_OB (3),
 # the measured forward speed and turn rate, and whether the wheels stood.
@@ -31,6 +32,7 @@ def _integrate(
     state: FloatArray,
     stamp: float,
     pose: FloatArray,
+    moved: FloatArray,
     errors: FloatArray,
     normal: FloatArray,
     distance_noise: float,
@@ -41,11 +43,14 @@ def _integrate(
         return state.copy()
     dx, dy = pose[0] - state[TRUTH], pose[1] - state[TRUTH + 1]
     cosine, sine = math.cos(state[TRUTH + 2]), math.sin(state[TRUTH + 2])
+    # The wheels notice only what is not done to the base from outside, and the gyro not every turn of that.
+    along, across = cosine * dx + sine * dy - moved[0], cosine * dy - sine * dx - moved[1]
+    turned = _wrap(pose[2] - state[TRUTH + 2] - moved[2] + moved[3])
     scale = 1.0 + errors[0]
-    slip = distance_noise * math.sqrt(math.hypot(dx, dy)) * normal[0]
-    ahead = scale * (cosine * dx + sine * dy) + slip
-    aside = scale * (cosine * dy - sine * dx)
-    turn = (1.0 + errors[2]) * _wrap(pose[2] - state[TRUTH + 2]) + errors[1] * duration
+    slip = distance_noise * math.sqrt(math.hypot(along, across)) * normal[0]
+    ahead = scale * along + slip
+    aside = scale * across
+    turn = (1.0 + errors[2]) * turned + errors[1] * duration
     turn += gyro_noise * math.sqrt(duration) * normal[1]
 
     after = np.empty(STATE_SIZE)
@@ -57,7 +62,7 @@ def _integrate(
     after[INTEGRATED + 2] = _wrap(state[INTEGRATED + 2] + turn)
     after[SPEED] = scale * pose[3]
     after[TURN_RATE] = turn / duration
-    still = math.hypot(dx, dy) < TICK and abs(_wrap(pose[2] - state[TRUTH + 2])) < TICK
+    still = math.hypot(along, across) < TICK and abs(_wrap(turned - moved[3])) < TICK
     after[AT_REST] = 1.0 if still else 0.0
     return after
 
@@ -79,17 +84,19 @@ def integrate(
     errors: FloatArray,
     standard_normal: FloatArray,
     config: OdometryConfig,
+    moved: FloatArray = UNMOVED,
 ) -> FloatArray:
     """The state (STATE_SIZE,) at stamp (s), some time after the one given.
 
     pose: (5,) true x, y, theta of X_WB, forward speed and turn rate. errors: (3,) from run_errors. standard_normal:
     (2,) numbers, fresh every time. The distance takes the scale error and a random walk that grows with distance; the
     heading takes the gyro's scale error, its bias and a random walk that grows with time. The random walk of distance
-    is slip, which the wheels' speed does not show; a robot that stands turns no wheel. Before any time has passed the
+    is slip, which the wheels' speed does not show; a robot that stands turns no wheel. moved: how far something else
+    has moved the base meanwhile, see tfg_drake.simulation.disturbance.displacement. Before any time has passed the
     state stays as it is.
     """
     after: FloatArray = _integrate(
-        state, stamp, pose, errors, standard_normal, config.distance_noise, config.gyro_noise
+        state, stamp, pose, moved, errors, standard_normal, config.distance_noise, config.gyro_noise
     )
     return after
 

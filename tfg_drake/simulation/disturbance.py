@@ -1,0 +1,25 @@
+"""Moving the base behind its wheels' back: wheel slip and pushes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tfg_drake.config import DisturbanceConfig
+from tfg_drake.messages import FloatArray
+
+
+def displacement(disturbances: Sequence[DisturbanceConfig], begin: float, end: float) -> FloatArray:
+    """How far the base is moved between two instants (s): (4,) ahead and left in B, m, turned, rad, and the part of
+    that turn that the gyro feels.
+
+    Every disturbance moves it evenly over its duration.
+    """
+    total = np.zeros(4)
+    for one in disturbances:
+        overlap = min(end, one.time + one.duration) - max(begin, one.time)
+        if overlap > 0.0:
+            felt = one.turn if one.gyro_feels else 0.0
+            total += overlap / one.duration * np.array([one.ahead, one.left, one.turn, felt])
+    return total
