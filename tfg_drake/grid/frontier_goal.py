@@ -30,9 +30,10 @@ SAME_PLACE = 0.5
 
 @message
 class TriedPlaces:
-    """For which places goals were chosen, in order. p_MF: (n, 2), m in M, on frontiers."""
+    """For which places goals were chosen, in order. p_MF: (n, 2), m in M. at_frontier: the newest is on a frontier."""
 
     p_MF: FloatArray
+    at_frontier: bool = True
 
 
 def no_tries() -> TriedPlaces:
@@ -180,7 +181,7 @@ def is_spent(grid: GridMap, tried: TriedPlaces, robot: RobotConfig) -> bool:
 
     Then it need not go there, nor look round: the next goal can be chosen at once.
     """
-    if len(tried.p_MF) == 0:
+    if len(tried.p_MF) == 0 or not tried.at_frontier:
         return False
     p_MF = tried.p_MF[-1]
     low, high = cell_at(grid, p_MF - SAME_PLACE), cell_at(grid, p_MF + SAME_PLACE)

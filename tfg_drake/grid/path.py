@@ -164,9 +164,7 @@ def find_ways(grid: GridMap, p_MB: FloatArray, robot: RobotConfig) -> Ways:
     return Ways(cells, room, grid.resolution * cost, grid.resolution * length, before)
 
 
-def _ways_out(
-    grid: GridMap, cells: CellArray, traversable: BoolArray, p_MB: FloatArray
-) -> tuple[IntArray, FloatArray]:
+def _ways_out(grid: GridMap, cells: CellArray, traversable: BoolArray, p_MB: FloatArray) -> tuple[IntArray, FloatArray]:
     """Traversable cells (s, 2) to which a robot without room can drive straight, and how far they are (s,), m."""
     low, high = cell_at(grid, p_MB - WAY_OUT), cell_at(grid, p_MB + WAY_OUT)
     found = np.argwhere(traversable[low[0] : high[0] + 1, low[1] : high[1] + 1]) + low
@@ -269,7 +267,9 @@ def with_returns(grid: GridMap, scan: LaserScan, X_MB: FloatArray) -> GridMap:
     hit = scan.ranges < RETURN_REACH
     r, angle = scan.ranges[hit], scan.angles[hit]
     p_MP = transform(X_MB, np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
-    inside = ((p_MP >= grid.origin) & (p_MP < grid.origin + grid.resolution * np.array(grid.probability.T.shape))).all(1)
+    inside = ((p_MP >= grid.origin) & (p_MP < grid.origin + grid.resolution * np.array(grid.probability.T.shape))).all(
+        1
+    )
     probability = grid.probability.copy()
     probability[tuple(cell_at(grid, p_MP[inside]).T)] = 1.0
     return replace(grid, probability=probability)
