@@ -64,7 +64,7 @@ def next_to_unknown(cells: CellArray) -> BoolArray:
 
 @njit(cache=True)
 def _wave(free: BoolArray, row: int, column: int) -> BoolArray:
-    """The free cells (h, w) that a wave from one of them reaches over the sides of cells: corners leak through walls."""
+    """The free cells (h, w) that a wave from one of them reaches over sides of cells: at corners it would leak."""
     height, width = free.shape
     reached = np.zeros_like(free)
     queue = np.empty(free.size, dtype=np.int64)

@@ -105,24 +105,21 @@ def _enterable(ways: Ways, radius: float) -> BoolArray:
     return np.asarray((label > 0) & np.isin(label, np.unique(label[ways.reachable])))
 
 
-def why_end(access: Access, shut_in: bool, resolution: float) -> tuple[str, str]:
+def why_end(access: Access, shut_in: bool, resolution: float, least_length: float) -> tuple[str, str]:
     """Verdict and reason where no frontier is worth a goal, by the rule of `planning.mission_end`.
 
-    What is too narrow for the robot, or beyond a passage that is, does not keep the mission from being complete.
-    shut_in: there is no place that the robot could reach. resolution: a cell's side, m.
+    What is too narrow for the robot, or beyond a passage that is, does not keep the mission from being complete: less
+    than least_length (m) in which the robot would fit. shut_in: there is no place that it could reach. resolution: a
+    cell's side, m.
     """
-
-    def length(which: BoolArray) -> float:
-        return resolution * int(which.sum())
-
     if shut_in and len(access.live):
         return "stuck", "The robot cannot reach any other place."
-    barred, in_vain = length(access.open & access.live), length(access.open & ~access.live)
-    if barred > 0.0:
+    barred, in_vain = (resolution * int((access.open & which).sum()) for which in (access.live, ~access.live))
+    left = resolution * len(access.live)
+    if barred + in_vain >= least_length and barred >= in_vain:
         return "stuck", f"{barred:.1f} m of frontier lie behind a passage too narrow for the robot and its margin."
-    if in_vain > 0.0:
+    if barred + in_vain >= least_length:
         return "stuck", f"{in_vain:.1f} m of open frontier were tried again and again in vain."
-    left = length(~access.open)
     return "complete", f"No frontier is left{f' but {left:.1f} m too narrow for the robot' if left else ''}."
 
 
@@ -141,7 +138,7 @@ def choose(
     access = find_access(grid, ways, p_MB, tried, robot, explorer.frontier_attempts)
     rows = np.flatnonzero(access.worth)
     if len(rows) == 0:
-        return no_goal(grid, access, ways, p_MB), tried
+        return no_goal(grid, access, ways, p_MB, robot), tried
     by_cost = rows[np.argsort(access.cost[rows], kind="stable")]
     # The nearest cell of each frontier, the nearest frontier first.
     _, first = np.unique(access.frontier[by_cost], return_index=True)
@@ -169,10 +166,10 @@ def flat_index(grid: GridMap, cell: IntArray) -> int:
     return int(cell[0] * grid.probability.shape[1] + cell[1])
 
 
-def no_goal(grid: GridMap, access: Access, ways: Ways, p_MB: FloatArray) -> GoalChoice:
+def no_goal(grid: GridMap, access: Access, ways: Ways, p_MB: FloatArray, robot: RobotConfig) -> GoalChoice:
     """The choice where no frontier is worth a goal to the robot at p_MB (2,), m in M."""
     shut_in = not (ways.reachable & ~_disc(grid, p_MB, APART)).any()
-    verdict, reason = why_end(access, shut_in, grid.resolution)
+    verdict, reason = why_end(access, shut_in, grid.resolution, 2.0 * robot.radius)
     return replace(empty_choice(), stage=grid.stage, verdict=verdict, reason=reason)
 
 

@@ -2,10 +2,13 @@
 paper.
 
 A candidate is worth weight_map * I_OG + weight_pose * I_SLAM, per expected second. I_OG is the entropy of the grid
-that a turn there would remove, I_SLAM how much less uncertain the pose is after matching its scans with the known grid
-than it is on arrival, by odometry alone. The published rule takes the largest sum whatever the way there: I_SLAM grows
-with the length of the way that spoils the pose first, so the robot would cross the map for the sake of coming back.
-Stachniss et al. (RSS 2005) pay for the way too, by a cost with a weight of its own; a rate needs none.
+that a turn there would remove, I_SLAM how much better the pose would be known after the way there, by odometry, and
+matching the turn's scans with the known grid, than after another turn where the robot stands.
+
+The published rule takes the largest sum, whatever the way: the robot would cross the map for the best view. And the
+drop of entropy from arrival to after the match is no measure of a place, as the way there brings about most of it:
+about 10 nats wherever there are walls, so that by it the robot visits every known place before the last frontiers.
+Stachniss et al. (RSS 2005) pay for the way by a cost with a weight of its own; a rate needs none.
 """
 
 from __future__ import annotations
@@ -26,15 +29,17 @@ from tfg_drake.messages import FloatArray, GoalChoice, GridMap, IntArray, PoseEs
 from tfg_drake.planning.goal_choice import OVERHEAD
 from tfg_drake.planning.information_gain import odometry_covariance
 
-# One frontier candidate for every square of this side, and one known place for every square of that, m.
+# One frontier candidate for every square of this side, and known places at this distance from each other, m.
 FRONTIER_SPREAD = 1.0
-KNOWN_SPREAD = 3.0
+KNOWN_SPREAD = 2.0
 # Rays cast round a candidate.
 RAYS = 180
 # Surfaces' directions are those of the grid's slope, smoothed by this many cells.
 SMOOTHING = 2.0
 # A ray that grazes a surface says nothing when the cosine of its incidence is below this.
 LEAST_COSINE = 0.2
+# No pose is known better than this, m^2 and rad^2: that of the start has no variance at all.
+LEAST_VARIANCE = 1e-8
 
 
 @njit(cache=True)
@@ -57,7 +62,7 @@ def _look_round(
             i0, j0, known = int(points[k, 0]), int(points[k, 1]), True
             r = 0.5
             while r < reach:
-                i, j = int(math.floor(points[k, 0] + r * s)), int(math.floor(points[k, 1] + r * c))
+                i, j = math.floor(points[k, 0] + r * s), math.floor(points[k, 1] + r * c)
                 if not (0 <= i < height and 0 <= j < width):
                     break
                 if cells[i, j] == OCCUPIED:
@@ -86,10 +91,15 @@ def grid_gain(unknown: FloatArray) -> FloatArray:
     return math.log(2.0) * unknown
 
 
-def pose_gain(predicted: FloatArray, information: FloatArray) -> FloatArray:
-    """I_SLAM (c,), nats: the drop of entropy of poses of covariance (c, 3, 3) when information (c, 3, 3) is added."""
-    _, log_determinant = np.linalg.slogdet(np.eye(3) + predicted @ information)
-    return np.asarray(0.5 * log_determinant)
+def log_variance(covariance: FloatArray, information: FloatArray) -> FloatArray:
+    """Log-determinants (c,) of covariances (c, 3, 3) of a pose after information (c, 3, 3) was added."""
+    prior = covariance + LEAST_VARIANCE * np.eye(3)
+    return np.asarray(np.linalg.slogdet(prior)[1] - np.linalg.slogdet(np.eye(3) + prior @ information)[1])
+
+
+def pose_gain(here: FloatArray, there: FloatArray) -> FloatArray:
+    """I_SLAM (c,), nats, from the log_variance (1,) after a turn here and those (c,) after one there, 0 if larger."""
+    return np.maximum(0.0, 0.5 * (here - there))
 
 
 def predicted_covariance(
@@ -125,14 +135,15 @@ def _expected(
             for a in (0, 1)
         ]
     )
-    points = center_of(grid, stand)
+    points = np.vstack([center_of(grid, stand), pose.X_MB[None, :2]])
     area, summed = _look_round(ways.cells, slope, in_cells(grid, points), scan.range / res, RAYS)
     # A range is matched with a surface that is known to half a cell; each ray cast stands for several of the turn's.
     weight = 2.0 * math.pi / RAYS / scan.resolution / (scan.noise**2 + (0.5 * res) ** 2)
     scale = np.array([1.0, 1.0, res])
     information = weight * summed * np.outer(scale, scale)
-    predicted = predicted_covariance(pose, points, ways.length[tuple(stand.T)], robot.max_speed, odometry)
-    return grid_gain(area), pose_gain(predicted, information)
+    predicted = predicted_covariance(pose, points[:-1], ways.length[tuple(stand.T)], robot.max_speed, odometry)
+    here, there = log_variance(pose.covariance[None], information[-1:]), log_variance(predicted, information[:-1])
+    return grid_gain(area[:-1]), pose_gain(here, there)
 
 
 def _one_a_square(points: FloatArray, cost: FloatArray, side: float) -> IntArray:
@@ -152,14 +163,12 @@ def _candidates(
     """
     rows = np.flatnonzero(access.worth)
     rows = rows[_one_a_square(access.p_MF[rows], access.cost[rows], FRONTIER_SPREAD)]
-    places = np.argwhere(ways.reachable)
+    stride = max(1, round(KNOWN_SPREAD / grid.resolution))
+    places = stride * np.argwhere(ways.reachable[::stride, ::stride])
     centers = center_of(grid, places)
-    # Of a square, the place nearest to its middle: its own corner may be a wall's.
-    middle = (np.floor(centers / KNOWN_SPREAD) + 0.5) * KNOWN_SPREAD
-    chosen = _one_a_square(centers, np.hypot(*(centers - middle).T), KNOWN_SPREAD)
     been = cKDTree(np.vstack([tried.p_MF, pose.X_MB[None, :2]]))
-    chosen = chosen[been.query(centers[chosen])[0] >= 0.5 * KNOWN_SPREAD]
-    return np.vstack([access.stand[rows], places[chosen]]), np.vstack([access.p_MF[rows], centers[chosen]]), len(rows)
+    new = been.query(centers)[0] >= 0.5 * KNOWN_SPREAD
+    return np.vstack([access.stand[rows], places[new]]), np.vstack([access.p_MF[rows], centers[new]]), len(rows)
 
 
 @metered("goal")
@@ -183,7 +192,7 @@ def choose(
     ways = find_ways(grid, p_MB, robot)
     access = find_access(grid, ways, p_MB, tried, robot, explorer.frontier_attempts)
     if not access.worth.any():
-        return no_goal(grid, access, ways, p_MB), tried
+        return no_goal(grid, access, ways, p_MB, robot), tried
     stand, p_MF, frontiers = _candidates(grid, ways, access, pose, tried)
     map_gain, certainty = _expected(grid, ways, stand, pose, odometry, scan, robot)
     exploration, exploitation = weights.weight_map * map_gain, weights.weight_pose * certainty
