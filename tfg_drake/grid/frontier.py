@@ -90,7 +90,7 @@ def _wave_from(cells: CellArray, row: int, column: int) -> BoolArray:
         if len(where) == 0:
             return free
         row, column = where[np.argmin(((where - (row, column)) ** 2).sum(axis=1))]
-    return _wave(free, row, column)
+    return np.asarray(_wave(free, row, column))
 
 
 def find_frontiers(grid: GridMap, cells: CellArray, p_MB: FloatArray, least_length: float) -> list[Frontier]:

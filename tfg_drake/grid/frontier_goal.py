@@ -86,7 +86,9 @@ def find_access(
         _, nearest = ndimage.distance_transform_edt(~standing, return_indices=True)
         stand = np.ascontiguousarray(nearest[:, cells[:, 0], cells[:, 1]].T).astype(np.int64)
         away = grid.resolution * np.hypot(*(stand - cells).T)
-        at_hand = (away <= AT_HAND) & sees(ways.cells == OCCUPIED, stand + 0.5, cells + 0.5)
+        at_hand = (away <= AT_HAND) & sees(
+            ways.cells == OCCUPIED, in_cells(grid, center_of(grid, stand)), in_cells(grid, p_MF)
+        )
         cost = np.where(at_hand, ways.cost[tuple(stand.T)] + away, np.inf)
     return Access(p_MF, of, live, _enterable(ways, robot.radius)[tuple(cells.T)], stand, at_hand, cost)
 
