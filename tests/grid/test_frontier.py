@@ -28,9 +28,9 @@ def test_a_cell_holds_its_centre_and_points_outside_belong_to_the_nearest():
 
 
 def test_the_frontier_of_a_room_with_a_door():
-    grid = drawn(["#####  ", "#.....  "[:7], "#...#  ", "#####  "])
+    grid = drawn(["#####  ", "#..... ", "#...#  ", "#####  "])
     (frontier,) = find_frontiers(grid, classify(grid), np.array([0.15, 0.15]), 0.0)
-    assert frontier.cells.tolist() == [[2, 5]] or frontier.cells.tolist() == [[2, 4], [2, 5]]
+    assert frontier.cells.tolist() == [[2, 5]]
     assert frontier.length == 0.1 * len(frontier.cells)
     np.testing.assert_allclose(frontier.centroid, center_of(grid, frontier.cells).mean(axis=0))
 
@@ -57,7 +57,8 @@ def by_hand(cells, start):
     height, width = cells.shape
 
     def beside(i, j):
-        return [(i + a, j + b) for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0)) if 0 <= i + a < height > 0 <= j + b < width]
+        around = [(i, j + 1), (i + 1, j), (i, j - 1), (i - 1, j)]
+        return [(a, b) for a, b in around if 0 <= a < height and 0 <= b < width]
 
     reached, todo = {start}, [start]
     while todo:
