@@ -84,7 +84,7 @@ def _wave(free: BoolArray, row: int, column: int) -> BoolArray:
 
 def _wave_from(cells: CellArray, row: int, column: int) -> BoolArray:
     """The wave's cells (h, w) from the free cell nearest to the robot's: the map may have moved under it."""
-    free = cells == FREE
+    free: BoolArray = cells == FREE
     if not free[row, column]:
         where = np.argwhere(free)
         if len(where) == 0:

@@ -17,12 +17,14 @@ from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, LaserSc
 from tfg_drake.planning.path import PATH_STEP, SHORTCUT_CLEARANCE, path_is_free, resample, round_corners
 from tfg_drake.planning.roadmap import COMFORT
 
+# How much more than in the open a metre costs that all but touches something.
+NEARNESS = 2.0
 # A robot that stands where there is no room for it may drive straight to a cell with room this near, m.
 WAY_OUT = 0.6
 # Shortcuts end at every so manieth cell of a way, and span this many cells at most.
 SHORTCUT_STRIDE = 8
 SHORTCUT_SPAN = 240
-# A return nearer than this to the robot's place or farther than the range of interest blocks no way, m.
+# Returns of a scan farther away than this do not concern the path just ahead, m.
 RETURN_REACH = 3.0
 
 
@@ -152,15 +154,14 @@ def find_ways(grid: GridMap, p_MB: FloatArray, robot: RobotConfig) -> Ways:
     cells = classify(grid)
     room = room_round(cells, grid.resolution)
     traversable = (cells == FREE) & (room >= room_needed(robot))
-    weight = 1.0 + 2.0 * np.maximum(0.0, 1.0 - np.maximum(room, 0.0) / COMFORT) ** 2
+    weight = 1.0 + NEARNESS * np.maximum(0.0, 1.0 - np.maximum(room, 0.0) / COMFORT) ** 2
     sources = cell_at(grid, p_MB)[None]
     away = np.zeros(1)
     if not traversable[tuple(sources[0])]:
         sources, away = _ways_out(grid, cells, traversable, p_MB)
     flat = sources[:, 0] * traversable.shape[1] + sources[:, 1]
     begin = away / grid.resolution
-    worst = 1.0 + 2.0
-    cost, length, before = _cheapest(traversable, weight, flat, worst * begin, begin)
+    cost, length, before = _cheapest(traversable, weight, flat, (1.0 + NEARNESS) * begin, begin)
     return Ways(cells, room, grid.resolution * cost, grid.resolution * length, before)
 
 
