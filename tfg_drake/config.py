@@ -178,6 +178,7 @@ class GridConfig:
     update_period: float = 3.0
     update_distance: float = 1.0
     update_angle: float = 0.5
-    # Weights of the weighted sum (the paper's eq. 1): of the grid's entropy (per nat of a cell) and of the pose's.
-    weight_map: float = 1.0
+    # Weights of the weighted sum (the paper's eq. 1): per nat of the grid's entropy, of which a square metre of unknown
+    # cells has log(2) / resolution^2, and per nat of the pose's.
+    weight_map: float = 0.01
     weight_pose: float = 1.0

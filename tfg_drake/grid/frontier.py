@@ -1,0 +1,109 @@
+"""The frontiers of an occupancy grid: where what is known to be free ends at what was never measured.
+
+Definitions of Yamauchi (CIRA 1997): a cell is free, occupied or unknown as its probability lies below, above or at the
+prior; free cells next to unknown ones, joined to their neighbours, are a frontier. They are looked for where a wave of
+free cells from the robot arrives (wavefront frontier detection, Keidar and Kaminka, IJRR 2014): what was seen of the
+outside through a spurious gap, or lies behind a wall, is none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray
+
+# The prior is 0.5; nearer to it than this nothing is decided.
+FREE_BELOW = 0.45
+OCCUPIED_ABOVE = 0.55
+# What a cell can be.
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+
+CellArray = NDArray[np.uint8]
+
+
+@dataclasses.dataclass(frozen=True)
+class Frontier:
+    """One frontier. cells: (n, 2) rows and columns of its free cells. length: m, a cell's side each. centroid: (2,)
+    the mean of its cells' centres, m in M."""
+
+    cells: IntArray
+    length: float
+    centroid: FloatArray
+
+
+def classify(grid: GridMap) -> CellArray:
+    """What each cell is (h, w): UNKNOWN, FREE or OCCUPIED."""
+    cells = np.full(grid.probability.shape, UNKNOWN, dtype=np.uint8)
+    cells[grid.probability < FREE_BELOW] = FREE
+    cells[grid.probability > OCCUPIED_ABOVE] = OCCUPIED
+    return cells
+
+
+def cell_at(grid: GridMap, points: FloatArray) -> IntArray:
+    """Row and column (..., 2) of the cells that hold points (..., 2), m in M; those outside are the nearest inside."""
+    column_row = np.floor((points - grid.origin) / grid.resolution).astype(np.int64)
+    return np.clip(column_row[..., ::-1], 0, np.array(grid.probability.shape) - 1)
+
+
+def center_of(grid: GridMap, cells: IntArray) -> FloatArray:
+    """The centres (..., 2), m in M, of cells (..., 2), rows and columns."""
+    return np.asarray(grid.origin + (cells[..., ::-1] + 0.5) * grid.resolution)
+
+
+def next_to_unknown(cells: CellArray) -> BoolArray:
+    """Which cells (h, w) are free and share a side with an unknown one. Beyond the grid nothing can be explored."""
+    unknown = np.pad(cells == UNKNOWN, 1)
+    beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
+    return np.asarray((cells == FREE) & beside)
+
+
+@njit(cache=True)
+def _wave(free: BoolArray, row: int, column: int) -> BoolArray:
+    """The free cells (h, w) that a wave from one of them reaches over sides of cells: at corners it would leak."""
+    height, width = free.shape
+    reached = np.zeros_like(free)
+    queue = np.empty(free.size, dtype=np.int64)
+    queue[0], head, tail = row * width + column, 0, 1
+    reached[row, column] = True
+    while head < tail:
+        i, j = queue[head] // width, queue[head] % width
+        head += 1
+        for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            a, b = i + di, j + dj
+            if 0 <= a < height and 0 <= b < width and free[a, b] and not reached[a, b]:
+                reached[a, b] = True
+                queue[tail] = a * width + b
+                tail += 1
+    return reached
+
+
+def _wave_from(cells: CellArray, row: int, column: int) -> BoolArray:
+    """The wave's cells (h, w) from the free cell nearest to the robot's: the map may have moved under it."""
+    free: BoolArray = cells == FREE
+    if not free[row, column]:
+        where = np.argwhere(free)
+        if len(where) == 0:
+            return free
+        row, column = where[np.argmin(((where - (row, column)) ** 2).sum(axis=1))]
+    return np.asarray(_wave(free, row, column))
+
+
+def find_frontiers(grid: GridMap, cells: CellArray, p_MB: FloatArray, least_length: float) -> list[Frontier]:
+    """The frontiers of a grid and its cells (h, w) (see classify) round a robot at p_MB (2,), m in M.
+
+    Cells that touch, be it at a corner, are one frontier; those shorter than least_length (m) are left out.
+    """
+    edge = next_to_unknown(cells)
+    edge &= _wave_from(cells, *cell_at(grid, p_MB))
+    label, _ = ndimage.label(edge, structure=np.ones((3, 3)))
+    where = np.argwhere(edge)
+    of = label[edge]
+    order = np.argsort(of, kind="stable")
+    groups = np.split(where[order], np.flatnonzero(np.diff(of[order])) + 1)
+    frontiers = [Frontier(g, len(g) * grid.resolution, center_of(grid, g).mean(axis=0)) for g in groups if len(g)]
+    return [frontier for frontier in frontiers if frontier.length >= least_length]
