@@ -127,9 +127,7 @@ def process_odometry(state: GmappingState, odometry: Odometry) -> GmappingState:
         newest.clock - before.clock,
         state.model.noise,
     )
-    return replace(
-        state, odometry=odometry, reckonings=reckonings, motion_noise=noise, motion_calibration=jacobian
-    )
+    return replace(state, odometry=odometry, reckonings=reckonings, motion_noise=noise, motion_calibration=jacobian)
 
 
 def process_scan(state: GmappingState, scan: LaserScan, force: bool = False) -> GmappingState:

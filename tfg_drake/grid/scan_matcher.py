@@ -1,6 +1,6 @@
 """Where a scan fits a particle's own grid, and a draw from GMapping's improved proposal.
 
-The likelihood of a scan is that of its end points, each by the distance to the nearest occupied cell (likelihood
+The likelihood of a scan is that of its end points, each by the distance to the nearest occupied cell's mean end (likelihood
 fields; Thrun, Burgard and Fox 2005, section 6.4), of the particle's grid alone. The proposal is the Gaussian that fits
 likelihood times motion model round their common mode (Grisetti, Stachniss and Burgard 2007, section III-B).
 """
@@ -12,18 +12,18 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.grid.occupancy import TILE, TileIndex, TileMaps, Tiles
+from tfg_drake.grid.occupancy import FINE, MEAN_X, MEAN_Y, ODDS, TILE, TileIndex, TileMaps, Tiles
 from tfg_drake.messages import FloatArray, IntArray, LaserScan
 from tfg_drake.slam.odometry_model import wrap
 
-# Standard deviation of the distance from an end point to the middle of an occupied cell, m; range noise and the cells'
-# own size.
-SIGMA = 0.06
+# Standard deviation of the distance from an end point to the mean of an occupied cell's, m: range noise, and how far
+# apart those means are along a surface.
+SIGMA = 0.045
 # Likelihoods, relative to an end point in the middle of an occupied cell: of one in free space (moved, or no surface
 # of this map at all), and of one where nothing was ever measured.
 MISS, UNKNOWN = 0.05, 0.25
 # Neighbouring rays err together, by what the map has wrong: a scan's log likelihood counts this much.
-INDEPENDENCE = 0.15
+INDEPENDENCE = 0.3
 # A match must bring this share of the end points to an occupied cell, and there must be as many end points.
 LEAST_SHARE, LEAST_POINTS = 0.25, 12
 # End points may move this far from where odometry puts them and still find the map, m.
@@ -34,6 +34,8 @@ STEP_POSITION, STEP_HEADING, HALVINGS = 0.05, 0.02, 5
 DIFFERENCE = np.array([0.025, 0.025, 0.008])
 # Cells to either side of an occupied one within which it is felt.
 _SPLAT = 3
+# Parts of a cell's side that the field tells apart.
+_PARTS = 10
 
 
 def end_points(scan: LaserScan, spacing: float) -> FloatArray:
@@ -58,9 +60,11 @@ def _thinned(p_BP: FloatArray, spacing: float) -> IntArray:
 
 
 def _splat_table(resolution: float) -> FloatArray:
-    """Log likelihood of an end point by how many rows and columns it is from an occupied cell."""
-    offset = resolution * np.arange(-_SPLAT, _SPLAT + 1)
-    squared = offset[:, None] ** 2 + offset**2
+    """Log likelihood of an end point: by the part of an occupied cell, rows and columns, that its mean is in, and by how
+    many rows and columns the end point's cell is from it."""
+    mean = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5)[:, None]
+    squared = (resolution * (np.arange(-_SPLAT, _SPLAT + 1) - mean)) ** 2
+    squared = squared[:, None, :, None] + squared[None, :, None, :]
     return np.log(MISS + (1.0 - MISS) * np.exp(-0.5 * squared / SIGMA**2)).astype(np.float32)
 
 
@@ -156,7 +160,7 @@ def _fill(
                 tile = tiles[name]
                 for i in range(TILE):
                     for j in range(TILE):
-                        part[i, j] = unknown if tile[i, j] == 0 else miss
+                        part[i, j] = unknown if tile[i, j, ODDS] == 0 else miss
     for a in range(window):
         for b in range(window):
             row, column = tile_y + a - corner[1], tile_x + b - corner[0]
@@ -167,12 +171,15 @@ def _fill(
             tile = tiles[name]
             for i in range(TILE):
                 for j in range(TILE):
-                    if tile[i, j] <= 0:
+                    if tile[i, j, ODDS] <= 0:
                         continue
                     y, x = a * TILE + i, b * TILE + j
+                    part_y = (int(tile[i, j, MEAN_Y]) + FINE // 2) * _PARTS // (FINE + 1)
+                    part_x = (int(tile[i, j, MEAN_X]) + FINE // 2) * _PARTS // (FINE + 1)
+                    bump = splat[part_y, part_x]
                     for v in range(max(0, y - _SPLAT), min(most, y + _SPLAT) + 1):
                         for u in range(max(0, x - _SPLAT), min(most, x + _SPLAT) + 1):
-                            field[v, u] = max(field[v, u], splat[v - y + _SPLAT, u - x + _SPLAT])
+                            field[v, u] = max(field[v, u], bump[v - y + _SPLAT, u - x + _SPLAT])
     return tile_x * side, tile_y * side
 
 
