@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.messages import FloatArray, IntArray, Odometry, TagDetections, message
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
 
 
 class DatasetError(Exception):
@@ -40,6 +40,21 @@ class Recording:
     model: OdometryConfig
     truth: GroundTruth | None
     notes: tuple[str, ...] = ()
+
+
+@message
+class ScanLog:
+    """One robot's run with a laser scanner, the body's origin at the scanner.
+
+    name. odometry, scans: each in the order of their stamps. model: what a filter believes of the odometry. truth: the
+    best known poses at the scans' stamps, None where nothing is known.
+    """
+
+    name: str
+    odometry: tuple[Odometry, ...]
+    scans: tuple[LaserScan, ...]
+    model: OdometryConfig
+    truth: GroundTruth | None
 
 
 def make_frames(

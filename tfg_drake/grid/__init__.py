@@ -1,1 +1,1 @@
-"""The grid baselines: exploration on an occupancy grid instead of a topological feature graph."""
+"""Occupancy grids: GMapping, and frontiers, goals and paths on its map. The baseline that the TFG is compared with."""
