@@ -20,6 +20,7 @@ from tfg_drake.diagrams.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.map_command import map_app
 
 if TYPE_CHECKING:
+    from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.run import Progress
     from tfg_drake.diagrams.scenario import Scenario
 
@@ -53,6 +54,9 @@ def explore(
         float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
     ] = None,
     start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")] = None,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="What explores: tfg, grid-nearest, ... or a Python file that makes one.")
+    ] = "tfg",
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No picture in Meshcat.")] = False,
     realtime_rate: Annotated[
@@ -79,6 +83,7 @@ def explore(
     loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
     if out is not None:
         _make_writable(out)
+    explorer = _find_method(method)
     name = Path(scenario).stem
     meshcat = None if headless else _start_meshcat()
     _announce_compilation()
@@ -89,6 +94,7 @@ def explore(
         try:
             result = run.explore(
                 loaded,
+                method=explorer,
                 name=name if world is None else world.stem.removesuffix(".vectormap"),
                 world_name=scenario if world is None else str(world),
                 meshcat=meshcat,
@@ -253,6 +259,15 @@ def _load(
     except ScenarioError as error:
         _bad_input(str(error))
     return scenario
+
+
+def _find_method(name: str) -> Method:
+    from tfg_drake.diagrams.methods import FindMethod, MethodError
+
+    try:
+        return FindMethod(name)
+    except MethodError as error:
+        _bad_input(f"--method {error}")
 
 
 def _start_meshcat() -> Any:

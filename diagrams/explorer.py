@@ -7,7 +7,9 @@ velocity_commanded  <- follower  <-----------------------  path
 
 from __future__ import annotations
 
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from collections.abc import Mapping
+
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map
@@ -21,69 +23,62 @@ from tfg_drake.systems.slam_estimator import SlamEstimator
 from tfg_drake.systems.tfg_builder import TfgBuilder
 
 
-def MakeTfgExplorer(scenario: Scenario) -> Diagram:
+def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None) -> Diagram:
     """The explorer for a scenario's robot, sensors and method; of the scenario's world it reads nothing.
 
     Input ports: odometry, detections, scan, hazards (messages), pause, enable, stop (vectors of size 1, optional).
     Output ports: velocity_commanded (v in m/s, w in rad/s), and for whoever wants to look: pose, map, tfg, roadmap,
-    goal, path, mission.
+    goal, path, mission and the status of path and follower.
+
+    goal_selector: chooses where to go instead of the information gain; a system with any of the inputs above and any of
+    those outputs but velocity_commanded as its inputs, and the output goal: a GoalChoice, see InfoGainGoalSelector.
+    """
+    robot, explorer = scenario.robot, scenario.explorer
+    if goal_selector is None:
+        goal_selector = InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer, scenario.seed)
+    return AssembleExplorer(
+        {
+            "slam_estimator": SlamEstimator(scenario.odometry, explorer.path_keyframe_period),
+            "tfg_builder": TfgBuilder(scenario.tags, scenario.scan, robot, explorer),
+            "goal_selector": goal_selector,
+            "prm_planner": PrmPlanner(
+                robot, scenario.odometry, scenario.tags, explorer, scenario.planner, seed=scenario.seed
+            ),
+            "follower": PurePursuitFollower(robot, explorer),
+            "mission_sequencer": MissionSequencer(robot),
+        }
+    )
+
+
+def AssembleExplorer(systems: Mapping[str, LeafSystem]) -> Diagram:
+    """An explorer of some systems, by the name each is to have, connected by port name.
+
+    An output feeds every input of its name and is an output of the explorer; an input that no output feeds is an input
+    of the explorer. Raises ValueError where two outputs have the same name.
     """
     builder = DiagramBuilder()
-    robot, explorer = scenario.robot, scenario.explorer
-
-    estimator = builder.AddNamedSystem(
-        "slam_estimator", SlamEstimator(scenario.odometry, explorer.path_keyframe_period)
-    )
-    tfg_builder = builder.AddNamedSystem("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
-    selector = builder.AddNamedSystem(
-        "goal_selector", InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer)
-    )
-    planner = builder.AddNamedSystem(
-        "prm_planner",
-        PrmPlanner(robot, scenario.odometry, scenario.tags, explorer, scenario.planner, seed=scenario.seed),
-    )
-    follower = builder.AddNamedSystem("follower", PurePursuitFollower(robot, explorer))
-    sequencer = builder.AddNamedSystem("mission_sequencer", MissionSequencer(robot))
-
-    def connect(source, output, *targets):
-        for system, port in targets:
-            builder.Connect(source.GetOutputPort(output), system.GetInputPort(port))
-
-    connect(estimator, "pose", (tfg_builder, "pose"), (planner, "pose"), (follower, "pose"))
-    connect(estimator, "map", (tfg_builder, "map"), (selector, "map"), (planner, "map"), (sequencer, "map"))
-    connect(tfg_builder, "tfg", (selector, "tfg"), (planner, "tfg"), (sequencer, "tfg"))
-    connect(planner, "roadmap", (selector, "roadmap"))
-    connect(selector, "goal", (planner, "goal"), (sequencer, "goal"))
-    connect(planner, "path", (follower, "path"), (sequencer, "path"))
-    connect(planner, "status", (sequencer, "path_status"))
-    connect(follower, "status", (sequencer, "follower_status"))
-    connect(
-        sequencer,
-        "mission",
-        *((system, "mission") for system in (estimator, tfg_builder, selector, planner, follower)),
-    )
-
-    builder.ExportInput(estimator.GetInputPort("odometry"), "odometry")
-    builder.ExportInput(estimator.GetInputPort("detections"), "detections")
-    builder.ExportInput(tfg_builder.GetInputPort("scan"), "scan")
-    builder.ConnectInput("scan", estimator.GetInputPort("scan"))
-    builder.ConnectInput("scan", planner.GetInputPort("scan"))
-    builder.ExportInput(sequencer.GetInputPort("hazards"), "hazards")
-    for name in ("pause", "enable", "stop"):
-        builder.ExportInput(sequencer.GetInputPort(name), name)
-
-    builder.ExportOutput(follower.GetOutputPort("velocity_commanded"), "velocity_commanded")
-    for source, name in (
-        (estimator, "pose"),
-        (estimator, "map"),
-        (tfg_builder, "tfg"),
-        (planner, "roadmap"),
-        (selector, "goal"),
-        (planner, "path"),
-        (sequencer, "mission"),
-    ):
-        builder.ExportOutput(source.GetOutputPort(name), name)
-
+    outputs = {}
+    for name, system in systems.items():
+        builder.AddNamedSystem(name, system)
+        for i in range(system.num_output_ports()):
+            port = system.get_output_port(i)
+            if port.get_name() in outputs:
+                raise ValueError(f"{name}.{port.get_name()}: another system of the explorer has an output of that name")
+            outputs[port.get_name()] = port
+    exported = set()
+    for system in systems.values():
+        for i in range(system.num_input_ports()):
+            port = system.get_input_port(i)
+            name = port.get_name()
+            if name in outputs:
+                builder.Connect(outputs[name], port)
+            elif name in exported:
+                builder.ConnectInput(name, port)
+            else:
+                builder.ExportInput(port, name)
+                exported.add(name)
+    for name, port in outputs.items():
+        builder.ExportOutput(port, name)
     diagram = builder.Build()
     diagram.set_name("explorer")
     return diagram
@@ -95,7 +90,7 @@ def MapOfExplorer(explorer: Diagram, context: Context, X_WM: FloatArray) -> tupl
     A large map, of which the estimator solves a window at a time, is solved as a whole here.
 
     Args:
-        explorer: of MakeTfgExplorer, context: its own.
+        explorer: with a slam_estimator and a tfg_builder, context: its own.
         X_WM: (3,) pose of the map frame in the world, m and rad: the true start pose, zeros where none is known.
 
     Returns None before the first goal is in the map and its surfaces are.

@@ -1,7 +1,7 @@
 """A whole mission: station, explorer and picture in one diagram, simulated to its end, and what is kept of it.
 
-A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz, trajectory.tum and truth.tum (in W),
-figure.png, scenario.yaml (resolved) and log.txt.
+A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
+trajectory.tum and truth.tum (in W), figure.png, scenario.yaml (resolved) and log.txt.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from threadpoolctl import threadpool_limits
 from tfg_drake import __version__
 from tfg_drake.cpu_meter import cpu_totals
 from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
+from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.report import write_report
 from tfg_drake.diagrams.run_folder import logging_to, make_run_folder
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
@@ -37,8 +38,9 @@ from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import covered_area
+from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mapfile.saved_map import SavedMap
-from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.pose_vector import PoseVector
@@ -46,10 +48,23 @@ from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
 
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
-ESTIMATOR = ("slam_estimator",)
+ESTIMATOR = ("slam_estimator", "grid_mapper")
 STAGE = ("tfg", "roadmap", "goal", "path")
-PLANNER = (*STAGE, "tfg_builder", "prm_planner", "goal_selector", "follower", "mission_sequencer")
+PLANNER = (*STAGE, "tfg_builder", "prm_planner", "goal_selector", "grid_planner", "follower", "mission_sequencer")
 
+# A line of stages.jsonl.
+STAGE_FIELDS = (
+    "stage",
+    "goal",
+    "exploitation",
+    "exploration",
+    "pose_price",
+    "predicted_gain",
+    "realised_gain",
+    "time_s",
+    "entropy_nats",
+    "landmarks",
+)
 # Simulated time between two looks at the mission, s; a stage takes several times as long.
 STEP = 1.0
 
@@ -82,6 +97,7 @@ class RunResult:
 def explore(
     scenario: Scenario,
     *,
+    method: Method = METHODS["tfg"],
     name: str = "scenario",
     world_name: str | None = None,
     meshcat: Meshcat | None = None,
@@ -95,6 +111,7 @@ def explore(
 
     Args:
         scenario: everything that defines the run, the seed included.
+        method: what explores.
         name: what the run is called in titles and the folder's name; world_name the world's, the same by default.
         meshcat: where to show it; None for no picture.
         realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
@@ -114,8 +131,8 @@ def explore(
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), logging_to(folder / "log.txt"):
         write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
-        _log.info("tfg_drake %s: %s, seed %d", __version__, name, scenario.seed)
-        mission = Mission(scenario, meshcat, f"{name}, seed {scenario.seed}")
+        _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
+        mission = Mission(scenario, method, meshcat, f"{name}, {method.name}, seed {scenario.seed}")
         with contextlib.nullcontext(interrupted) if interrupted is not None else _interrupts() as stop:
             with (folder / "stages.jsonl").open("w", buffering=1) as stages_file:
                 mission.run(realtime_rate, max_time, stop, stages_file.write, on_progress)
@@ -136,9 +153,10 @@ class Departure:
 class Mission:
     """One simulated mission and what is observed of it from outside."""
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None, title: str) -> None:
+    def __init__(self, scenario: Scenario, method: Method, meshcat: Meshcat | None, title: str) -> None:
         self._cpu_start, self._meters_start = time.process_time(), cpu_totals()
         self.world: World = MakeWorld(scenario.world)
+        self.method = method
         self._scenario, self._meshcat, self._title = scenario, meshcat, title
         self._context: Context | None = None  # until the diagram is built
 
@@ -146,6 +164,7 @@ class Mission:
         self.pose: PoseEstimate | None = None
         self.tfg: TfgMap | None = None
         self.map: MapEstimate | None = None
+        self.grid: GridMap | None = None
         self.departures: list[Departure] = []  # one a stage
         self.stages: list[dict[str, Any]] = []
         self.outcome, self.reason = "", ""
@@ -216,13 +235,13 @@ class Mission:
 
     def final_map(self) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
         """The map as it is now, to be kept, its estimate and TFG; None before the first goal."""
-        if self._context is None:
+        if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
         return MapOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context), self.world.start)
 
     def _build(self) -> None:
         diagram, self._truth_log, self._pose_log = MakeMissionDiagram(
-            self._scenario, self.world, self._meshcat, self._title
+            self._scenario, self.world, self._meshcat, self._title, self.method.MakeExplorer
         )
         self._simulator = Simulator(diagram)
         self._station = diagram.GetSubsystemByName("station")
@@ -248,21 +267,27 @@ class Mission:
         """Take note of where the mission stands."""
         self.status = self._eval(self._explorer, "mission", MissionStatus)
         self.pose = self._eval(self._explorer, "pose", PoseEstimate)
-        tfg = self._eval(self._explorer, "tfg", TfgMap)
-        if measure_area and tfg is not self.tfg:
+        tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
+        self.grid = self._look("grid", GridMap)
+        if measure_area and tfg is not None and tfg is not self.tfg:
             self._area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers, cell=0.25)
+        elif measure_area and self.grid is not None:
+            self._area = float(np.count_nonzero(classify(self.grid) == FREE)) * self.grid.resolution**2
         self.tfg = tfg
-        estimate = self._eval(self._explorer, "map", MapEstimate)
-        if estimate.stage > len(self.departures):
+        record = None
+        if estimate is not None and estimate.stage > len(self.stages):
             record = self._stage_record(estimate)
             self.map = estimate
             # Copies: a view would keep the whole joint covariance of every stage.
             covariance = estimate.covariance[-3:, -3:].copy()
             self.departures.append(Departure(estimate.stamp, estimate.X_MD, covariance))
+        elif self.grid is not None and self.grid.stage > len(self.stages):
+            record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
+        if record is not None:
             self.stages.append(record)
             write(json.dumps(record) + "\n")
-            _log.info("stage %d: %d landmarks at %.1f s", estimate.stage, len(estimate.ids), estimate.stamp)
-        self._choice = self._eval(self._explorer, "goal", GoalChoice)
+            _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
+        self._choice = self._look("goal", GoalChoice)
         self.contacts = int(self._station_output("truth.contacts")[0])
         self.clearance = float(self._station_output("truth.clearance")[0])
         # A stage is planned within a moment of its map, long before the next: what was charged since the last look
@@ -278,25 +303,26 @@ class Mission:
         """
         choice = self._choice
         # No prediction for the start, nor for a place where the robot looks round because it could not reach its goal.
-        if choice is not None and (choice.node < 0 or self.status.failures > 0):
+        if choice is not None and (self.status.failures > 0 or choice.node not in choice.candidates):
             choice = None
         row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
         before = self.map
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self._scenario.explorer.prior_sigma**2)
         X_WA = compose(self.world.start, estimate.X_MA[-1])
-        return {
-            "stage": estimate.stage,
-            "goal": [float(value) for value in X_WA],
-            "exploitation": float(choice.exploitation[row]) if choice is not None else None,
-            "exploration": float(choice.exploration[row]) if choice is not None else None,
-            "pose_price": float(choice.pose_price[row]) if choice is not None else None,
-            "predicted_gain": float(choice.gain[row]) if choice is not None else None,
-            "realised_gain": prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
-            "time_s": estimate.stamp,
-            "entropy_nats": estimate.entropy,
-            "landmarks": len(estimate.ids),
-        }
+        fields = (
+            estimate.stage,
+            [float(value) for value in X_WA],
+            float(choice.exploitation[row]) if choice is not None else None,
+            float(choice.exploration[row]) if choice is not None else None,
+            float(choice.pose_price[row]) if choice is not None else None,
+            float(choice.gain[row]) if choice is not None else None,
+            prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
+            estimate.stamp,
+            estimate.entropy,
+            len(estimate.ids),
+        )
+        return dict(zip(STAGE_FIELDS, fields, strict=True))
 
     def _progress(self, wall_time: float) -> Progress:
         error = math.nan
@@ -305,6 +331,10 @@ class Mission:
             error = float(np.linalg.norm(X_WB[:2] - self._station_output("truth.pose")[:2]))
         landmarks = len(self.map.ids) if self.map is not None else 0
         return Progress(self.time, wall_time, self.status.phase, self.status.stage, landmarks, self._area, error)
+
+    def _look(self, port: str, kind: type) -> Any:
+        """The explorer's message, None where its method has no such port."""
+        return self._eval(self._explorer, port, kind) if self._explorer.HasOutputPort(port) else None
 
     def _eval(self, system: System, port: str, kind: type) -> Any:
         value = system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self._context))
@@ -317,7 +347,11 @@ class Mission:
 
 
 def MakeMissionDiagram(
-    scenario: Scenario, world: World, meshcat: Meshcat | None, title: str
+    scenario: Scenario,
+    world: World,
+    meshcat: Meshcat | None,
+    title: str,
+    MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
 ) -> tuple[Diagram, VectorLogSink, VectorLogSink]:
     """Station and explorer connected by port name, with the picture if there is a meshcat.
 
@@ -325,12 +359,16 @@ def MakeMissionDiagram(
     """
     builder = DiagramBuilder()
     station = builder.AddNamedSystem("station", MakeTurtlebotStation(scenario))
-    explorer = builder.AddNamedSystem("explorer", MakeTfgExplorer(scenario))
+    explorer = builder.AddNamedSystem("explorer", MakeExplorer(scenario))
 
-    builder.Connect(station.GetOutputPort("base.odometry"), explorer.GetInputPort("odometry"))
-    builder.Connect(station.GetOutputPort("base.hazards"), explorer.GetInputPort("hazards"))
-    builder.Connect(station.GetOutputPort("tags.detections"), explorer.GetInputPort("detections"))
-    builder.Connect(station.GetOutputPort("scan.ranges"), explorer.GetInputPort("scan"))
+    for output, name in (
+        ("base.odometry", "odometry"),
+        ("base.hazards", "hazards"),
+        ("tags.detections", "detections"),
+        ("scan.ranges", "scan"),
+    ):
+        if explorer.HasInputPort(name):
+            builder.Connect(station.GetOutputPort(output), explorer.GetInputPort(name))
     builder.Connect(explorer.GetOutputPort("velocity_commanded"), station.GetInputPort("base.velocity_commanded"))
 
     pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())

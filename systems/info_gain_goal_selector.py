@@ -35,9 +35,18 @@ class InfoGainGoalSelector(LeafSystem):
         - goal
     """
 
-    def __init__(self, robot: RobotConfig, odometry: OdometryConfig, sensor: TagSensorConfig, explorer: ExplorerConfig):
+    def __init__(
+        self,
+        robot: RobotConfig,
+        odometry: OdometryConfig,
+        sensor: TagSensorConfig,
+        explorer: ExplorerConfig,
+        seed: int = 0,
+    ):
+        """seed: of the goals, where explorer.goal is random."""
         super().__init__()
         self._robot, self._sensor, self._odometry, self._explorer = robot, sensor, odometry, explorer
+        self._seed = seed
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
         self._roadmap = declare_message_input(self, "roadmap")
@@ -62,6 +71,8 @@ class InfoGainGoalSelector(LeafSystem):
         roadmap = eval_message(self._roadmap, context, Roadmap)
         if not mission.stage == estimate.stage == tfg.stage == roadmap.stage:
             return EventStatus.DidNothing()
-        goal = choose(estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer, previous)
+        goal = choose(
+            estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer, previous, self._seed
+        )
         set_state_message(state, self._goal, goal)
         return EventStatus.Succeeded()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
@@ -11,11 +13,10 @@ from tfg_drake.messages import (
     FollowerStatus,
     GoalChoice,
     Hazards,
-    MapEstimate,
     MissionStatus,
     Path,
     PathStatus,
-    TfgMap,
+    Staged,
 )
 from tfg_drake.mission import MissionInputs, initial_status, step
 from tfg_drake.systems.ports import (
@@ -36,7 +37,7 @@ class MissionSequencer(LeafSystem):
 
         name: MissionSequencer
         input_ports:
-        - map
+        - map (or whatever else maps)
         - tfg
         - goal
         - path
@@ -49,14 +50,15 @@ class MissionSequencer(LeafSystem):
         output_ports:
         - mission
 
-    pause, enable and stop are vectors of size 1, true above 0.5; unconnected they read 0, 1 and 0.
+    Whatever maps, by default map and tfg, says with its message's stage that the newest goal is in it. pause, enable
+    and stop are vectors of size 1, true above 0.5; unconnected they read 0, 1 and 0.
     """
 
-    def __init__(self, robot: RobotConfig):
+    def __init__(self, robot: RobotConfig, maps: Sequence[str] = ("map", "tfg")):
+        """maps: names of the inputs that are maps: messages with a stage."""
         super().__init__()
         self._max_speed = robot.max_speed
-        self._map = declare_message_input(self, "map")
-        self._tfg = declare_message_input(self, "tfg")
+        self._maps = [declare_message_input(self, name) for name in maps]
         self._goal = declare_message_input(self, "goal")
         self._path = declare_message_input(self, "path")
         self._path_status = declare_message_input(self, "path_status")
@@ -92,8 +94,7 @@ class MissionSequencer(LeafSystem):
             goal=eval_message(self._goal, context, GoalChoice),
             path=eval_message(self._path, context, Path),
             path_status=eval_message(self._path_status, context, PathStatus),
-            map_stage=eval_message(self._map, context, MapEstimate).stage,
-            tfg_stage=eval_message(self._tfg, context, TfgMap).stage,
+            mapped_stage=min(eval_message(port, context, Staged).stage for port in self._maps),
             max_speed=self._max_speed,
             bumper=eval_message(self._hazards, context, Hazards).bumper != 0,
             pause=_flag(self._pause, context, False),

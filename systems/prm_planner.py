@@ -37,7 +37,7 @@ class PrmPlanner(LeafSystem):
         output_ports:
         - roadmap
         - path
-        - status
+        - path_status
 
     seed: of the roadmap's samples; with it and the inputs the roadmap is determined.
     """
@@ -63,7 +63,7 @@ class PrmPlanner(LeafSystem):
         ticket = {self.abstract_state_ticket(self._state)}
         declare_message_output(self, "roadmap", lambda context: self._State(context).roadmap, ticket)
         declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
-        declare_message_output(self, "status", lambda context: self._State(context).status, ticket)
+        declare_message_output(self, "path_status", lambda context: self._State(context).status, ticket)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _State(self, context: Context) -> PlannerState:

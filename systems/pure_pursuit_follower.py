@@ -42,7 +42,7 @@ class PurePursuitFollower(LeafSystem):
         - mission
         output_ports:
         - velocity_commanded
-        - status
+        - follower_status
 
     velocity_commanded: (2,) forward speed, m/s, and turn rate, rad/s.
     """
@@ -57,7 +57,7 @@ class PurePursuitFollower(LeafSystem):
         initial[[TURN_SINCE, PATH]] = -1.0
         ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity, ticket)
-        declare_message_output(self, "status", self._CalcStatus, ticket)
+        declare_message_output(self, "follower_status", self._CalcStatus, ticket)
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:

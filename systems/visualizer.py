@@ -19,9 +19,14 @@ from tfg_drake.cpu_meter import metered
 from tfg_drake.drawing import Mesh as Triangles
 from tfg_drake.drawing import discs, ellipses, outline_segments, polyline_segments, ribbons
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.grid.frontier import FREE as FREE_CELL
+from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
+from tfg_drake.grid.frontier import classify
+from tfg_drake.grid.runs import row_runs
 from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
+    GridMap,
     LaserScan,
     MapEstimate,
     MissionStatus,
@@ -48,6 +53,9 @@ SCAN: Colour = (0.36, 0.72, 0.90)
 ROBOT: Colour = (0.10, 0.22, 0.42)
 GHOST: Colour = (0.45, 0.48, 0.53)
 
+FREE: Colour = (0.955, 0.965, 0.945)
+OCCUPIED: Colour = (0.16, 0.18, 0.22)
+
 LEGEND = (
     ("true wall", WALL, "line"),
     ("edge", EDGE, "line"),
@@ -60,9 +68,19 @@ LEGEND = (
     ("scan", SCAN, "dot"),
 )
 
+GRID_LEGEND = (
+    ("true wall", WALL, "line"),
+    ("occupied", OCCUPIED, "line"),
+    ("free", FREE, "dot"),
+    ("path", PATH, "line"),
+    ("scan", SCAN, "dot"),
+)
+
 # Heights, m, one a layer, so that nothing fights for the same pixel and the robot stays on top.
 _LAYERS = (
+    "free",
     "walls",
+    "occupied",
     "roadmap",
     "scan",
     "surfaces",
@@ -76,7 +94,14 @@ _LAYERS = (
 )
 _Z = {name: 0.02 * (1 + i) for i, name in enumerate(_LAYERS)}
 
-_SLOW_INPUTS = {"map": MapEstimate, "tfg": TfgMap, "roadmap": Roadmap, "goal": GoalChoice, "path": Path}
+_SLOW_INPUTS = {
+    "map": MapEstimate,
+    "tfg": TfgMap,
+    "roadmap": Roadmap,
+    "goal": GoalChoice,
+    "path": Path,
+    "grid": GridMap,
+}
 
 
 class TfgVisualizer(LeafSystem):
@@ -94,6 +119,7 @@ class TfgVisualizer(LeafSystem):
         - path
         - mission
         - scan
+        - grid
         - truth
 
     Every port is optional and draws its own part. `truth` is the true pose (x, y, theta, v, w) in W. The robot, its
@@ -147,6 +173,8 @@ class TfgVisualizer(LeafSystem):
         visualizer = TfgVisualizer(meshcat, world, world.start, radius, title)
         builder.AddNamedSystem("visualizer", visualizer)
         for name in (*_SLOW_INPUTS, "pose", "mission"):
+            if not explorer.HasOutputPort(name):
+                continue
             builder.Connect(explorer.GetOutputPort(name), visualizer.GetInputPort(name))
         builder.Connect(station.GetOutputPort("scan.ranges"), visualizer.GetInputPort("scan"))
         builder.Connect(station.GetOutputPort("truth.pose"), visualizer.GetInputPort("truth"))
@@ -192,6 +220,10 @@ class TfgVisualizer(LeafSystem):
             self._ShowRoadmap(now["roadmap"])
         if "goal" in changed and now["roadmap"] is not None:
             self._ShowChoice(now["goal"], now["roadmap"])
+        if "goal" in changed:
+            self._ShowGoal(now["goal"])
+        if "grid" in changed:
+            self._ShowGrid(now["grid"])
         if "path" in changed:
             self._ShowRibbons("map/path/line", polyline_segments(now["path"].points), 0.8 * self._unit, "path", PATH)
 
@@ -222,8 +254,15 @@ class TfgVisualizer(LeafSystem):
         shade = gain_colours(np.clip(choice.gain / best, 0.0, 1.0))
         candidates = discs(roadmap.points[choice.candidates], 1.1 * self._unit, _Z["candidates"], corners=10)
         self._ShowTriangles("map/candidates", candidates, np.repeat(shade, 10, axis=0))
+
+    def _ShowGoal(self, choice: GoalChoice) -> None:
         goal = choice.p_MG[None] if choice.verdict == "goal" else np.zeros((0, 2))
         self._ShowRibbons("map/path/goal", _circles(goal, 4.0 * self._unit), 0.8 * self._unit, "path", PATH)
+
+    def _ShowGrid(self, grid: GridMap) -> None:
+        cells = classify(grid)
+        for kind, name, colour in ((FREE_CELL, "free", FREE), (OCCUPIED_CELL, "occupied", OCCUPIED)):
+            self._ShowRibbons(f"map/grid/{name}", row_runs(grid, cells == kind), grid.resolution, name, colour)
 
     # What changes all the time
 
@@ -264,7 +303,8 @@ class TfgVisualizer(LeafSystem):
             X_MB = pose_at(pose, context.get_time())
             error = np.linalg.norm(transform(self._X_WM, X_MB[:2]) - truth[:2])
             figures.append(("error", f"{100.0 * error:.1f} cm"))
-        document = caption_gltf(render_caption(title, figures, LEGEND), self._view[2] - self._view[0])
+        legend = GRID_LEGEND if self._inputs["grid"].HasValue(context) else LEGEND
+        document = caption_gltf(render_caption(title, figures, legend), self._view[2] - self._view[0])
         file = MemoryFile(document.encode(), ".gltf", "caption")
         self._meshcat.SetObject("/tfg/caption", Mesh(mesh_data=InMemoryMesh(mesh_file=file)))
 

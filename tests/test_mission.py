@@ -24,15 +24,14 @@ def inputs(time: float, **changes) -> MissionInputs:
         goal=goal(0),
         path=Path(0, 0, np.zeros((0, 2))),
         path_status=PathStatus(0, True),
-        map_stage=0,
-        tfg_stage=0,
+        mapped_stage=0,
     )
     return dataclasses.replace(base, **changes)
 
 
 def following(time: float = 10.0):
     status = step(initial_status(), inputs(time - 3, follower=FollowerStatus(time - 3, 0, False, 6.3, True)))
-    status = step(status, inputs(time - 2, map_stage=1, tfg_stage=1))
+    status = step(status, inputs(time - 2, mapped_stage=1))
     status = step(status, inputs(time - 1, goal=goal(1)))
     return step(status, inputs(time, path=Path(7, 1, np.ones((5, 2)))))
 
@@ -43,8 +42,8 @@ def test_one_stage_runs_through_every_phase():
     assert step(status, inputs(1.0)) is status
     status = step(status, inputs(7.0, follower=FollowerStatus(7.0, 0, False, 6.3, True)))
     assert (status.phase, status.stage) == ("map", 0)
-    assert step(status, inputs(7.1, map_stage=1)) is status
-    status = step(status, inputs(7.2, map_stage=1, tfg_stage=1))
+    assert step(status, inputs(7.1, mapped_stage=0)) is status
+    status = step(status, inputs(7.2, mapped_stage=1))
     assert (status.phase, status.stage) == ("choose", 1)
     assert step(status, inputs(7.3, goal=goal(0))) is status
     status = step(status, inputs(7.4, goal=goal(1)))
@@ -150,3 +149,19 @@ def test_a_robot_too_late_for_its_goal_looks_round_where_it_is():
     in_time = inputs(30.0, goal=goal(1, latest_arrival=30.0))
     assert step(status, in_time) is status
     assert step(status, dataclasses.replace(in_time, time=30.1)).phase == "observe"
+
+
+def test_a_goal_that_became_pointless_on_the_way_is_chosen_anew_without_a_look_round():
+    status = following(10.0)
+    spent = dataclasses.replace(goal(1), spent=True)
+    status = step(status, inputs(11.0, goal=spent))
+    assert (status.phase, status.stage, status.failures) == ("map", 1, 0)
+    status = step(status, inputs(11.1, mapped_stage=2, goal=spent))
+    assert (status.phase, status.stage) == ("choose", 2)
+
+
+def test_a_goal_to_which_no_path_leads_is_chosen_anew():
+    status = step(following(10.0), inputs(11.0, path_status=PathStatus(7, False)))
+    assert (status.phase, status.replans) == ("plan", 1)
+    status = step(status, inputs(11.1, goal=dataclasses.replace(goal(1), spent=True)))
+    assert (status.phase, status.stage) == ("map", 1)

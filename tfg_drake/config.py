@@ -11,8 +11,8 @@ NODE_MARGIN = 0.05
 # of the paper and of its authors' program.
 GAINS = ("exact", "limit", "paper", "authors")
 # The rules by which the next goal is picked, by name: most gain per expected time, most gain (the paper's), the first
-# of a short tour, the frontier reached soonest.
-GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier")
+# of a short tour, the frontier reached soonest, any place within reach.
+GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier", "random")
 # What a planned path's collision probability is bounded of.
 RISKS = ("point", "path")
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, dataclass_transform, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,15 @@ def message(cls: type[T]) -> type[T]:
     cls.__deepcopy__ = frozen_self  # type: ignore[attr-defined]
     cls.__copy__ = lambda self: self  # type: ignore[attr-defined]
     return dataclasses.dataclass(frozen=True, eq=False, slots=False)(cls)
+
+
+@runtime_checkable
+class Staged(Protocol):
+    """A message of one stage: `stage` goals are in it."""
+
+    @property
+    def stage(self) -> int:
+        """Number of goals."""
 
 
 @message
@@ -272,7 +281,8 @@ class GoalChoice:
     exploitation, exploration, pose_price: (c,) nats (gain = exploitation + exploration, price included in it).
     value: (c,) what was maximised. verdict: "goal", or how the mission ends: "complete", "stuck" or "budget", where
     there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not
-    at the goal by then, it must turn back.
+    at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
+    chosen at once.
     """
 
     stage: int
@@ -287,6 +297,7 @@ class GoalChoice:
     verdict: str
     reason: str
     latest_arrival: float = math.inf
+    spent: bool = False
 
 
 @message
@@ -338,7 +349,9 @@ class FollowerStatus:
 
 @message
 class PathStatus:
-    """Whether the rest of the path with this id is free of what the scan sees."""
+    """Whether the rest of the path with this id is free of what the scan sees. unreachable: no path leads to the goal,
+    of a planner that leaves it to the goal selector to choose another at once."""
 
     path_id: int
     free: bool
+    unreachable: bool = False

@@ -27,8 +27,8 @@ PATIENCE = 4.0
 class MissionInputs:
     """What the sequencer sees at one instant.
 
-    time: s. follower, goal, path, path_status: the newest messages. map_stage, tfg_stage: goals in the estimator's map
-    and in the TFG. max_speed: the robot's, m/s. bumper: the base reports contact. pause, enable,
+    time: s. follower, goal, path, path_status: the newest messages. mapped_stage: goals in the map and in all that is
+    made of it. max_speed: the robot's, m/s. bumper: the base reports contact. pause, enable,
     stop: the operator's inputs.
     """
 
@@ -37,8 +37,7 @@ class MissionInputs:
     goal: GoalChoice
     path: Path
     path_status: PathStatus
-    map_stage: int
-    tfg_stage: int
+    mapped_stage: int
     max_speed: float = 0.5
     bumper: bool = False
     pause: bool = False
@@ -86,7 +85,7 @@ def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 def _map(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     stage = status.stage + 1
-    ready = inputs.map_stage == stage and inputs.tfg_stage == stage
+    ready = inputs.mapped_stage == stage
     return _begin(status, inputs, "choose", stage=stage, replans=0) if ready else status
 
 
@@ -101,6 +100,8 @@ def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 def _plan(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     path = inputs.path
+    if inputs.goal.spent:
+        return _begin(status, inputs, "map")
     if path.stage != status.stage or path.id <= status.path_id:
         return status
     if len(path.points):
@@ -116,6 +117,8 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
         return _begin(status, inputs, "observe", failures=0)
     if inputs.time > inputs.goal.latest_arrival:
         return _begin(status, inputs, "observe")
+    if inputs.goal.spent:
+        return _begin(status, inputs, "map", failures=0)
     blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE

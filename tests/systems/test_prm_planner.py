@@ -100,7 +100,7 @@ def test_waits_for_the_first_map():
     planner.run(1.0)
     assert planner.output("roadmap").stage == 0
     assert planner.output("path").id == 0
-    assert planner.output("status").free
+    assert planner.output("path_status").free
 
 
 def test_roadmap_then_path_then_a_watch_on_it():
@@ -121,18 +121,18 @@ def test_roadmap_then_path_then_a_watch_on_it():
 
     planner.set(mission=MissionStatus("follow", 1, 0.0, path_id=1), scan=scan(1.0))
     planner.run()
-    assert planner.output("status").free
+    assert planner.output("path_status").free
     bearing = np.arctan2(*path.points[15][::-1])
     blocked = np.where(np.abs(scan().angles - bearing) < 0.1, 1.2, np.inf)
     planner.set(scan=scan(1.1, blocked))
     planner.run()
-    assert (planner.output("status").path_id, planner.output("status").free) == (1, False)
+    assert (planner.output("path_status").path_id, planner.output("path_status").free) == (1, False)
 
     planner.set(mission=MissionStatus("plan", 1, 0.0, replans=1, path_id=1))
     planner.run()
     around = planner.output("path")
     assert around.id == 2
-    assert planner.output("status").free
+    assert planner.output("path_status").free
     place = 1.2 * np.array([np.cos(bearing), np.sin(bearing)])
     assert np.hypot(*(around.points - place).T).min() > 0.18
 
@@ -148,7 +148,7 @@ def test_what_blocked_the_way_is_kept_for_some_stages():
     blocked = np.where(np.abs(scan().angles - bearing) < 0.1, 1.2, np.inf)
     planner.set(mission=MissionStatus("follow", 1, 0.0, path_id=1), scan=scan(1.1, blocked))
     planner.run()
-    assert not planner.output("status").free
+    assert not planner.output("path_status").free
 
     def nearest(stage):
         estimate, tfg = maps(stage)

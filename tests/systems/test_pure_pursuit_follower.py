@@ -35,7 +35,7 @@ class Rig:
         return self.follower.GetOutputPort("velocity_commanded").Eval(self.context)
 
     def status(self):
-        return self.follower.GetOutputPort("status").Eval(self.context)
+        return self.follower.GetOutputPort("follower_status").Eval(self.context)
 
     def run(self, seconds, until=lambda status: False):
         for _ in range(round(seconds / PERIOD)):

@@ -78,8 +78,10 @@ def choose(
     robot: RobotConfig,
     explorer: ExplorerConfig,
     previous: GoalChoice,
+    seed: int = 0,
 ) -> GoalChoice:
-    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is the choice before.
+    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is the choice before. seed: of
+    the rule that goes anywhere.
 
     Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees enough
     live frontier, whatever its gain, and what promises more than explorer.stop_gain. On a large map, a place where the
@@ -134,6 +136,9 @@ def choose(
     elif explorer.goal == "tour":
         open_ahead[~(worth & affordable)] = 0.0
         value = tour(paid, time, stay, open_ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
+    elif explorer.goal == "random":
+        value = np.random.default_rng((seed, estimate.stage)).random(len(candidates))
+        worth[:] = worth.any()  # As long as anything is, anywhere will do.
     else:
         value = gain_per_time(paid, time + stay)
     best = pick(value, worth & affordable, known >= explorer.least_tags)

@@ -1,0 +1,86 @@
+"""The methods that explore, by name: each makes an explorer with the ports of MakeTfgExplorer for a scenario.
+
+A method of one's own is a Python file with a function MakeExplorer(scenario) -> Diagram; its first line of docstring
+says what it does. It is named by its path wherever a method is named.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+
+from pydrake.systems.framework import Diagram
+
+from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
+from tfg_drake.diagrams.scenario import ApplySettings, Scenario
+from tfg_drake.diagrams.scripted_explorer import MakeScriptedExplorer
+
+
+class MethodError(ValueError):
+    """A method that cannot be used; the message is one line: what is wrong and how to mend it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing.
+
+    The diagram's inputs are odometry, detections, scan, hazards (messages), pause, enable and stop (vectors of size 1);
+    its outputs velocity_commanded, pose (PoseEstimate) and mission (MissionStatus), and, where it has them, map, tfg,
+    roadmap, goal, path and grid.
+    """
+
+    name: str
+    summary: str
+    MakeExplorer: Callable[[Scenario], Diagram]
+
+
+def _TfgWith(goal: str) -> Callable[[Scenario], Diagram]:
+    return lambda scenario: MakeTfgExplorer(ApplySettings(scenario, [f"explorer.goal={goal}"]))
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        Method("tfg", "the scenario's own rule on the TFG, by default gain per expected time", MakeTfgExplorer),
+        Method("tfg-argmax", "the paper's rule on the TFG: most information gain", _TfgWith("argmax")),
+        Method("tfg-nearest", "the nearest frontier on the TFG", _TfgWith("nearest_frontier")),
+        Method("grid-nearest", "the paper's baseline: GMapping and the nearest frontier", MakeGridExplorer),
+        Method(
+            "weighted",
+            "weighted sum of grid entropy and pose uncertainty (the paper's eq. 1) on GMapping's map",
+            lambda scenario: MakeGridExplorer(scenario, weighted=True),
+        ),
+        Method("random", "any place within reach, on the TFG", _TfgWith("random")),
+        Method(
+            "scripted", "the scenario's drive, as a human operator would go, mapped as the TFG", MakeScriptedExplorer
+        ),
+    )
+}
+
+
+def FindMethod(name_or_path: str) -> Method:
+    """A method by its name or the path of its file; raises MethodError if there is neither."""
+    if name_or_path in METHODS:
+        return METHODS[name_or_path]
+    path = Path(name_or_path)
+    if path.suffix != ".py":
+        raise MethodError(f"{name_or_path}: no such method; name a .py file or one of {', '.join(METHODS)}")
+    if not path.is_file():
+        raise MethodError(f"{name_or_path}: no such file; name a .py file or one of {', '.join(METHODS)}")
+    specification = importlib.util.spec_from_file_location(path.stem, path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    try:
+        specification.loader.exec_module(module)
+    except Exception as error:
+        raise MethodError(f"{name_or_path}: cannot be imported: {type(error).__name__}: {error}") from error
+    if not callable(getattr(module, "MakeExplorer", None)):
+        raise MethodError(
+            f"{name_or_path}: has no MakeExplorer(scenario); define it, it returns the explorer's diagram"
+        )
+    summary = (module.__doc__ or "").strip().split("\n")[0]
+    return Method(path.stem, summary, module.MakeExplorer)

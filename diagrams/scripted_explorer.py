@@ -1,0 +1,36 @@
+"""An explorer that drives where a human operator would, and maps as the TFG explorer does (the paper's Sec. V-C)."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.systems.framework import Diagram
+
+from tfg_drake.diagrams.explorer import AssembleExplorer
+from tfg_drake.diagrams.scenario import Scenario, ScenarioError
+from tfg_drake.geometry.se2 import inverse, transform
+from tfg_drake.systems.mission_sequencer import MissionSequencer
+from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
+from tfg_drake.systems.scripted_driver import ScriptedDriver
+from tfg_drake.systems.slam_estimator import SlamEstimator
+from tfg_drake.systems.tfg_builder import TfgBuilder
+
+
+def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
+    """The explorer for a scenario with a drive; its ports are those of MakeTfgExplorer, less the roadmap.
+
+    Raises ScenarioError where the scenario has no drive.
+    """
+    if not scenario.drive:
+        raise ScenarioError("scripted: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
+    robot, explorer = scenario.robot, scenario.explorer
+    # The operator stands beside the robot and knows where in the building it began.
+    p_MG = transform(inverse(np.array(scenario.world.start, dtype=float)), np.array(scenario.drive, dtype=float))
+    return AssembleExplorer(
+        {
+            "slam_estimator": SlamEstimator(scenario.odometry, explorer.path_keyframe_period),
+            "tfg_builder": TfgBuilder(scenario.tags, scenario.scan, robot, explorer),
+            "scripted_driver": ScriptedDriver(p_MG),
+            "follower": PurePursuitFollower(robot, explorer),
+            "mission_sequencer": MissionSequencer(robot),
+        }
+    )

@@ -1,0 +1,92 @@
+"""The goal selector of a grid: once a stage, the frontier to look at next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.cpu_meter import metered
+from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
+from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, Path, PathStatus, PoseEstimate, message, replace
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+PERIOD = 1 / 16
+
+
+@message
+class _SelectorState:
+    """The newest goal and the places tried so far."""
+
+    goal: GoalChoice
+    tried: TriedPlaces
+
+
+class FrontierGoalSelector(LeafSystem):
+    """Chooses when the mission asks for it, and says on the way when the goal has become pointless.
+
+    .. pydrake_system::
+
+        name: FrontierGoalSelector
+        input_ports:
+        - grid
+        - pose
+        - mission
+        - path
+        - path_status
+        output_ports:
+        - goal
+    """
+
+    def __init__(
+        self,
+        choose: Callable[[GridMap, PoseEstimate, TriedPlaces], tuple[GoalChoice, TriedPlaces]],
+        robot: RobotConfig,
+    ):
+        """choose: the rule, such as `tfg_drake.grid.frontier_goal.choose`."""
+        super().__init__()
+        self._choose, self._robot = choose, robot
+        self._grid = declare_message_input(self, "grid")
+        self._pose = declare_message_input(self, "pose")
+        self._mission = declare_message_input(self, "mission")
+        self._path = declare_message_input(self, "path")
+        self._path_status = declare_message_input(self, "path_status")
+        initial = _SelectorState(empty_choice(), no_tries())
+        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
+        declare_message_output(
+            self, "goal", lambda context: self._State(context).goal, {self.abstract_state_ticket(self._state)}
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _State(self, context: Context) -> _SelectorState:
+        return state_message(context, self._state, _SelectorState)
+
+    @metered("goal_selector")
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
+        grid = eval_message(self._grid, context, GridMap)
+        if mission.phase == "choose" and mission.stage == grid.stage > now.goal.stage:
+            goal, tried = self._choose(grid, eval_message(self._pose, context, PoseEstimate), now.tried)
+            after = _SelectorState(goal, tried)
+        elif now.goal.stage == mission.stage and not now.goal.spent and self._Pointless(context, now, mission, grid):
+            after = _SelectorState(replace(now.goal, spent=True), now.tried)
+        else:
+            return EventStatus.DidNothing()
+        set_state_message(state, self._state, after)
+        return EventStatus.Succeeded()
+
+    def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:
+        """Whether it is no use to drive on: no path leads there, or a newer map has no frontier there any more."""
+        if mission.phase == "plan":
+            status = eval_message(self._path_status, context, PathStatus)
+            return status.unreachable and eval_message(self._path, context, Path).stage == mission.stage
+        return mission.phase == "follow" and is_spent(grid, now.tried, self._robot)

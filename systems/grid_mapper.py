@@ -1,0 +1,88 @@
+"""GMapping as a Drake system: a shell round tfg_drake/grid/gmapping.py."""
+
+from __future__ import annotations
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import GridConfig, OdometryConfig
+from tfg_drake.cpu_meter import metered
+from tfg_drake.grid.gmapping import (
+    GmappingState,
+    grid_map,
+    initial_state,
+    pose_estimate,
+    process_odometry,
+    process_scan,
+)
+from tfg_drake.messages import GridMap, LaserScan, MissionStatus, Odometry, message
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+# Period of the update, s: the odometry's.
+PERIOD = 1.0 / 16.0
+
+
+@message
+class _MapperState:
+    """The particle filter, and the map of its best particle when a scan or a goal was last put in."""
+
+    filter: GmappingState
+    grid: GridMap
+
+
+class GridMapper(LeafSystem):
+    """Estimates pose and occupancy grid by a Rao-Blackwellised particle filter (GMapping).
+
+    .. pydrake_system::
+
+        name: GridMapper
+        input_ports:
+        - odometry
+        - scan
+        - mission
+        output_ports:
+        - pose
+        - grid
+
+    odometry: Odometry, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the newest odometry. grid:
+    GridMap, whose stage becomes the mission's stage plus one in phase "map", with the newest scan in it.
+    """
+
+    def __init__(self, config: GridConfig, odometry: OdometryConfig, seed: int) -> None:
+        """odometry: what the filter believes of it; seed: of the particles."""
+        super().__init__()
+        self._odometry = declare_message_input(self, "odometry")
+        self._scan = declare_message_input(self, "scan")
+        self._mission = declare_message_input(self, "mission")
+        first = initial_state(config, odometry, seed)
+        self._state = self.DeclareAbstractState(AbstractValue.Make(_MapperState(first, grid_map(first, 0))))
+        ticket = {self.abstract_state_ticket(self._state)}
+        declare_message_output(self, "pose", self._CalcPose, ticket)
+        declare_message_output(self, "grid", lambda context: self._State(context).grid, ticket)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _State(self, context: Context) -> _MapperState:
+        return state_message(context, self._state, _MapperState)
+
+    @metered("grid_mapper")
+    def _CalcPose(self, context: Context):
+        now = self._State(context)
+        return pose_estimate(now.filter, now.grid.stage)
+
+    @metered("grid_mapper")
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now = self._State(context)
+        mission = eval_message(self._mission, context, MissionStatus)
+        due = mission.phase == "map" and now.grid.stage == mission.stage
+        stage = now.grid.stage + due
+        moved = process_odometry(now.filter, eval_message(self._odometry, context, Odometry))
+        updated = process_scan(moved, eval_message(self._scan, context, LaserScan), force=due)
+        grid = grid_map(updated, stage) if updated is not moved or due else now.grid
+        set_state_message(state, self._state, _MapperState(updated, grid))
+        return EventStatus.Succeeded()

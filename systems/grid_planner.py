@@ -1,0 +1,131 @@
+"""The planner on a grid: the cheapest path to the goal chosen, and a watch on that path."""
+
+from __future__ import annotations
+
+import math
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.cpu_meter import metered
+from tfg_drake.grid.path import find_ways, path_in_grid_is_free, path_in_scan_is_free, plan_path, with_returns
+from tfg_drake.messages import (
+    FloatArray,
+    GoalChoice,
+    GridMap,
+    LaserScan,
+    MissionStatus,
+    Path,
+    PathStatus,
+    PoseEstimate,
+    message,
+    replace,
+)
+from tfg_drake.planning.planner import initial_state
+from tfg_drake.pose_prediction import pose_at
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+PERIOD = 1 / 16
+
+
+@message
+class _PlannerState:
+    """The path, whether it is free, the mission's count of replans when it was planned, and the stamps (s) of the scan
+    and the grid it was checked against."""
+
+    path: Path
+    status: PathStatus
+    replans: int
+    scan_stamp: float
+    grid_stamp: float
+
+
+class GridPlanner(LeafSystem):
+    """Plans with `tfg_drake.grid.path` when the mission asks for it, and watches the path while it is followed.
+
+    The goal lies at the edge of what is known: often there is a wall. Then another goal costs less than a look round.
+
+    .. pydrake_system::
+
+        name: GridPlanner
+        input_ports:
+        - grid
+        - pose
+        - goal
+        - scan
+        - mission
+        output_ports:
+        - path
+        - path_status
+    """
+
+    def __init__(self, robot: RobotConfig):
+        super().__init__()
+        self._robot = robot
+        self._grid = declare_message_input(self, "grid")
+        self._pose = declare_message_input(self, "pose")
+        self._goal = declare_message_input(self, "goal")
+        self._scan = declare_message_input(self, "scan")
+        self._mission = declare_message_input(self, "mission")
+        none = initial_state()
+        initial = _PlannerState(none.path, none.status, 0, -math.inf, -math.inf)
+        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
+        ticket = {self.abstract_state_ticket(self._state)}
+        declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
+        declare_message_output(self, "path_status", lambda context: self._State(context).status, ticket)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _State(self, context: Context) -> _PlannerState:
+        return state_message(context, self._state, _PlannerState)
+
+    @metered("grid_planner")
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
+        goal = eval_message(self._goal, context, GoalChoice)
+        pose = eval_message(self._pose, context, PoseEstimate)
+        grid, scan = eval_message(self._grid, context, GridMap), eval_message(self._scan, context, LaserScan)
+        after = now
+        asked = (now.path.stage, now.replans) != (mission.stage, mission.replans)
+        if mission.phase == "plan" and goal.stage == mission.stage and goal.node >= 0 and asked:
+            after = self._Plan(now, grid, scan, pose, goal.p_MG, mission)
+        elif mission.phase == "follow" and now.status.free and scan.stamp > now.scan_stamp:
+            after = self._Watch(now, grid, scan, pose)
+        if after is now:
+            return EventStatus.DidNothing()
+        set_state_message(state, self._state, after)
+        return EventStatus.Succeeded()
+
+    def _Plan(
+        self,
+        now: _PlannerState,
+        grid: GridMap,
+        scan: LaserScan,
+        pose: PoseEstimate,
+        p_MG: FloatArray,
+        mission: MissionStatus,
+    ) -> _PlannerState:
+        seen = with_returns(grid, scan, pose_at(pose, scan.stamp))
+        p_MB = pose.X_MB[:2]
+        points = plan_path(seen, find_ways(seen, p_MB, self._robot), p_MB, p_MG)
+        if len(points):
+            path = Path(now.path.id + 1, mission.stage, points)
+            status = PathStatus(path.id, free=True)
+        else:
+            path = replace(now.path, stage=mission.stage)
+            status = PathStatus(path.id, free=False, unreachable=True)
+        return _PlannerState(path, status, mission.replans, scan.stamp, grid.stamp)
+
+    def _Watch(self, now: _PlannerState, grid: GridMap, scan: LaserScan, pose: PoseEstimate) -> _PlannerState:
+        points, X_MS = now.path.points, pose_at(pose, scan.stamp)
+        free = path_in_scan_is_free(points, grid, scan, X_MS, self._robot)
+        if grid.stamp > now.grid_stamp:
+            free = free and path_in_grid_is_free(points, grid, X_MS[:2], self._robot)
+        status = now.status if free else PathStatus(now.path.id, free=False)
+        return replace(now, status=status, scan_stamp=scan.stamp, grid_stamp=grid.stamp)

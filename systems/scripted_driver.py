@@ -1,0 +1,78 @@
+"""The scripted driver: goals and paths of a drive that was thought out beforehand."""
+
+from __future__ import annotations
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.messages import FloatArray, GoalChoice, MissionStatus, Path, PathStatus, PoseEstimate, TfgMap, message
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.scripted_drive import next_place, straight_path
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+PERIOD = 1 / 16
+
+
+@message
+class _Driving:
+    """The newest goal and path, and the mission's count of replans when that was made."""
+
+    goal: GoalChoice
+    path: Path
+    replans: int
+
+
+class ScriptedDriver(LeafSystem):
+    """Names one place of its drive after the other as the goal, and the straight way there as the path.
+
+    .. pydrake_system::
+
+        name: ScriptedDriver
+        input_ports:
+        - tfg
+        - pose
+        - mission
+        output_ports:
+        - goal
+        - path
+        - path_status
+    """
+
+    def __init__(self, p_MG: FloatArray):
+        """p_MG: (n, 2) places to look round at, m."""
+        super().__init__()
+        self._drive = p_MG
+        self._tfg = declare_message_input(self, "tfg")
+        self._pose = declare_message_input(self, "pose")
+        self._mission = declare_message_input(self, "mission")
+        initial = _Driving(empty_choice(), Path(0, 0, p_MG[:0]), 0)
+        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
+        ticket = {self.abstract_state_ticket(self._state)}
+        declare_message_output(self, "goal", lambda context: self._State(context).goal, ticket)
+        declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
+        declare_message_output(
+            self, "path_status", lambda context: PathStatus(self._State(context).path.id, free=True), ticket
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _State(self, context: Context) -> _Driving:
+        return state_message(context, self._state, _Driving)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
+        goal, path = now.goal, now.path
+        if mission.phase == "choose" and mission.stage > goal.stage:
+            goal = next_place(self._drive, mission.stage, eval_message(self._tfg, context, TfgMap))
+        elif mission.phase == "plan" and (path.stage, now.replans) != (mission.stage, mission.replans):
+            X_MB = eval_message(self._pose, context, PoseEstimate).X_MB
+            path = straight_path(path.id + 1, mission.stage, X_MB, goal.p_MG)
+        else:
+            return EventStatus.DidNothing()
+        set_state_message(state, self._state, _Driving(goal, path, mission.replans))
+        return EventStatus.Succeeded()

@@ -1,0 +1,57 @@
+"""The methods by name, and one of one's own."""
+
+from pathlib import Path
+
+import pytest
+
+from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
+from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_has_the_ports_that_a_mission_needs(name):
+    explorer = FindMethod(name).MakeExplorer(LoadScenario(FindScenario("house")))
+    inputs = {explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())}
+    outputs = {explorer.get_output_port(i).get_name() for i in range(explorer.num_output_ports())}
+    assert inputs <= {"odometry", "detections", "scan", "hazards", "pause", "enable", "stop"}
+    assert {"odometry", "scan", "hazards", "pause", "enable", "stop"} <= inputs
+    assert {"velocity_commanded", "pose", "mission"} <= outputs
+    assert ("grid" in outputs) != ("map" in outputs)
+
+
+def test_a_file_is_a_method_named_as_the_file():
+    method = FindMethod(str(ROOT / "docs" / "example_method.py"))
+    assert method.name == "example_method"
+    assert method.summary.startswith("Goes to the frontier that is farthest away")
+
+
+def test_a_method_of_ones_own_takes_less_than_60_lines():
+    assert len((ROOT / "docs" / "example_method.py").read_text().splitlines()) < 60
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "complaint"),
+    [
+        ("tgf", None, f"tgf: no such method; name a .py file or one of {', '.join(METHODS)}"),
+        ("none.py", None, f"none.py: no such file; name a .py file or one of {', '.join(METHODS)}"),
+        ("empty.py", "", "empty.py: has no MakeExplorer(scenario); define it, it returns the explorer's diagram"),
+        ("broken.py", "1 / 0", "broken.py: cannot be imported: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_what_is_no_method_is_refused_in_one_line(name, text, complaint, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if text is not None:
+        Path(name).write_text(text)
+    with pytest.raises(MethodError) as caught:
+        FindMethod(name)
+    assert str(caught.value) == complaint
+
+
+def test_two_outputs_of_one_name_are_refused():
+    from tfg_drake.systems.scripted_driver import ScriptedDriver
+
+    with pytest.raises(ValueError, match=r"prm_planner\.path: another system of the explorer has an output of that"):
+        MakeTfgExplorer(LoadScenario(FindScenario("house")), ScriptedDriver([]))

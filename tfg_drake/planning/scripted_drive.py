@@ -1,0 +1,35 @@
+"""A drive that somebody else has thought out, place by place: the paper's human operator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray, GoalChoice, Path, TfgMap, replace
+from tfg_drake.planning.goal_choice import empty_choice
+
+# Points of a path are this far apart, m.
+STEP = 0.1
+
+
+def next_place(drive: FloatArray, stage: int, tfg: TfgMap) -> GoalChoice:
+    """The goal of a stage: place number stage - 1 of the drive (n, 2), m in M, or the end, by the map's own account.
+
+    Whoever drove thought to have seen everything; where the map has open frontiers left, it was not so.
+    """
+    if stage <= len(drive):
+        reason = f"Place {stage} of {len(drive)} of the drive is next."
+        return replace(empty_choice(), stage=stage, node=stage - 1, p_MG=drive[stage - 1], reason=reason)
+    left = float(tfg.frontier_length.sum())
+    verdict = "complete" if left == 0.0 else "stuck"
+    reason = (
+        "The drive is over and no frontier is left."
+        if left == 0.0
+        else (f"The drive is over and {left:.1f} m of frontier are open.")
+    )
+    return replace(empty_choice(), stage=stage, verdict=verdict, reason=reason)
+
+
+def straight_path(path_id: int, stage: int, X_MB: FloatArray, p_MG: FloatArray) -> Path:
+    """The straight way from the robot X_MB (3,) to a place (2,), m in M."""
+    count = max(2, 1 + int(np.ceil(np.hypot(*(p_MG - X_MB[:2])) / STEP)))
+    return Path(path_id, stage, np.linspace(X_MB[:2], p_MG, count))
