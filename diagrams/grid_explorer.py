@@ -37,7 +37,7 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
     return AssembleExplorer(
         {
             "grid_mapper": GridMapper(scenario.grid, scenario.odometry, scenario.seed),
-            "goal_selector": FrontierGoalSelector(choose, robot),
+            "goal_selector": FrontierGoalSelector(choose, robot, scenario.grid.eager),
             "grid_planner": GridPlanner(robot),
             "follower": PurePursuitFollower(robot, explorer),
             "mission_sequencer": MissionSequencer(robot, maps=("grid",)),

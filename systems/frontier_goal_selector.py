@@ -51,10 +51,11 @@ class FrontierGoalSelector(LeafSystem):
         self,
         choose: Callable[[GridMap, PoseEstimate, TriedPlaces], tuple[GoalChoice, TriedPlaces]],
         robot: RobotConfig,
+        eager: bool,
     ):
-        """choose: the rule, such as `tfg_drake.grid.frontier_goal.choose`."""
+        """choose: the rule, such as `tfg_drake.grid.frontier_goal.choose`. eager: see GridConfig."""
         super().__init__()
-        self._choose, self._robot = choose, robot
+        self._choose, self._robot, self._eager = choose, robot, eager
         self._grid = declare_message_input(self, "grid")
         self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
@@ -89,4 +90,4 @@ class FrontierGoalSelector(LeafSystem):
         if mission.phase == "plan":
             status = eval_message(self._path_status, context, PathStatus)
             return status.unreachable and eval_message(self._path, context, Path).stage == mission.stage
-        return mission.phase == "follow" and is_spent(grid, now.tried, self._robot)
+        return mission.phase == "follow" and self._eager and is_spent(grid, now.tried, self._robot)

@@ -178,6 +178,9 @@ class GridConfig:
     update_period: float = 3.0
     update_distance: float = 1.0
     update_angle: float = 0.5
+    # Whether a goal whose frontier was seen on the way is left for the next at once. If not, the robot drives there and
+    # looks round, as Yamauchi's did.
+    eager: bool = True
     # Weights of the weighted sum (the paper's eq. 1): per nat of the grid's entropy, of which a square metre of unknown
     # cells has log(2) / resolution^2, and per nat of the pose's.
     weight_map: float = 0.01

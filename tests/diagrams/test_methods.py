@@ -37,7 +37,7 @@ def test_a_method_of_ones_own_takes_less_than_60_lines():
     [
         ("tgf", None, f"tgf: no such method; name a .py file or one of {', '.join(METHODS)}"),
         ("none.py", None, f"none.py: no such file; name a .py file or one of {', '.join(METHODS)}"),
-        ("empty.py", "", "empty.py: has no MakeExplorer(scenario); define it, it returns the explorer's diagram"),
+        ("empty.py", "", "empty.py: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"),
         ("broken.py", "1 / 0", "broken.py: cannot be imported: ZeroDivisionError: division by zero"),
     ],
 )
