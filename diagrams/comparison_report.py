@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tfg_drake.comparison.curves import Band, Curve, band, coverage_curve, error_curves
+from tfg_drake.comparison.curves import Band, Curve, averaged, band, coverage_curve, error_curves
 from tfg_drake.comparison.figures import FinalMap, draw_costs, draw_coverage, draw_errors, draw_maps
 from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, VARIABLES
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page
@@ -26,8 +26,8 @@ from tfg_drake.world.reachability import make_grid, reachable_cells
 
 # Coverage is counted on every n-th of the reachable cells in x and y: 0.2 m apart is plenty for a curve.
 _EVERY = 4
-# Steps of the curves, s and m.
-_TIME_STEP, _DISTANCE_STEP = 1.0, 0.5
+# Errors against time are averaged over about so many stretches; coverage is given every so many m.
+_STRETCHES, _DISTANCE_STEP = 150, 0.5
 
 
 def write_comparison(runs: Sequence[Run], tasks: Sequence[Task], out: Path, command: str) -> None:
@@ -60,13 +60,17 @@ def _pictures(
     if not counted:
         return
     errors = {run.folder: _errors(run.folder) for run in counted}
-    position = _bands(methods, counted, lambda run: errors[run.folder][0], _TIME_STEP)
-    heading = _bands(methods, counted, lambda run: errors[run.folder][1], _TIME_STEP)
+    stretch = _round(max((run.summary or {})["sim_time_s"] for run in counted) / _STRETCHES)
+    position, heading = (
+        _bands(methods, counted, lambda run, i=i: averaged(errors[run.folder][i], stretch), stretch)  # type: ignore[misc]
+        for i in range(2)
+    )
     cells = {seed: _cells(scenarios[seed]) for seed in {run.seed for run in counted}}
     share = _bands(
         methods, counted, lambda run: _coverage(run, scenarios[run.seed], cells[run.seed]), _DISTANCE_STEP, hold=True
     )
     number = max(sum(run.method == method for run in counted) for method in methods)
+    lines = f"Lines: mean over {number} seeds, thin where some of the runs have ended; shade: their range."
     costs = {
         measure.label: {method: spread(sample(counted, method, measure.read)) for method in methods}
         for measure in (VARIABLES, MAP_SIZE, CPU_IDLE)
@@ -74,12 +78,16 @@ def _pictures(
     maps = _maps(methods, counted, scenarios)
     shown = f" (seed {maps[0].seed})" if len({one.seed for one in maps}) == 1 else ""
     for name, caption, figure in (
-        ("errors", "Error of the online estimate against time.", draw_errors(position, heading, number)),
+        (
+            "errors",
+            f"Error of the online estimate against time, averaged over {stretch:g} s. {lines}",
+            draw_errors(position, heading),
+        ),
         (
             "coverage",
             "Share of the reachable area that the scanner has seen from the robot's true poses, against the distance"
-            " driven.",
-            draw_coverage(share, number),
+            f" driven. {lines}",
+            draw_coverage(share),
         ),
         ("maps", f"The map at the end of a run of each method{shown}.", draw_maps(maps)),
         (
@@ -99,6 +107,12 @@ def _bands(
     """The band of each method that has one."""
     bands = {m: band([curve(run) for run in runs if run.method == m], step, hold=hold) for m in methods}
     return {method: one for method, one in bands.items() if one is not None}
+
+
+def _round(step: float) -> float:
+    """The next greater 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(step))
+    return float(next(digit * power for digit in (1.0, 2.0, 5.0, 10.0) if digit * power >= step))
 
 
 def _errors(folder: Path) -> tuple[Curve, Curve]:

@@ -72,8 +72,16 @@ def coverage_curve(
     return Curve(driven[kept], share)
 
 
+def averaged(curve: Curve, step: float) -> Curve:
+    """Means of a curve over stretches of x of length `step`, from 0, at their middles; stretches without a point are
+    left out."""
+    stretch = np.floor(curve.x / step).astype(np.int64)
+    rows, inverse, count = np.unique(stretch, return_inverse=True, return_counts=True)
+    return Curve((rows + 0.5) * step, np.bincount(inverse, weights=curve.y) / count)
+
+
 def band(curves: Sequence[Curve], step: float, *, hold: bool = False) -> Band | None:
-    """Mean and range of several curves at multiples of `step`, None where no curve has a point.
+    """Mean and range of several curves every `step` from the first point to the last, None where no curve has a point.
 
     A curve counts up to its own end; with `hold` it keeps its last value, as what was seen stays seen.
     """
@@ -81,7 +89,7 @@ def band(curves: Sequence[Curve], step: float, *, hold: bool = False) -> Band | 
     if not curves:
         return None
     end = max(curve.x[-1] for curve in curves)
-    x = np.append(np.arange(0.0, end, step), end)
+    x = np.append(np.arange(min(curve.x[0] for curve in curves), end, step), end)
     table = np.array([np.interp(x, curve.x, curve.y, right=curve.y[-1] if hold else np.nan) for curve in curves])
     common = float(min(curve.x[-1] for curve in curves))
     return Band(x, np.nanmean(table, axis=0), np.nanmin(table, axis=0), np.nanmax(table, axis=0), common)

@@ -50,8 +50,8 @@ def colours(methods: Sequence[str]) -> dict[str, str]:
     return _NAMED | {method: _OTHERS[i % len(_OTHERS)] for i, method in enumerate(others)}
 
 
-def draw_errors(position: Mapping[str, Band], heading: Mapping[str, Band], runs: int) -> Figure:
-    """Errors of position and heading against time: mean and range over at most `runs` runs of each method."""
+def draw_errors(position: Mapping[str, Band], heading: Mapping[str, Band]) -> Figure:
+    """Errors of position and heading against time: mean and range of each method."""
     figure = _figure(3.9)
     upper, lower = figure.subplots(2, 1, sharex=True)
     _draw_bands(upper, position)
@@ -59,11 +59,11 @@ def draw_errors(position: Mapping[str, Band], heading: Mapping[str, Band], runs:
     upper.set_ylabel("position error (m)", fontsize=_TEXT)
     lower.set_ylabel("heading error (rad)", fontsize=_TEXT)
     lower.set_xlabel("simulated time (s)", fontsize=_TEXT)
-    _legend(figure, upper, _what_is_shown(runs))
+    _legend(figure, upper)
     return figure
 
 
-def draw_coverage(share: Mapping[str, Band], runs: int) -> Figure:
+def draw_coverage(share: Mapping[str, Band]) -> Figure:
     """Share of the reachable area seen against the distance driven: mean and range of each method."""
     figure = _figure(2.9)
     axes = figure.subplots()
@@ -71,7 +71,7 @@ def draw_coverage(share: Mapping[str, Band], runs: int) -> Figure:
     axes.set_ylim(0.0, 103.0)
     axes.set_ylabel("reachable area seen (%)", fontsize=_TEXT)
     axes.set_xlabel("distance driven (m)", fontsize=_TEXT)
-    _legend(figure, axes, _what_is_shown(runs))
+    _legend(figure, axes)
     return figure
 
 
@@ -82,7 +82,7 @@ def draw_maps(maps: Sequence[FinalMap]) -> Figure:
     points = np.vstack([p for one in maps for p in (one.world.walls.reshape(-1, 2), one.X_WB[:, :2])])
     (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 0.5, points.max(axis=0) + 0.5
     panel = _WIDTH / columns
-    figure = _figure(float(np.clip(rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.35) + 0.3, 1.8, 9.5)))
+    figure = _figure(float(np.clip(rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.25) + 0.25, 1.5, 9.5)))
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     symbol = float(np.clip(0.2 * 72.0 * panel / (x_max - x_min), 0.8, 4.0))
     for axes in grid:
@@ -92,7 +92,15 @@ def draw_maps(maps: Sequence[FinalMap]) -> Figure:
         _draw_final_map(axes, one, symbol)
         axes.set_title(one.method, fontsize=_TEXT)
     marks = {label: mark for axes in grid for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=6, fontsize=_SMALL, frameon=False)
+    figure.legend(
+        marks.values(),
+        marks.keys(),
+        loc="outside lower center",
+        ncols=6,
+        fontsize=_SMALL,
+        frameon=False,
+        markerscale=3.0,
+    )
     return figure
 
 
@@ -110,10 +118,13 @@ def draw_costs(costs: Mapping[str, Mapping[str, Spread]]) -> Figure:
             axes.set_xlim(0.3 * shown.min(), 10.0 * shown.max())
         elif len(shown):
             axes.set_xlim(0.0, 1.35 * shown.max() or 1.0)
+        axes.set_xticks([], minor=True)
+        axes.set_xticks([])  # The bars say their numbers.
         bars = axes.barh(methods, means, color=[palette[method] for method in methods], height=0.65)
         axes.bar_label(bars, [_short(mean) for mean in means], padding=2, fontsize=_SMALL)
         axes.set_title(title, fontsize=_TEXT)
         _tidy(axes)
+        axes.spines["bottom"].set_visible(False)
         axes.tick_params(axis="y", length=0)
     panels[0].invert_yaxis()
     return figure
@@ -158,7 +169,7 @@ def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = Tr
     for method, one in bands.items():
         colour, together = palette[method], one.x <= one.common
         axes.fill_between(one.x, one.low, one.high, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(one.x[together], one.mean[together], color=colour, linewidth=1.4, label=method)
+        axes.plot(one.x[together], one.mean[together], color=colour, linewidth=1.3, label=method)
         rest = one.x >= (one.x[together][-1] if together.any() else 0.0)
         axes.plot(one.x[rest], one.mean[rest], color=colour, linewidth=0.6)
     levels = [float(np.median(one.mean)) for one in bands.values()]
@@ -177,25 +188,10 @@ def _scaled(one: Band, factor: float) -> Band:
     return dataclasses.replace(one, mean=factor * one.mean, low=factor * one.low, high=factor * one.high)
 
 
-def _what_is_shown(runs: int) -> str:
-    """The legend's title."""
-    if runs < 2:
-        return ""
-    return f"mean and range over {runs} seeds; thin where some runs have ended"
-
-
-def _legend(figure: Figure, axes: Axes, title: str) -> None:
+def _legend(figure: Figure, axes: Axes) -> None:
     marks, labels = axes.get_legend_handles_labels()
-    figure.legend(
-        marks,
-        labels,
-        loc="outside upper center",
-        ncols=min(len(labels), 7) or 1,
-        fontsize=_TEXT,
-        frameon=False,
-        title=title,
-        title_fontsize=_SMALL,
-    )
+    columns = min(len(labels), 7) or 1
+    figure.legend(marks, labels, loc="outside upper center", ncols=columns, fontsize=_TEXT, frameon=False)
 
 
 def _figure(height: float) -> Figure:

@@ -13,6 +13,8 @@ from tfg_drake.comparison.measures import MEASURES
 from tfg_drake.comparison.runs import Run, paired, sample, values
 from tfg_drake.comparison.statistics import Interval, Spread, difference, ratio, spread
 
+# Pairs from which on a bootstrap interval is wide enough to be believed.
+_ENOUGH = 8
 _OUTCOMES = ("complete", "budget", "time_limit", "stuck", "fault", "failed", "interrupted")
 
 
@@ -86,7 +88,7 @@ def tables(comparison: Comparison) -> list[Table]:
     methods, runs = comparison.methods, comparison.runs
     found = [_outcome_table(methods, runs), _figures_table(methods, runs)]
     if len(methods) > 1:
-        found.append(_paired_table(methods, runs))
+        found += _paired_tables(methods, runs)
     rest = [run for run in runs if run.outcome != "complete"]
     if rest:
         rows = [[run.method, str(run.seed), run.outcome, run.reason] for run in rest]
@@ -102,7 +104,7 @@ def text(mean: Spread, digits: int) -> str:
     value = f"{mean.mean.value:.{digits}f}"
     if mean.n == 1:
         return value
-    return f"{value} ± {mean.std:.{digits}f} {_bounds(mean.mean, digits)}"
+    return f"{value} ± {mean.std:.{digits}f} {_bounds(mean.mean, f'.{digits}f')}"
 
 
 def _introduction(comparison: Comparison) -> list[str]:
@@ -137,39 +139,48 @@ def _figures_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
     return Table("Figures", note, ("", *methods), rows)
 
 
-def _paired_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
+def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
+    """Differences to the first method and ratios to it."""
     first, *others = methods
-    rows = []
+    seeds = {method: {run.seed for run in runs if run.method == method and run.counts} for method in methods}
+    pairs = {method: len(seeds[first] & seeds[method]) for method in others}
+    header = ("", *(f"{method} ({pairs[method]} pairs)" for method in others))
+    differences, ratios = [], []
     for measure in MEASURES:
-        cells = []
-        for method in others:
-            mine, its = paired(values(runs, first, measure.read), values(runs, method, measure.read))
-            cells += [_signed(difference(mine, its), measure.digits), _times(ratio(mine, its)), str(len(mine))]
-        rows.append([measure.label, *cells])
-    header = [f"{method}: {what}" for method in others for what in ("difference", "ratio", "pairs")]
-    note = (
-        f"On the seeds that both finished: the mean of the method minus {first}, and the ratio of the means, each with"
-        " its 95 % paired bootstrap interval. Bold where the interval of the difference leaves out zero."
-    )
-    return Table(f"Against {first}", note, ("", *header), rows)
+        mine = values(runs, first, measure.read)
+        both = [paired(mine, values(runs, method, measure.read)) for method in others]
+        differences.append([measure.label, *(_signed(difference(*one), measure.digits, len(one[0])) for one in both)])
+        ratios.append([measure.label, *(_times(ratio(*one)) for one in both)])
+    on = f"Over the seeds on which both the method and {first} finished"
+    bold = f"Bold: the interval leaves out zero, from {_ENOUGH} pairs on, as of fewer it is too narrow"
+    return [
+        Table(
+            f"Difference to {first}",
+            f"{on}: the mean of the method minus {first}, with its 95 % paired bootstrap interval. {bold}; of twenty"
+            " figures that do not differ one will by chance.",
+            header,
+            differences,
+        ),
+        Table(f"Ratio to {first}", f"{on}: the ratio of the means, with its interval.", header, ratios),
+    ]
 
 
-def _signed(one: Interval, digits: int) -> str:
+def _signed(one: Interval, digits: int, pairs: int) -> str:
     if math.isnan(one.value):
         return "-"
-    cell = f"{one.value:+.{digits}f} {_bounds(one, digits, '+')}".strip()
-    return f"**{cell}**" if one.low > 0.0 or one.high < 0.0 else cell
+    cell = f"{one.value:+.{digits}f} {_bounds(one, f'+.{digits}f')}".strip()
+    return f"**{cell}**" if pairs >= _ENOUGH and (one.low > 0.0 or one.high < 0.0) else cell
 
 
 def _times(one: Interval) -> str:
-    return "-" if math.isnan(one.value) else f"{one.value:.3g} {_bounds(one, None)}".strip()
+    if math.isnan(one.value):
+        return "-"
+    form = ",.0f" if one.value >= 100.0 else "#.3g"
+    return f"{one.value:{form}} {_bounds(one, form)}".strip()
 
 
-def _bounds(one: Interval, digits: int | None, sign: str = "") -> str:
-    if math.isnan(one.low):
-        return ""
-    form = f"{sign}.3g" if digits is None else f"{sign}.{digits}f"
-    return f"({one.low:{form}} to {one.high:{form}})"
+def _bounds(one: Interval, form: str) -> str:
+    return "" if math.isnan(one.low) else f"({one.low:{form}} to {one.high:{form}})"
 
 
 def _html_table(table: Table) -> str:
