@@ -7,8 +7,10 @@ the same bits the same locked versions and model of CPU.
 from __future__ import annotations
 
 import io
+import logging
 import os
 import shutil
+import socket
 import tempfile
 import threading
 import zipfile
@@ -24,6 +26,8 @@ from tfg_drake.diagrams.sweep import SweepError, Task, attempt
 RETRIES = 3
 # How often an interrupt is looked for, s.
 _POLL = 0.2
+# How long a cluster may take to answer, s.
+_PATIENCE = 5.0
 
 
 def run_on_ray(tasks: Sequence[Task], out: Path, address: str, interrupted: threading.Event) -> Iterator[Run]:
@@ -58,16 +62,26 @@ def run_on_ray(tasks: Sequence[Task], out: Path, address: str, interrupted: thre
 def connect(address: str) -> Any:
     """The module ray, connected to a cluster; raises SweepError."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Nobody else hears of a sweep.
+    logging.getLogger("ray").setLevel(logging.ERROR)
     try:
         import ray
     except ImportError:
         raise SweepError('--ray: Ray is not installed; pip install "tfg-drake[ray]"') from None
     try:
-        ray.init(address=address, include_dashboard=False if address == "local" else None, log_to_driver=False)
-    except (ConnectionError, ValueError, RuntimeError) as error:
+        _knock(address)
+        dashboard = False if address == "local" else None
+        ray.init(address=address, include_dashboard=dashboard, log_to_driver=False, logging_level=logging.ERROR)
+    except (OSError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split()).split(". ")[0]
         raise SweepError(f"--ray {address}: no cluster there ({reason}); start one with ray start --head") from None
     return ray
+
+
+def _knock(address: str) -> None:
+    """Raises OSError or ValueError where nobody listens at an address HOST:PORT; Ray itself would try for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
 
 
 def _mission(task: Task, version: str) -> tuple[bytes, dict[str, Any] | None, str]:

@@ -178,7 +178,7 @@ def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = Tr
         axes.set_ylim(bottom=0.05 * min(levels))
     else:
         axes.set_ylim(bottom=0.0)
-    axes.set_xlim(0.0, max((one.x[-1] for one in bands.values()), default=1.0))
+    axes.set_xlim(0.0, max((float(one.x[-1]) for one in bands.values()), default=0.0) or 1.0)
     axes.grid(color="0.92", linewidth=0.6)
     axes.set_axisbelow(True)
     _tidy(axes)
