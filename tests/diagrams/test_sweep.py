@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tfg_drake.diagrams import ray_sweep, sweep
+from tfg_drake.diagrams import ray_sweep
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.diagrams.sweep import SweepError, Task, open_sweep, parse_methods, run_local
 

@@ -25,7 +25,7 @@ from tfg_drake.world.world import World
 _NAMED = {"tfg": "#0072B2", "tfg-argmax": "#56B4E9", "tfg-nearest": "#D55E00", "grid-nearest": "#000000"}
 _NAMED |= {"weighted": "#009E73", "random": "#E69F00", "scripted": "#CC79A7"}
 _OTHERS = ("#8c6d31", "#7f3c8d", "#66a61e", "#a6761d", "#666666")
-_WALL, _PATH = "0.72", "#1f4e9c"
+_WALL, _WALL_ON_GRID, _PATH = "0.72", "#e0605a", "#1f4e9c"
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 _SMALL, _TEXT = 7, 8  # points
 # A quantity whose methods differ by more than this factor is shown on a logarithmic scale.
@@ -122,6 +122,8 @@ def draw_costs(costs: Mapping[str, Mapping[str, Spread]]) -> Figure:
         axes.set_xticks([])  # The bars say their numbers.
         bars = axes.barh(methods, means, color=[palette[method] for method in methods], height=0.65)
         axes.bar_label(bars, [_short(mean) for mean in means], padding=2, fontsize=_SMALL)
+        for row in np.flatnonzero(np.isnan(means)):
+            axes.text(0.02, row, "-", transform=axes.get_yaxis_transform(), fontsize=_SMALL, va="center")
         axes.set_title(title, fontsize=_TEXT)
         _tidy(axes)
         axes.spines["bottom"].set_visible(False)
@@ -131,10 +133,14 @@ def draw_costs(costs: Mapping[str, Mapping[str, Spread]]) -> Figure:
 
 
 def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
+    walls = list(one.world.walls.reshape(-1, 2, 2))
     if one.grid is not None:
         _draw_grid(axes, one.world.start, one.grid)
-    walls = list(one.world.walls.reshape(-1, 2, 2))
-    axes.add_collection(LineCollection(walls, colors=_WALL, linewidths=1.6, label="true wall", zorder=0.5))
+        # Thin and coloured: the grid's own walls are to be seen beside them.
+        thin = LineCollection(walls, colors=_WALL_ON_GRID, linewidths=0.5, label="true wall, on a grid", zorder=0.5)
+        axes.add_collection(thin)
+    else:
+        axes.add_collection(LineCollection(walls, colors=_WALL, linewidths=1.6, label="true wall", zorder=0.5))
     if len(one.X_WB):
         axes.plot(*one.X_WB[:, :2].T, color=_PATH, linewidth=0.4, alpha=0.6, label="true path", zorder=1)
     if one.saved is not None:
@@ -211,5 +217,5 @@ def _tidy(axes: Axes) -> None:
 def _short(value: float) -> str:
     """A bar's number: three digits, and thousands apart."""
     if not np.isfinite(value):
-        return "-"
+        return ""
     return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
