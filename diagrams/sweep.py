@@ -133,9 +133,9 @@ def run_local(tasks: Sequence[Task], out: Path, jobs: int, interrupted: threadin
                 task = waiting.pop()
                 connection, process = _start(task, task.folder(out))
                 running[connection] = (task, process)
-            for connection in wait(list(running), timeout=_POLL):
-                task, process = running.pop(connection)
-                summary, failure = _result(connection, process)
+            for ready in wait(list(running), timeout=_POLL):
+                task, process = running.pop(ready)
+                summary, failure = _result(ready, process)
                 yield Run(task.method, task.seed, task.folder(out), summary, failure)
     finally:
         for _, process in running.values():
@@ -180,7 +180,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _result(connection: Connection, process: Any) -> tuple[dict[str, Any] | None, str]:
+def _result(connection: Any, process: Any) -> tuple[dict[str, Any] | None, str]:
     """Summary and failure of a process that has answered, or ended without."""
     with connection, contextlib.suppress(EOFError):
         summary, failure = connection.recv()

@@ -77,7 +77,8 @@ def averaged(curve: Curve, step: float) -> Curve:
     left out."""
     stretch = np.floor(curve.x / step).astype(np.int64)
     rows, inverse, count = np.unique(stretch, return_inverse=True, return_counts=True)
-    return Curve((rows + 0.5) * step, np.bincount(inverse, weights=curve.y) / count)
+    means: FloatArray = np.bincount(inverse, weights=curve.y) / count
+    return Curve(np.asarray((rows + 0.5) * step, dtype=np.float64), means)
 
 
 def band(curves: Sequence[Curve], step: float, *, hold: bool = False) -> Band | None:

@@ -39,7 +39,7 @@ def _field(path: str, factor: float = 1.0) -> Callable[[dict[str, Any]], float |
 def mapped_share(summary: dict[str, Any]) -> float | None:
     """Reachable landmarks in the map, %; None for a method without landmarks."""
     mapped, reachable = summary.get("landmarks_mapped"), summary.get("landmarks_reachable")
-    return None if mapped is None or not reachable else 100.0 * mapped / reachable
+    return None if mapped is None or not reachable else 100.0 * float(mapped) / float(reachable)
 
 
 def variables(summary: dict[str, Any]) -> float | None:
@@ -53,7 +53,7 @@ def cpu_idle(summary: dict[str, Any]) -> float | None:
     cpu, time = (summary["estimator_cpu_s"], summary["planner_cpu_s"]), summary["sim_time_s"]
     if None in cpu or not time:
         return None
-    return 100.0 * max(0.0, 1.0 - sum(cpu) / time)
+    return 100.0 * max(0.0, 1.0 - float(sum(cpu)) / float(time))
 
 
 TIME = Measure("time", "s", 0, _field("sim_time_s"))
