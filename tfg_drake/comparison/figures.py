@@ -25,7 +25,7 @@ from tfg_drake.world.world import World
 _NAMED = {"tfg": "#0072B2", "tfg-argmax": "#56B4E9", "tfg-nearest": "#D55E00", "grid-nearest": "#000000"}
 _NAMED |= {"weighted": "#009E73", "random": "#E69F00", "scripted": "#CC79A7"}
 _OTHERS = ("#8c6d31", "#7f3c8d", "#66a61e", "#a6761d", "#666666")
-_WALL, _WALL_ON_GRID, _PATH = "0.72", "#e0605a", "#1f4e9c"
+_WALL, _WALL_ON_GRID, _PATH = "0.72", "#f0a09a", "#1f4e9c"
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 _SMALL, _TEXT = 7, 8  # points
 # A quantity whose methods differ by more than this factor is shown on a logarithmic scale.
@@ -136,9 +136,9 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
     walls = list(one.world.walls.reshape(-1, 2, 2))
     if one.grid is not None:
         _draw_grid(axes, one.world.start, one.grid)
-        # Thin and coloured: the grid's own walls are to be seen beside them.
-        thin = LineCollection(walls, colors=_WALL_ON_GRID, linewidths=0.5, label="true wall, on a grid", zorder=0.5)
-        axes.add_collection(thin)
+        # Coloured: the grid's own walls are to be seen on top of them.
+        under = LineCollection(walls, colors=_WALL_ON_GRID, linewidths=1.6, label="true wall, under a grid", zorder=0.5)
+        axes.add_collection(under)
     else:
         axes.add_collection(LineCollection(walls, colors=_WALL, linewidths=1.6, label="true wall", zorder=0.5))
     if len(one.X_WB):
@@ -154,16 +154,10 @@ def _draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
     (x, y), cell = grid.origin, grid.resolution
     extent = (x, x + cell * columns, y, y + cell * rows)
     limits = axes.axis()
-    image = axes.imshow(
-        1.0 - grid.probability,
-        extent=extent,
-        origin="lower",
-        cmap="gray",
-        vmin=0.0,
-        vmax=1.0,
-        interpolation="nearest",
-        zorder=0,
-    )
+    # Black, as dense as the probability, over the true walls.
+    ink = np.zeros((rows, columns, 4))
+    ink[..., 3] = grid.probability
+    image = axes.imshow(ink, extent=extent, origin="lower", interpolation="nearest", zorder=0.7)
     (a, c), (b, d) = rotation(float(X_WM[2]))
     image.set_transform(Affine2D.from_values(a, b, c, d, X_WM[0], X_WM[1]) + axes.transData)
     axes.axis(limits)
