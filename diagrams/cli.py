@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -72,12 +73,10 @@ def explore(
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")] = False,
 ) -> None:
     """Explore a building and map it, until nothing is left to gain."""
-    if not (math.isfinite(max_time) and max_time > 0.0):
-        _bad_input(f"--max-time {max_time:g}: must be greater than 0 s")
+    _check_positive("--max-time", max_time, "s")
     if not (math.isfinite(realtime_rate) and realtime_rate >= 0.0):
         _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
-    if tag_spacing is not None and not (math.isfinite(tag_spacing) and tag_spacing > 0.0):
-        _bad_input(f"--tag-spacing {tag_spacing:g}: must be greater than 0 m")
+    _check_positive("--tag-spacing", tag_spacing, "m")
     if seed is not None and not 0 <= seed < 2**31:
         _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
     loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
@@ -115,6 +114,77 @@ def explore(
     if as_json:
         print(json.dumps(result.summary), flush=True)
     raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
+
+
+@app.command()
+def compare(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "paper",
+    world: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt."),
+    ] = None,
+    tag_spacing: Annotated[
+        float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
+    ] = None,
+    start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")] = None,
+    methods: Annotated[
+        str, typer.Option(metavar="NAME,...", help="What to compare; the others are compared with the first.")
+    ] = "tfg,tfg-nearest",
+    seeds: Annotated[int, typer.Option(metavar="N", help="Every method runs on the seeds 0 to N - 1.")] = 10,
+    max_time: Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")] = 3600.0,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="Missions at a time [default: 1].")] = None,
+    ray: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster; local starts one here.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The folder [default: runs/<time>-compare-<scenario>].")
+    ] = None,
+) -> None:
+    """Compare methods on the same seeds, and report; in the same DIR it goes on where it ended."""
+    _check_positive("--max-time", max_time, "s")
+    _check_positive("--tag-spacing", tag_spacing, "m")
+    if seeds < 1:
+        _bad_input(f"--seeds {seeds}: must be 1 or more")
+    if jobs is not None and jobs < 1:
+        _bad_input(f"--jobs {jobs}: must be 1 or more")
+    if jobs is not None and ray is not None:
+        _bad_input("--jobs and --ray exclude each other; a cluster knows how many missions it can run")
+
+    from tfg_drake.diagrams import compare_command, comparison_report
+    from tfg_drake.diagrams.run_folder import make_run_folder
+    from tfg_drake.diagrams.sweep import SweepError, Task, parse_methods
+
+    name = Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
+    try:
+        names = parse_methods(methods)
+        place = _parse_start(start)
+        of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
+        # All methods of a seed before the next seed, so that a partial report compares like with like.
+        world_name = scenario if world is None else str(world)
+        tasks = [Task(method, one, name, world_name, max_time) for one in of_seed for method in names]
+        if out is not None:
+            _make_writable(out)
+        folder = make_run_folder(out, f"compare-{name}")
+        _announce_compilation()
+        runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted)
+        given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", ",".join(names))]
+        given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
+        words = [str(word) for option, value in given if value is not None for word in (option, value)]
+        command = shlex.join(["tfg-drake", "compare", scenario, *words])
+        comparison_report.write_comparison(runs, tasks, folder, command)
+    except SweepError as error:
+        _bad_input(str(error))
+    except OSError as error:
+        _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
+    for line in compare_command.closing_lines(runs, names):
+        print(line)
+    print(f"report: {folder / 'report.html'}")
+    if _interrupted.is_set():
+        raise typer.Exit(EXIT_CODES["interrupted"])
+    raise typer.Exit(EXIT_CODES["fault"] if any(not run.counts for run in runs) else 0)
 
 
 @app.command()
@@ -215,6 +285,11 @@ def _interrupt(_signal: int, _frame: object) -> None:
 
 def _one_line(message: str) -> str:
     return " ".join(message.split())
+
+
+def _check_positive(option: str, value: float | None, unit: str) -> None:
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        _bad_input(f"{option} {value:g}: must be greater than 0 {unit}")
 
 
 def _make_writable(folder: Path) -> None:

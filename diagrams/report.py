@@ -17,7 +17,7 @@ from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
-from tfg_drake.trajectory import write_tum
+from tfg_drake.trajectory import poses_at, write_tum
 from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
 from tfg_drake.world.world import World
 
@@ -51,7 +51,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     grid = make_grid(world)
     cells = reachable_cells(grid, world, scenario.robot.radius)
     reachable = reachable_tags(world, grid, cells, scenario.tags.range, scenario.tags.max_incidence)
-    X_WD_true = _at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
+    X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
     summary: dict[str, Any] = {
         "schema": SCHEMA,
         "version": __version__,
@@ -69,7 +69,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         "stages": len(mission.stages),
         **_landmarks(world, reachable, estimate),
         **_consistency(mission.departures, compose(inverse(world.start), X_WD_true)),
-        **_pose_errors(X_WB, _at(stamps, true_stamps, X_WB_true)),
+        **_pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
         **_coverage(scenario, world, grid, cells, tfg, X_WD_true[:, :2]),
         "contacts": mission.contacts,
         "min_clearance_m": mission.clearance,
@@ -89,15 +89,6 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     draw_run(folder / "figure.png", _title(summary), world, estimate, tfg, X_WB, X_WB_true, reachable)
     return summary
-
-
-def _at(stamps: FloatArray, log_stamps: FloatArray, poses: FloatArray) -> FloatArray:
-    """The logged poses (m, 3) at other stamps (n,), interpolated: (n, 3)."""
-    if not len(log_stamps):
-        return np.full((len(stamps), 3), np.nan)
-    heading = np.unwrap(poses[:, 2])
-    columns = [np.interp(stamps, log_stamps, column) for column in (poses[:, 0], poses[:, 1], heading)]
-    return np.stack(columns, axis=1)
 
 
 def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None) -> dict[str, Any]:

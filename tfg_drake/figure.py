@@ -6,6 +6,7 @@ import io
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
@@ -55,14 +56,14 @@ def draw_run(
     axes.add_collection(lines)
     mapped = np.zeros(0, dtype=np.int64)
     if tfg is not None:
-        _draw_surfaces(axes, world.start, tfg)
+        draw_surfaces(axes, world.start, tfg)
     if len(X_WB_true):
         axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.8, label="true path")
     if len(X_WB_estimated):
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
     if estimate is not None:
         mapped = estimate.ids
-        _draw_landmarks(axes, world.start, estimate.p_ML, estimate.landmark_covariance, symbol)
+        draw_landmarks(axes, world.start, estimate.p_ML, estimate.landmark_covariance, symbol)
         _draw_goals(axes, world.start, estimate.X_MA)
     missed = reachable & ~np.isin(world.tag_ids, mapped)
     if missed.any():
@@ -92,8 +93,8 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
     stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
     axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
-    _draw_surfaces(axes, X_WM, tfg)
-    _draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, symbol)
+    draw_surfaces(axes, X_WM, tfg)
+    draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, symbol)
     _draw_goals(axes, X_WM, saved.X_MA)
     if len(tfg.frontiers):
         p_WF = transform(X_WM, tfg.frontiers)
@@ -127,7 +128,8 @@ def _write(figure: Figure, path: Path) -> None:
     write_atomic(path, buffer.getvalue())
 
 
-def _draw_surfaces(axes, X_WM: FloatArray, tfg: TfgMap) -> None:  # type: ignore[no-untyped-def]
+def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
+    """The surfaces of a map onto axes of W, those without a tag in a colour of their own."""
     pieces = np.stack([transform(X_WM, tfg.segments[:, :2]), transform(X_WM, tfg.segments[:, 2:])], axis=1)
     tagged = tfg.segment_kind < 2
     for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without tag")):
@@ -135,7 +137,8 @@ def _draw_surfaces(axes, X_WM: FloatArray, tfg: TfgMap) -> None:  # type: ignore
             axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
 
 
-def _draw_landmarks(axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, symbol: float) -> None:  # type: ignore[no-untyped-def]
+def draw_landmarks(axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, symbol: float) -> None:
+    """Landmarks p_ML (n, 2), m, with the ellipses of their covariances (n, 2, 2) onto axes of W; symbol: points."""
     if not len(p_ML):
         return
     R_WM = rotation(float(X_WM[2]))

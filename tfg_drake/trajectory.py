@@ -42,3 +42,12 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     heading = 2.0 * np.arctan2(table[:, 6], table[:, 7])
     heading = np.pi - np.mod(np.pi - heading, 2.0 * np.pi)
     return table[:, 0], np.column_stack([table[:, 1:3], heading])
+
+
+def poses_at(stamps: FloatArray, log_stamps: FloatArray, poses: FloatArray) -> FloatArray:
+    """The logged poses (m, 3) at other stamps (n,), interpolated: (n, 3), nan without a log."""
+    if not len(log_stamps):
+        return np.full((len(stamps), 3), np.nan)
+    heading = np.unwrap(poses[:, 2])
+    columns = [np.interp(stamps, log_stamps, column) for column in (poses[:, 0], poses[:, 1], heading)]
+    return np.stack(columns, axis=1)

@@ -1,0 +1,114 @@
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tfg_drake.comparison.measures import MEASURES, cpu_idle, mapped_share, variables
+from tfg_drake.comparison.report import Comparison, Picture, markdown, page, tables, text
+from tfg_drake.comparison.runs import Run, flatten, paired, to_csv, values
+from tfg_drake.comparison.statistics import spread
+
+
+def summary(**fields):
+    basis = {
+        "outcome": "complete",
+        "reason": "done",
+        "sim_time_s": 100.0,
+        "position_error_m": {"mean": 0.1, "max": 0.3},
+        "landmark_rmse_m": 0.02,
+        "map_variables": {"landmarks": 10, "poses": 4},
+        "estimator_cpu_s": 20.0,
+        "planner_cpu_s": 5.0,
+        "contacts": 1,
+    }
+    return basis | fields
+
+
+def run(method, seed, **fields):
+    return Run(method, seed, Path(f"{method}-{seed}"), summary(**fields))
+
+
+FAILED = Run("b", 2, Path("b-2"), None, "killed by SIGKILL")
+
+
+@pytest.fixture
+def comparison():
+    runs = [run("a", seed, sim_time_s=100.0 + seed) for seed in range(4)]
+    runs += [run("b", 0, landmark_rmse_m=None, sim_time_s=202.0), run("b", 1, outcome="fault", reason="Error <at> 3 s")]
+    runs += [FAILED, run("b", 3, landmark_rmse_m=None, sim_time_s=208.0, outcome="stuck", reason="boxed in")]
+    return Comparison("a against b", ["a", "b"], runs, 8, "tfg-drake compare --seeds 4", "tfg-drake 1, Python 3.")
+
+
+def test_pairs_are_seeds_that_both_finished(comparison):
+    time = MEASURES[0].read
+    first, other = values(comparison.runs, "a", time), values(comparison.runs, "b", time)
+    assert list(other) == [0, 3]
+    np.testing.assert_array_equal(paired(first, other), [[100.0, 103.0], [202.0, 208.0]])
+
+
+def test_tables(comparison):
+    found = {table.title: table for table in tables(comparison)}
+    outcomes = found["Outcomes"]
+    assert list(outcomes.header) == ["method", "runs", "complete", "stuck", "fault", "failed", "contacts in all"]
+    assert outcomes.rows == [["a", "4", "4", "0", "0", "0", "4"], ["b", "4", "1", "1", "1", "1", "3"]]
+    figures = {row[0]: row[1:] for row in found["Figures"].rows}
+    assert figures["landmark RMSE (m)"] == ["0.0200 ± 0.0000 (0.0200 to 0.0200)", "-"]
+    assert figures["CPU idle at real time (%)"][0].startswith("75.4 ± ")
+    ratios = found["Ratio to a"]
+    assert list(ratios.header) == ["", "b (2 pairs)"]
+    assert ratios.rows[0][1].startswith("2.02 (2.02 to 2.02)")
+    assert found["Difference to a"].rows[0][1].startswith("+104 (")
+    assert [row[:3] for row in found["Runs that did not complete"].rows] == [
+        ["b", "1", "fault"],
+        ["b", "2", "failed"],
+        ["b", "3", "stuck"],
+    ]
+    assert found["Runs that did not complete"].rows[1][3] == "killed by SIGKILL"
+
+
+def test_the_page_needs_nothing_else(comparison):
+    written = page(comparison, [Picture("errors", "Error against time.", b"\x89PNG")])
+    assert not re.search(r"https?:|file:|//", written.replace("image/png", ""))
+    assert re.findall(r'(?:src|href)="([^"]{15})', written) == ["data:image/png;"]
+    assert "Error &lt;at&gt; 3 s" in written
+    assert "tfg-drake compare --seeds 4" in written
+
+
+def test_markdown_names_figures_and_command(comparison):
+    written = markdown(comparison, [Picture("errors", "Error against time.", b"")])
+    assert "![Error against time.](errors.png)" in written
+    assert "    tfg-drake compare --seeds 4\n" in written
+    assert "| b | 2 | failed | killed by SIGKILL |" in written
+
+
+def test_a_partial_report_says_so(comparison):
+    partial = Comparison(comparison.title, comparison.methods, [], 8, "", "")
+    assert "This report is partial: 0 of 8 runs are done." in markdown(partial, [])
+
+
+def test_the_table_of_all_runs(comparison):
+    rows = list(csv.DictReader(io.StringIO(to_csv(comparison.runs))))
+    assert [row["method"] + row["seed"] for row in rows] == ["a0", "a1", "a2", "a3", "b0", "b1", "b2", "b3"]
+    assert rows[0]["position_error_m.max"] == "0.3"
+    assert (rows[6]["outcome"], rows[6]["reason"], rows[6]["sim_time_s"]) == ("failed", "killed by SIGKILL", "")
+    assert rows[4]["landmark_rmse_m"] == ""
+
+
+def test_measures_of_a_summary():
+    assert flatten({"a": {"b": {"c": 1}}, "d": 2}) == {"a.b.c": 1, "d": 2}
+    assert variables(summary()) == 14.0
+    assert variables(summary(map_variables={"cells": 800})) == 800.0
+    assert cpu_idle(summary()) == 75.0
+    assert cpu_idle(summary(estimator_cpu_s=200.0)) == 0.0
+    assert mapped_share({"landmarks_mapped": None, "landmarks_reachable": 4}) is None
+    assert mapped_share({"landmarks_mapped": 3, "landmarks_reachable": 4}) == 75.0
+    assert json.dumps([measure.label for measure in MEASURES]).count("(m)") >= 5
+
+
+def test_one_run_and_none_have_no_interval():
+    assert text(spread(np.array([1.25])), 1) == "1.2"
+    assert text(spread(np.zeros(0)), 1) == "-"

@@ -1,0 +1,96 @@
+import csv
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+ROOM = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
+"""
+
+
+@pytest.fixture
+def room(tmp_path):
+    path = tmp_path / "room.yaml"
+    path.write_text(ROOM)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ("--seeds 0", "--seeds 0: must be 1 or more"),
+        ("--jobs 0", "--jobs 0: must be 1 or more"),
+        ("--max-time 0", "--max-time 0: must be greater than 0 s"),
+        ("--tag-spacing -1", "--tag-spacing -1: must be greater than 0 m"),
+        ("--jobs 2 --ray local", "--jobs and --ray exclude each other; a cluster knows how many missions it can run"),
+        ("--methods tfg,tfg", "--methods tfg,tfg: names tfg twice; name each once"),
+        ("--out /dev/null", "--out /dev/null: is a file; name a folder"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(call, arguments, complaint):
+    assert call("compare", "--seeds", "1", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
+
+
+def test_an_unknown_method_is_told_the_names(call):
+    code, out, err = call("compare", "--methods", "tfg,gird-nearest")
+    assert (code, out) == (2, "")
+    assert re.fullmatch(r"tfg-drake: --methods gird-nearest: no such method; the methods are tfg, .*\n", err)
+
+
+def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
+    out = tmp_path / "comparison"
+    arguments = ["compare", room, "--tag-spacing", "1", "--seeds", "1", "--max-time", "9", "--out", str(out)]
+    code, printed, err = call(*arguments)
+    assert (code, err) == (0, "")
+    lines = printed.splitlines()[-5:]
+    assert lines[0].startswith("tfg, seed 0: time_limit; 1 of 2 runs, about ")
+    assert lines[1] == "tfg-nearest, seed 0: time_limit; 2 of 2 runs"
+    assert lines[2].startswith("tfg           1 time_limit; time 9 s, position error 0.0")
+    assert lines[4] == f"report: {out / 'report.html'}"
+    for name in ("errors", "coverage", "maps", "costs"):
+        assert (out / f"{name}.png").stat().st_size > 5000
+        assert (out / f"{name}.pdf").stat().st_size > 2000
+    rows = list(csv.DictReader((out / "runs.csv").open()))
+    assert [(row["method"], row["seed"], row["outcome"]) for row in rows] == [
+        ("tfg", "0", "time_limit"),
+        ("tfg-nearest", "0", "time_limit"),
+    ]
+    page = (out / "report.html").read_text()
+    assert not re.search(r"https?:|file:|(src|href)=\"(?!data:)", page)
+    assert page.count("data:image/png;base64,") == 4
+    command = f"tfg-drake compare {room} --tag-spacing 1.0 --methods tfg,tfg-nearest --seeds 1 --max-time 9"
+    assert command in page
+    assert f"    {command}\n" in (out / "report.md").read_text()
+
+    code, printed, err = call(*arguments)
+    assert (code, err, printed.splitlines()[0]) == (0, "", "2 of 2 runs are there already")
+
+    code, printed, err = call(*arguments, "--set", "robot.max_speed=0.2")
+    assert (code, printed) == (2, "")
+    complaint = "holds another comparison (scenario's values differ); name another folder with --out"
+    assert err == f"tfg-drake: {out}: {complaint}\n"
+
+
+def test_ctrl_c_leaves_a_partial_report(room, tmp_path):
+    out = tmp_path / "comparison"
+    arguments = ["compare", room, "--seeds", "20", "--max-time", "9", "--methods", "tfg", "--out", str(out)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tfg_drake.diagrams.cli", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not (out / "runs" / "tfg" / "seed-0" / "task.json").exists():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "\ntfg-drake: stopping; Ctrl-C again leaves at once\n")
+    assert re.search(r"This report is partial: \d+ of 20 runs are done.", (out / "report.md").read_text())

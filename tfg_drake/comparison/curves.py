@@ -1,0 +1,118 @@
+"""Curves over a run, from its true and estimated poses alone, so that one measure serves every method; and the mean and
+range of several such curves."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.metrics import pose_errors
+from tfg_drake.trajectory import poses_at
+
+# The scanner's view counts from poses this far apart, m or rad, whichever comes first.
+STEP, TURN = 0.25, 0.25
+
+
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """A quantity y (n,) at ascending x (n,)."""
+
+    x: FloatArray
+    y: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Band:
+    """Several runs' curves at common x (n,): mean, least and greatest (n,); common: up to which x all of them go."""
+
+    x: FloatArray
+    mean: FloatArray
+    low: FloatArray
+    high: FloatArray
+    common: float
+
+
+def error_curves(
+    stamps: FloatArray, X_WB: FloatArray, true_stamps: FloatArray, X_WB_true: FloatArray
+) -> tuple[Curve, Curve]:
+    """Error of the position (m) and of the heading (rad, absolute) against time (s).
+
+    stamps (n,) and X_WB (n, 3): the estimate as it was at the time; true_stamps (m,) and X_WB_true (m, 3): the truth.
+    """
+    position, heading = pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true))
+    return Curve(stamps, position), Curve(stamps, heading)
+
+
+def coverage_curve(
+    X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float
+) -> Curve:
+    """Share of the cells seen so far by the scanner against the distance driven (m).
+
+    Args:
+        X_WB: (n, 3) true poses in W, close enough together to add up the distance.
+        p_WC: (c, 2) centres of the cells that count, in W, m.
+        walls: (w, 4) in W, m.
+        scan_range: m. field_of_view: rad, ahead of the robot.
+    """
+    if not len(X_WB) or not len(p_WC):
+        return Curve(np.zeros(0), np.zeros(0))
+    kept = _samples(X_WB)
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(X_WB[:, :2], axis=0).T))])
+    walls, unseen = np.ascontiguousarray(walls), np.ascontiguousarray(p_WC)
+    share = np.empty(len(kept))
+    for k, pose in enumerate(X_WB[kept]):
+        seen = _seen(pose, unseen, walls, scan_range, field_of_view)
+        unseen = unseen[~seen]
+        share[k] = 1.0 - len(unseen) / len(p_WC)
+    return Curve(driven[kept], share)
+
+
+def averaged(curve: Curve, step: float) -> Curve:
+    """Means of a curve over stretches of x of length `step`, from 0, at their middles; stretches without a point are
+    left out."""
+    stretch = np.floor(curve.x / step).astype(np.int64)
+    rows, inverse, count = np.unique(stretch, return_inverse=True, return_counts=True)
+    means: FloatArray = np.bincount(inverse, weights=curve.y) / count
+    return Curve(np.asarray((rows + 0.5) * step, dtype=np.float64), means)
+
+
+def band(curves: Sequence[Curve], step: float, *, hold: bool = False) -> Band | None:
+    """Mean and range of several curves every `step` from the first point to the last, None where no curve has a point.
+
+    A curve counts up to its own end; with `hold` it keeps its last value, as what was seen stays seen.
+    """
+    curves = [curve for curve in curves if len(curve.x)]
+    if not curves:
+        return None
+    end = max(curve.x[-1] for curve in curves)
+    x = np.append(np.arange(min(curve.x[0] for curve in curves), end, step), end)
+    table = np.array([np.interp(x, curve.x, curve.y, right=curve.y[-1] if hold else np.nan) for curve in curves])
+    common = float(min(curve.x[-1] for curve in curves))
+    return Band(x, np.nanmean(table, axis=0), np.nanmin(table, axis=0), np.nanmax(table, axis=0), common)
+
+
+def _samples(X_WB: FloatArray) -> IntArray:
+    """Rows of poses (n, 3) that lie STEP or TURN from the one before, and the last."""
+    kept = [0]
+    for i, (x, y, heading) in enumerate(X_WB.tolist()):
+        x0, y0, heading0 = X_WB[kept[-1]]
+        turned = abs(np.remainder(heading - heading0 + np.pi, 2.0 * np.pi) - np.pi)
+        if turned >= TURN or np.hypot(x - x0, y - y0) >= STEP:
+            kept.append(i)
+    return np.array(kept if kept[-1] == len(X_WB) - 1 else [*kept, len(X_WB) - 1])
+
+
+def _seen(X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float) -> BoolArray:
+    """Which points (c, 2) the scanner sees from one pose."""
+    offset = p_WC - X_WB[:2]
+    seen = np.hypot(offset[:, 0], offset[:, 1]) <= scan_range
+    bearing = wrap_angle(np.arctan2(offset[seen, 1], offset[seen, 0]) - X_WB[2])
+    seen[seen] = np.abs(bearing) <= 0.5 * field_of_view
+    rows = np.flatnonzero(seen)
+    seen[rows] = line_of_sight(walls, X_WB[:2].copy(), np.ascontiguousarray(p_WC[rows]))
+    return seen

@@ -1,0 +1,215 @@
+"""The paper's comparison in figures: pose error against time, coverage against distance, final maps, and what a map
+costs. One colour a method throughout."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
+
+from tfg_drake.comparison.curves import Band
+from tfg_drake.comparison.statistics import Spread
+from tfg_drake.figure import draw_landmarks, draw_surfaces
+from tfg_drake.geometry.se2 import rotation
+from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.messages import FloatArray, GridMap
+from tfg_drake.world.world import World
+
+# Okabe and Ito's colours, which the colour-blind can tell apart too.
+_NAMED = {"tfg": "#0072B2", "tfg-argmax": "#56B4E9", "tfg-nearest": "#D55E00", "grid-nearest": "#000000"}
+_NAMED |= {"weighted": "#009E73", "random": "#E69F00", "scripted": "#CC79A7"}
+_OTHERS = ("#8c6d31", "#7f3c8d", "#66a61e", "#a6761d", "#666666")
+_WALL, _WALL_ON_GRID, _PATH = "0.72", "#f0a09a", "#1f4e9c"
+_WIDTH = 7.2  # of the text of a two-column paper, inches
+_SMALL, _TEXT = 7, 8  # points
+# A quantity whose methods differ by more than this factor is shown on a logarithmic scale.
+_WIDE = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class FinalMap:
+    """What one run of a method made of the world: a landmark map, a grid, or neither; X_WB (n, 3): its true way."""
+
+    method: str
+    seed: int
+    world: World
+    X_WB: FloatArray
+    saved: SavedMap | None
+    grid: GridMap | None
+
+
+def colours(methods: Sequence[str]) -> dict[str, str]:
+    """A colour for each method, the same in every comparison for those that come with the project."""
+    others = [method for method in methods if method not in _NAMED]
+    return _NAMED | {method: _OTHERS[i % len(_OTHERS)] for i, method in enumerate(others)}
+
+
+def draw_errors(position: Mapping[str, Band], heading: Mapping[str, Band]) -> Figure:
+    """Errors of position and heading against time: mean and range of each method."""
+    figure = _figure(3.9)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    _draw_bands(upper, position)
+    _draw_bands(lower, heading)
+    upper.set_ylabel("position error (m)", fontsize=_TEXT)
+    lower.set_ylabel("heading error (rad)", fontsize=_TEXT)
+    lower.set_xlabel("simulated time (s)", fontsize=_TEXT)
+    _legend(figure, upper)
+    return figure
+
+
+def draw_coverage(share: Mapping[str, Band]) -> Figure:
+    """Share of the reachable area seen against the distance driven: mean and range of each method."""
+    figure = _figure(2.9)
+    axes = figure.subplots()
+    _draw_bands(axes, {name: _scaled(one, 100.0) for name, one in share.items()}, may_be_wide=False)
+    axes.set_ylim(0.0, 103.0)
+    axes.set_ylabel("reachable area seen (%)", fontsize=_TEXT)
+    axes.set_xlabel("distance driven (m)", fontsize=_TEXT)
+    _legend(figure, axes)
+    return figure
+
+
+def draw_maps(maps: Sequence[FinalMap]) -> Figure:
+    """The final maps side by side over the true walls, all to one scale."""
+    columns = min(len(maps), 2)
+    rows = -(-len(maps) // columns)
+    points = np.vstack([p for one in maps for p in (one.world.walls.reshape(-1, 2), one.X_WB[:, :2])])
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 0.5, points.max(axis=0) + 0.5
+    panel = _WIDTH / columns
+    figure = _figure(float(np.clip(rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.25) + 0.25, 1.5, 9.5)))
+    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    symbol = float(np.clip(0.2 * 72.0 * panel / (x_max - x_min), 0.8, 4.0))
+    for axes in grid:
+        axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
+        axes.set_axis_off()
+    for axes, one in zip(grid, maps, strict=False):
+        _draw_final_map(axes, one, symbol)
+        axes.set_title(one.method, fontsize=_TEXT)
+    marks = {label: mark for axes in grid for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(
+        marks.values(),
+        marks.keys(),
+        loc="outside lower center",
+        ncols=6,
+        fontsize=_SMALL,
+        frameon=False,
+        markerscale=3.0,
+    )
+    return figure
+
+
+def draw_costs(costs: Mapping[str, Mapping[str, Spread]]) -> Figure:
+    """Bars of what each method needs, a panel a quantity: its title with the unit, and each method's spread."""
+    methods = list(next(iter(costs.values())))
+    palette = colours(methods)
+    figure = _figure(0.75 + 0.24 * len(methods))
+    panels = np.atleast_1d(figure.subplots(1, len(costs), sharey=True))
+    for axes, (title, spreads) in zip(panels, costs.items(), strict=True):
+        means = np.array([spreads[method].mean.value for method in methods])
+        shown = means[np.isfinite(means)]
+        if len(shown) and shown.min() > 0.0 and shown.max() > _WIDE * shown.min():
+            axes.set_xscale("log")
+            axes.set_xlim(0.3 * shown.min(), 10.0 * shown.max())
+        elif len(shown):
+            axes.set_xlim(0.0, 1.35 * shown.max() or 1.0)
+        axes.set_xticks([], minor=True)
+        axes.set_xticks([])  # The bars say their numbers.
+        bars = axes.barh(methods, means, color=[palette[method] for method in methods], height=0.65)
+        axes.bar_label(bars, [_short(mean) for mean in means], padding=2, fontsize=_SMALL)
+        for row in np.flatnonzero(np.isnan(means)):
+            axes.text(0.02, row, "-", transform=axes.get_yaxis_transform(), fontsize=_SMALL, va="center")
+        axes.set_title(title, fontsize=_TEXT)
+        _tidy(axes)
+        axes.spines["bottom"].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+    panels[0].invert_yaxis()
+    return figure
+
+
+def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
+    walls = list(one.world.walls.reshape(-1, 2, 2))
+    if one.grid is not None:
+        _draw_grid(axes, one.world.start, one.grid)
+        # Coloured: the grid's own walls are to be seen on top of them.
+        under = LineCollection(walls, colors=_WALL_ON_GRID, linewidths=1.6, label="true wall, under a grid", zorder=0.5)
+        axes.add_collection(under)
+    else:
+        axes.add_collection(LineCollection(walls, colors=_WALL, linewidths=1.6, label="true wall", zorder=0.5))
+    if len(one.X_WB):
+        axes.plot(*one.X_WB[:, :2].T, color=_PATH, linewidth=0.4, alpha=0.6, label="true path", zorder=1)
+    if one.saved is not None:
+        draw_surfaces(axes, one.saved.X_WM, one.saved.tfg)
+        draw_landmarks(axes, one.saved.X_WM, one.saved.p_ML, one.saved.landmark_covariance, symbol)
+
+
+def _draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
+    """The probabilities as an image from white (free) to black (occupied), turned from M into W."""
+    rows, columns = grid.probability.shape
+    (x, y), cell = grid.origin, grid.resolution
+    extent = (x, x + cell * columns, y, y + cell * rows)
+    limits = axes.axis()
+    # Black, as dense as the probability, over the true walls.
+    ink = np.zeros((rows, columns, 4))
+    ink[..., 3] = grid.probability
+    image = axes.imshow(ink, extent=extent, origin="lower", interpolation="nearest", zorder=0.7)
+    (a, c), (b, d) = rotation(float(X_WM[2]))
+    image.set_transform(Affine2D.from_values(a, b, c, d, X_WM[0], X_WM[1]) + axes.transData)
+    axes.axis(limits)
+
+
+def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = True) -> None:
+    """Mean line and shaded range; the line is thin where some of the runs have ended."""
+    palette = colours(list(bands))
+    for method, one in bands.items():
+        colour, together = palette[method], one.x <= one.common
+        axes.fill_between(one.x, one.low, one.high, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(one.x[together], one.mean[together], color=colour, linewidth=1.3, label=method)
+        rest = one.x >= (one.x[together][-1] if together.any() else 0.0)
+        axes.plot(one.x[rest], one.mean[rest], color=colour, linewidth=0.6)
+    levels = [float(np.median(one.mean)) for one in bands.values()]
+    if may_be_wide and levels and min(levels) > 0.0 and max(levels) > _WIDE * min(levels):
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=0.05 * min(levels))
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set_xlim(0.0, max((float(one.x[-1]) for one in bands.values()), default=0.0) or 1.0)
+    axes.grid(color="0.92", linewidth=0.6)
+    axes.set_axisbelow(True)
+    _tidy(axes)
+
+
+def _scaled(one: Band, factor: float) -> Band:
+    return dataclasses.replace(one, mean=factor * one.mean, low=factor * one.low, high=factor * one.high)
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    marks, labels = axes.get_legend_handles_labels()
+    columns = min(len(labels), 7) or 1
+    figure.legend(marks, labels, loc="outside upper center", ncols=columns, fontsize=_TEXT, frameon=False)
+
+
+def _figure(height: float) -> Figure:
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _tidy(axes: Axes) -> None:
+    axes.tick_params(labelsize=_SMALL, colors="0.25")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color("0.6")
+
+
+def _short(value: float) -> str:
+    """A bar's number: three digits, and thousands apart."""
+    if not np.isfinite(value):
+        return ""
+    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"

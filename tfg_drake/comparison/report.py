@@ -1,0 +1,211 @@
+"""The report of a comparison, as Markdown and as one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import html
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from tfg_drake.comparison.measures import MEASURES
+from tfg_drake.comparison.runs import Run, paired, sample, values
+from tfg_drake.comparison.statistics import Interval, Spread, difference, ratio, spread
+
+# Pairs from which on a bootstrap interval is wide enough to be believed.
+_ENOUGH = 8
+_OUTCOMES = ("complete", "budget", "time_limit", "stuck", "fault", "failed", "interrupted")
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """A figure of the report: the name of its file without suffix, what it shows, and the bytes of its PNG."""
+
+    name: str
+    caption: str
+    png: bytes
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """What a report is made of.
+
+    title: what is compared, one line. methods: in their order; the others are compared with the first. runs: those
+    there are; planned: how many there should be. command: repeats it. versions: what it ran with, one line.
+    """
+
+    title: str
+    methods: Sequence[str]
+    runs: Sequence[Run]
+    planned: int
+    command: str
+    versions: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """A table of texts: its title, a note that explains it, the names of its columns and its rows."""
+
+    title: str
+    note: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def markdown(comparison: Comparison, pictures: Sequence[Picture]) -> str:
+    """The report as Markdown; the figures are files beside it."""
+    parts = [f"# {comparison.title}", *_introduction(comparison)]
+    for picture in pictures:
+        parts.append(f"![{picture.caption}]({picture.name}.png)\n\n{picture.caption}")
+    for table in tables(comparison):
+        rows = [table.header, ["---"] * len(table.header), *table.rows]
+        lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+        parts.append("\n\n".join([f"## {table.title}", *([table.note] if table.note else []), "\n".join(lines)]))
+    parts += ["## To repeat it", f"    {comparison.command}", comparison.versions]
+    return "\n\n".join(parts) + "\n"
+
+
+def page(comparison: Comparison, pictures: Sequence[Picture]) -> str:
+    """The report as one HTML page with its figures inside."""
+    title = html.escape(comparison.title)
+    parts = [f"<h1>{title}</h1>", *(f"<p>{html.escape(text)}</p>" for text in _introduction(comparison))]
+    for picture in pictures:
+        source = f"data:image/png;base64,{base64.b64encode(picture.png).decode()}"
+        caption = html.escape(picture.caption)
+        parts.append(f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>')
+    parts += [_html_table(table) for table in tables(comparison)]
+    parts.append(f"<h2>To repeat it</h2>\n<pre>{html.escape(comparison.command)}</pre>")
+    parts.append(f"<p>{html.escape(comparison.versions)}</p>")
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>'
+    return f'<!doctype html>\n<html lang="en"><head>{head}<style>{_STYLE}</style></head><body>\n' + (
+        "\n".join(parts) + "\n</body></html>\n"
+    )
+
+
+def tables(comparison: Comparison) -> list[Table]:
+    """The report's tables: outcomes, figures, comparisons with the first method, runs that did not complete."""
+    methods, runs = comparison.methods, comparison.runs
+    found = [_outcome_table(methods, runs), _figures_table(methods, runs)]
+    if len(methods) > 1:
+        found += _paired_tables(methods, runs)
+    rest = [run for run in runs if run.outcome != "complete"]
+    if rest:
+        rows = [[run.method, str(run.seed), run.outcome, run.reason] for run in rest]
+        note = "The folder of each holds its log. Of failed runs and faults nothing is counted above."
+        found.append(Table("Runs that did not complete", note, ("method", "seed", "outcome", "why"), rows))
+    return found
+
+
+def text(mean: Spread, digits: int) -> str:
+    """Mean, spread and interval: "0.147 ± 0.115 (0.101 to 0.192)", "-" for no run."""
+    if not mean.n:
+        return "-"
+    value = f"{mean.mean.value:.{digits}f}"
+    if mean.n == 1:
+        return value
+    return f"{value} ± {mean.std:.{digits}f} {_bounds(mean.mean, f'.{digits}f')}"
+
+
+def _introduction(comparison: Comparison) -> list[str]:
+    runs, methods = comparison.runs, comparison.methods
+    seeds = len({run.seed for run in runs})
+    lines = [
+        f"{', '.join(methods)}; {seeds} seed{'s' if seeds != 1 else ''} each, paired: on one seed every method has the"
+        " same world, the same start and the same random numbers. All errors are those of the online estimate against"
+        " the truth, at every odometry period, turns included."
+    ]
+    if len(runs) < comparison.planned:
+        lines.append(f"This report is partial: {len(runs)} of {comparison.planned} runs are done.")
+    return lines
+
+
+def _outcome_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
+    counts = {method: Counter(run.outcome for run in runs if run.method == method) for method in methods}
+    shown = [outcome for outcome in _OUTCOMES if any(count[outcome] for count in counts.values())]
+    rows = []
+    for method, count in counts.items():
+        contacts = sum((run.summary or {}).get("contacts") or 0 for run in runs if run.method == method)
+        rows.append([method, str(sum(count.values())), *(str(count[outcome]) for outcome in shown), str(contacts)])
+    return Table("Outcomes", "", ("method", "runs", *shown, "contacts in all"), rows)
+
+
+def _figures_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
+    rows = []
+    for measure in MEASURES:
+        spreads = [spread(sample(runs, method, measure.read)) for method in methods]
+        rows.append([measure.label, *(text(one, measure.digits) for one in spreads)])
+    note = "Mean ± standard deviation over the runs, and the 95 % bootstrap interval of the mean."
+    return Table("Figures", note, ("", *methods), rows)
+
+
+def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
+    """Differences to the first method and ratios to it."""
+    first, *others = methods
+    seeds = {method: {run.seed for run in runs if run.method == method and run.counts} for method in methods}
+    pairs = {method: len(seeds[first] & seeds[method]) for method in others}
+    header = ("", *(f"{method} ({pairs[method]} pairs)" for method in others))
+    differences, ratios = [], []
+    for measure in MEASURES:
+        mine = values(runs, first, measure.read)
+        both = [paired(mine, values(runs, method, measure.read)) for method in others]
+        differences.append([measure.label, *(_signed(difference(*one), measure.digits, len(one[0])) for one in both)])
+        ratios.append([measure.label, *(_times(ratio(*one)) for one in both)])
+    on = f"Over the seeds on which both the method and {first} finished"
+    bold = f"Bold: the interval leaves out zero, from {_ENOUGH} pairs on, as of fewer it is too narrow"
+    return [
+        Table(
+            f"Difference to {first}",
+            f"{on}: the mean of the method minus {first}, with its 95 % paired bootstrap interval. {bold}; of twenty"
+            " figures that do not differ one will by chance.",
+            header,
+            differences,
+        ),
+        Table(f"Ratio to {first}", f"{on}: the ratio of the means, with its interval.", header, ratios),
+    ]
+
+
+def _signed(one: Interval, digits: int, pairs: int) -> str:
+    if math.isnan(one.value):
+        return "-"
+    cell = f"{one.value:+.{digits}f} {_bounds(one, f'+.{digits}f')}".strip()
+    return f"**{cell}**" if pairs >= _ENOUGH and (one.low > 0.0 or one.high < 0.0) else cell
+
+
+def _times(one: Interval) -> str:
+    if math.isnan(one.value):
+        return "-"
+    form = ",.0f" if one.value >= 100.0 else "#.3g"
+    return f"{one.value:{form}} {_bounds(one, form)}".strip()
+
+
+def _bounds(one: Interval, form: str) -> str:
+    return "" if math.isnan(one.low) else f"({one.low:{form}} to {one.high:{form}})"
+
+
+def _html_table(table: Table) -> str:
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in table.header)
+    rows = [f"<tr><th>{html.escape(row[0])}</th>{''.join(map(_html_cell, row[1:]))}</tr>" for row in table.rows]
+    note = f"<p>{html.escape(table.note)}</p>" if table.note else ""
+    body = f"<thead><tr>{head}</tr></thead>\n<tbody>{chr(10).join(rows)}</tbody>"
+    return f"<h2>{html.escape(table.title)}</h2>{note}\n<div><table>{body}</table></div>"
+
+
+def _html_cell(content: str) -> str:
+    """A cell; an interval stands on a line of its own, which keeps the columns narrow."""
+    value, bracket, bounds = html.escape(content.strip("*")).partition(" (")
+    inner = f"{value}<br><small>({bounds}</small>" if bracket and " to " in bounds else value + bracket + bounds
+    return f"<td><b>{inner}</b></td>" if content.startswith("**") else f"<td>{inner}</td>"
+
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #1c2126; max-width: 62rem; margin: 2.5rem auto; padding: 0 1rem; }
+h1 { font-size: 1.6rem; line-height: 1.25; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
+figure { margin: 1.8rem 0; } img { width: 100%; } figcaption { color: #566069; font-size: .9rem; }
+div { overflow-x: auto; } table { border-collapse: collapse; font-size: .86rem; line-height: 1.35; }
+th, td { padding: .35rem .9rem .35rem 0; text-align: left; vertical-align: top; }
+td { font-variant-numeric: tabular-nums; } tbody th { font-weight: 400; white-space: nowrap; }
+thead th { border-bottom: 1.5px solid #1c2126; vertical-align: bottom; }
+tbody tr { border-bottom: 1px solid #e4e7ea; } small { color: #566069; white-space: nowrap; }
+pre { background: #f4f6f7; padding: .8rem 1rem; overflow-x: auto; }
+"""
