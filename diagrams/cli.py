@@ -129,7 +129,7 @@ def compare(
     start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")] = None,
     methods: Annotated[
         str, typer.Option(metavar="NAME,...", help="What to compare; the others are compared with the first.")
-    ] = "tfg,tfg-nearest",
+    ] = "tfg,tfg-nearest,grid-nearest",
     seeds: Annotated[int, typer.Option(metavar="N", help="Every method runs on the seeds 0 to N - 1.")] = 10,
     max_time: Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")] = 3600.0,
     settings: Annotated[
@@ -159,18 +159,19 @@ def compare(
 
     name = Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
     try:
-        names = parse_methods(methods)
+        sources = parse_methods(methods)
+        names = list(sources)
         place = _parse_start(start)
         of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
         # All methods of a seed before the next seed, so that a partial report compares like with like.
         world_name = scenario if world is None else str(world)
-        tasks = [Task(method, one, name, world_name, max_time) for one in of_seed for method in names]
+        tasks = [Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names]
         if out is not None:
             _make_writable(out)
         folder = make_run_folder(out, f"compare-{name}")
         _announce_compilation()
         runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted)
-        given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", ",".join(names))]
+        given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", methods)]
         given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
         words = [str(word) for option, value in given if value is not None for word in (option, value)]
         command = shlex.join(["tfg-drake", "compare", scenario, *words])
@@ -431,7 +432,9 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("driven", f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages"),
         (
             "landmarks",
-            f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} reachable,"
+            "-"
+            if summary["landmarks_mapped"] is None
+            else f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} reachable,"
             f" RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
             f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)",
         ),

@@ -18,8 +18,9 @@ from tfg_drake.comparison.statistics import spread
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.sweep import Task
 from tfg_drake.files import write_atomic
+from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
-from tfg_drake.messages import FloatArray, GridMap
+from tfg_drake.messages import FloatArray
 from tfg_drake.paper_figures import write_figure
 from tfg_drake.trajectory import read_tum
 from tfg_drake.world.reachability import make_grid, reachable_cells
@@ -146,16 +147,11 @@ def _maps(methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scen
 def _final_map(run: Run, scenario: Scenario) -> FinalMap:
     _, X_WB = read_tum(run.folder / "truth.tum")
     landmarks, cells = run.folder / "map.npz", run.folder / "grid.npz"
-    grid = None
-    if cells.exists():
-        with np.load(cells, allow_pickle=False) as file:
-            fields = {name: file[name] for name in ("origin", "probability")}
-            grid = GridMap(stage=0, stamp=0.0, resolution=float(file["resolution"]), **fields)
     return FinalMap(
         method=run.method,
         seed=run.seed,
         world=MakeWorld(scenario.world),
         X_WB=X_WB,
         saved=load_map(landmarks) if landmarks.exists() else None,
-        grid=grid,
+        grid=load_grid(cells) if cells.exists() else None,
     )

@@ -40,6 +40,6 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
             "goal_selector": FrontierGoalSelector(choose, robot, scenario.grid.eager),
             "grid_planner": GridPlanner(robot),
             "follower": PurePursuitFollower(robot, explorer),
-            "mission_sequencer": MissionSequencer(robot, maps=("grid",)),
+            "mission_sequencer": MissionSequencer(robot, maps={"grid": GridMap}),
         }
     )

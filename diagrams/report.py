@@ -11,12 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tfg_drake import __version__, metrics
+from tfg_drake.comparison.curves import coverage_curve
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.figure import draw_run
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose, inverse, transform
+from tfg_drake.grid.frontier import OCCUPIED, classify
+from tfg_drake.grid.runs import cell_sides
+from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
-from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
 from tfg_drake.trajectory import poses_at, write_tum
 from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
 from tfg_drake.world.world import World
@@ -43,6 +47,11 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         map_bytes = (folder / "map.npz").stat().st_size
     else:
         (folder / "map.npz").unlink(missing_ok=True)  # of an earlier run in this folder
+    if mission.grid is not None:
+        save_grid(folder / "grid.npz", mission.grid)
+        map_bytes = (folder / "grid.npz").stat().st_size
+    else:
+        (folder / "grid.npz").unlink(missing_ok=True)
     true_stamps, X_WB_true = mission.true_poses()
     stamps, X_WB = mission.estimated_poses()
     write_tum(folder / "truth.tum", true_stamps, X_WB_true)
@@ -70,14 +79,11 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         **_landmarks(world, reachable, estimate),
         **_consistency(mission.departures, compose(inverse(world.start), X_WD_true)),
         **_pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
-        **_coverage(scenario, world, grid, cells, tfg, X_WD_true[:, :2]),
+        **_surfaces(scenario, world, grid, cells, _mapped_surfaces(world, tfg, mission.grid)),
+        "area_coverage": _area_coverage(scenario, world, grid.centers(cells), mission, X_WD_true, X_WB_true),
         "contacts": mission.contacts,
         "min_clearance_m": mission.clearance,
-        "map_variables": {
-            "landmarks": len(estimate.ids) if estimate is not None else 0,
-            "poses": 2 * len(mission.departures),  # arrival and departure
-            "calibration": 1,  # the range scale
-        },
+        "map_variables": _variables(mission, estimate),
         "map_bytes": map_bytes,
         "estimator_cpu_s": mission.estimator_cpu,
         "planner_cpu_s": mission.planner_cpu,
@@ -87,7 +93,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     }
     summary = _null_where_not_finite(summary)
     write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    draw_run(folder / "figure.png", _title(summary), world, estimate, tfg, X_WB, X_WB_true, reachable)
+    draw_run(folder / "figure.png", _title(summary), world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable)
     return summary
 
 
@@ -136,17 +142,45 @@ def _pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
     return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
 
 
-def _coverage(
-    scenario: Scenario, world: World, grid: Grid, cells: BoolArray, tfg: TfgMap | None, p_WG: FloatArray
-) -> dict[str, Any]:
-    p_MS = tfg.segments.reshape(-1, 2) if tfg is not None else np.zeros((0, 2))
-    segments = transform(world.start, p_MS).reshape(-1, 4)
+def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:
+    if mission.grid is not None:
+        return {"cells": mission.grid.probability.size}  # of the best particle's map
+    return {
+        "landmarks": len(estimate.ids) if estimate is not None else 0,
+        "poses": 2 * len(mission.departures),  # arrival and departure
+        "calibration": 1,  # the range scale
+    }
+
+
+def _mapped_surfaces(world: World, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
+    """Segments (n, 4) in W of what a map takes for obstacle surfaces; of a grid, a side of every occupied cell."""
+    if tfg is not None:
+        p_MS = tfg.segments
+    elif grid is not None:
+        p_MS = cell_sides(grid, classify(grid) == OCCUPIED)
+    else:
+        p_MS = np.zeros((0, 4))
+    return transform(world.start, p_MS.reshape(-1, 2)).reshape(-1, 4)
+
+
+def _surfaces(scenario: Scenario, world: World, grid: Grid, cells: BoolArray, segments: FloatArray) -> dict[str, float]:
     surface = reachable_surface(world, grid, cells, scenario.scan.range)
     return {
         "surface_coverage": metrics.surface_coverage(surface, segments),
         "surface_phantom_m": metrics.surface_phantom(segments, world.walls),
-        "area_coverage": metrics.area_coverage(grid.centers(cells), world.walls, p_WG, scenario.scan.range),
     }
+
+
+def _area_coverage(
+    scenario: Scenario, world: World, p_WC: FloatArray, mission: Mission, X_WD: FloatArray, X_WB: FloatArray
+) -> float:
+    """Of the reachable cells p_WC (c, 2): seen from the goals, where the robot turns, by a method that maps only there;
+    by the scanner on the whole way by one that maps all along."""
+    scan = scenario.scan
+    if mission.grid is None:
+        return metrics.area_coverage(p_WC, world.walls, X_WD[:, :2], scan.range)
+    share = coverage_curve(X_WB, p_WC, world.walls, scan.range, scan.field_of_view).y
+    return float(share[-1]) if len(share) else math.nan
 
 
 def _spread(values: list[float]) -> dict[str, float]:
@@ -166,12 +200,18 @@ def _title(summary: dict[str, Any]) -> str:
     def value(number: float | None, form: str) -> str:
         return "-" if number is None else form.format(number)
 
+    landmarks = (
+        ""
+        if summary["landmarks_mapped"] is None
+        else (
+            f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} landmarks,"
+            f" RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned); "
+        )
+    )
     return (
-        f"{summary['scenario']}, seed {summary['seed']}: {summary['outcome']} after {summary['sim_time_s']:.0f} s,"
-        f" {summary['distance_m']:.0f} m, {summary['stages']} stages\n"
-        f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} landmarks,"
-        f" RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
-        f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned);"
-        f" pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
+        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"
+        f" {summary['sim_time_s']:.0f} s, {summary['distance_m']:.0f} m, {summary['stages']} stages\n{landmarks}"
+        f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
         f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
     )

@@ -28,11 +28,10 @@ from pydrake.common.yaml import yaml_dump_typed
 from tfg_drake import __version__
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams import run
-from tfg_drake.diagrams.scenario import ApplySettings, Scenario
+from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
+from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.files import write_atomic
 
-# What each method changes in the scenario.
-METHODS = {"tfg": [], "tfg-argmax": ["explorer.goal=argmax"], "tfg-nearest": ["explorer.goal=nearest_frontier"]}
 # How often an interrupt is looked for, s.
 _POLL = 0.2
 
@@ -44,13 +43,14 @@ class SweepError(Exception):
 @dataclasses.dataclass(frozen=True)
 class Task:
     """One mission: a method on a scenario, whose seed is the run's. name, world_name: as for `run.explore`. max_time:
-    simulated s."""
+    simulated s. source: the path of the method's file, "" for one that comes with the project."""
 
     method: str
     scenario: Scenario
     name: str
     world_name: str
     max_time: float
+    source: str = ""
 
     @property
     def seed(self) -> int:
@@ -64,28 +64,35 @@ class Task:
     def receipt(self) -> dict[str, Any]:
         """What tells the task from any other."""
         digest = hashlib.sha256(yaml_dump_typed(self.scenario).encode()).hexdigest()
+        code = hashlib.sha256(Path(self.source).read_bytes()).hexdigest() if self.source else None
         task = {"version": __version__, "scenario": self.name, "world": self.world_name, "scenario_sha256": digest}
-        return task | {"max_time_s": self.max_time, "method": self.method, "seed": self.seed}
+        return task | {"max_time_s": self.max_time, "method": self.method, "method_sha256": code, "seed": self.seed}
 
 
-def parse_methods(text: str) -> list[str]:
-    """The methods that a list such as "tfg,tfg-nearest" names; raises SweepError."""
-    names = [name.strip() for name in text.split(",")]
-    for name in names:
-        if name not in METHODS:
-            raise SweepError(f"--methods {name}: no such method; the methods are {', '.join(METHODS)}")
-        if names.count(name) > 1:
+def parse_methods(text: str) -> dict[str, str]:
+    """The methods that a list such as "tfg,mine.py" names: their names, and the paths of those that are files.
+
+    Raises SweepError.
+    """
+    methods: dict[str, str] = {}
+    for word in (word.strip() for word in text.split(",")):
+        try:
+            name = FindMethod(word).name
+        except MethodError as error:
+            raise SweepError(f"--methods {error}") from None
+        if name in methods:
             raise SweepError(f"--methods {text}: names {name} twice; name each once")
-    return names
+        methods[name] = "" if word in METHODS else str(Path(word).resolve())
+    return methods
 
 
 def run_one(task: Task, folder: Path) -> dict[str, Any]:
     """Run a mission in this process, leave its folder and its receipt, and return its summary."""
     (folder / "task.json").unlink(missing_ok=True)
-    scenario = ApplySettings(task.scenario, METHODS[task.method])
     # Whoever started this process looks after Ctrl-C.
     result = run.explore(
-        scenario,
+        task.scenario,
+        method=FindMethod(task.source or task.method),
         name=task.name,
         world_name=task.world_name,
         max_time=task.max_time,
@@ -108,7 +115,7 @@ def open_sweep(tasks: Sequence[Task], out: Path) -> list[Run]:
     """
     receipt = tasks[0].receipt()
     # The first task's seed is always the first: its scenario stands for that of all seeds.
-    sweep = {key: value for key, value in receipt.items() if key not in ("method", "seed")}
+    sweep = {key: value for key, value in receipt.items() if key not in ("method", "method_sha256", "seed")}
     path = out / "sweep.json"
     if path.exists():
         there = _read(path)

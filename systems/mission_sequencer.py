@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
@@ -13,10 +13,11 @@ from tfg_drake.messages import (
     FollowerStatus,
     GoalChoice,
     Hazards,
+    MapEstimate,
     MissionStatus,
     Path,
     PathStatus,
-    Staged,
+    TfgMap,
 )
 from tfg_drake.mission import MissionInputs, initial_status, step
 from tfg_drake.systems.ports import (
@@ -28,6 +29,8 @@ from tfg_drake.systems.ports import (
 )
 
 PERIOD = 1 / 16
+# What maps in the TFG explorer.
+MAPS: Mapping[str, type] = {"map": MapEstimate, "tfg": TfgMap}
 
 
 class MissionSequencer(LeafSystem):
@@ -54,11 +57,11 @@ class MissionSequencer(LeafSystem):
     and stop are vectors of size 1, true above 0.5; unconnected they read 0, 1 and 0.
     """
 
-    def __init__(self, robot: RobotConfig, maps: Sequence[str] = ("map", "tfg")):
-        """maps: names of the inputs that are maps: messages with a stage."""
+    def __init__(self, robot: RobotConfig, maps: Mapping[str, type] = MAPS):
+        """maps: the inputs that are maps and the kinds of their messages, which have a stage."""
         super().__init__()
         self._max_speed = robot.max_speed
-        self._maps = [declare_message_input(self, name) for name in maps]
+        self._maps = {declare_message_input(self, name): kind for name, kind in maps.items()}
         self._goal = declare_message_input(self, "goal")
         self._path = declare_message_input(self, "path")
         self._path_status = declare_message_input(self, "path_status")
@@ -94,7 +97,7 @@ class MissionSequencer(LeafSystem):
             goal=eval_message(self._goal, context, GoalChoice),
             path=eval_message(self._path, context, Path),
             path_status=eval_message(self._path_status, context, PathStatus),
-            mapped_stage=min(eval_message(port, context, Staged).stage for port in self._maps),
+            mapped_stage=min(eval_message(port, context, kind).stage for port, kind in self._maps.items()),
             max_speed=self._max_speed,
             bumper=eval_message(self._hazards, context, Hazards).bumper != 0,
             pause=_flag(self._pause, context, False),

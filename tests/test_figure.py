@@ -17,7 +17,7 @@ WORLD = World(
 
 def test_draws_a_run_that_has_not_begun(tmp_path):
     nothing = np.zeros((0, 3))
-    draw_run(tmp_path / "f.png", "nothing yet", WORLD, None, None, nothing, nothing, np.ones(2, dtype=bool))
+    draw_run(tmp_path / "f.png", "nothing yet", WORLD, None, None, None, nothing, nothing, np.ones(2, dtype=bool))
     image = Image.open(io.BytesIO((tmp_path / "f.png").read_bytes()))
     assert image.width == 1760
     # The missed tags are red.
@@ -28,7 +28,7 @@ def test_draws_a_run_that_has_not_begun(tmp_path):
 def test_the_same_run_gives_the_same_file(tmp_path):
     poses = np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [2.0, 2.0, 1.0]])
     for name in ("a.png", "b.png"):
-        draw_run(tmp_path / name, "twice", WORLD, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
+        draw_run(tmp_path / name, "twice", WORLD, None, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

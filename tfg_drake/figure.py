@@ -10,12 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
 
 from tfg_drake.drawing import ellipses
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose, rotation, transform
 from tfg_drake.mapfile.saved_map import SavedMap
-from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
 from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
@@ -31,6 +32,7 @@ def draw_run(
     world: World,
     estimate: MapEstimate | None,
     tfg: TfgMap | None,
+    grid: GridMap | None,
     X_WB_estimated: FloatArray,
     X_WB_true: FloatArray,
     reachable: BoolArray,
@@ -41,7 +43,7 @@ def draw_run(
         path: the file.
         title: stands above the figure; one or two lines.
         world: walls, tags and start, in W.
-        estimate, tfg: the map in M, whose pose X_WM is the start; None where there is none yet.
+        estimate, tfg, grid: the map in M, whose pose X_WM is the start; None where there is none (yet).
         X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
         reachable: (t,) of the world's tags: only these count as missed when they are not in the map.
 
@@ -54,6 +56,8 @@ def draw_run(
 
     lines = LineCollection(list(world.walls.reshape(-1, 2, 2)), colors=_WALL, linewidths=3.0, label="true wall")
     axes.add_collection(lines)
+    if grid is not None:
+        draw_grid(axes, world.start, grid)
     mapped = np.zeros(0, dtype=np.int64)
     if tfg is not None:
         draw_surfaces(axes, world.start, tfg)
@@ -66,7 +70,7 @@ def draw_run(
         draw_landmarks(axes, world.start, estimate.p_ML, estimate.landmark_covariance, symbol)
         _draw_goals(axes, world.start, estimate.X_MA)
     missed = reachable & ~np.isin(world.tag_ids, mapped)
-    if missed.any():
+    if grid is None and missed.any():
         label = "landmark missed"
         axes.plot(*world.p_WT[missed].T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
     axes.plot(*world.start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
@@ -148,6 +152,21 @@ def draw_landmarks(axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: Float
     axes.plot(*p_WL.T, "o", color=_MAPPED, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
     rings = PolyCollection(list(outlines), facecolors="none", edgecolors=_MAPPED, linewidths=0.5, zorder=4)
     axes.add_collection(rings)
+
+
+def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
+    """A grid's probabilities as an image from white (free) to black (occupied), turned from M into W."""
+    rows, columns = grid.probability.shape
+    (x, y), cell = grid.origin, grid.resolution
+    extent = (x, x + cell * columns, y, y + cell * rows)
+    limits = axes.axis()
+    # Black, as dense as the probability, over the true walls.
+    ink = np.zeros((rows, columns, 4))
+    ink[..., 3] = grid.probability
+    image = axes.imshow(ink, extent=extent, origin="lower", interpolation="nearest", zorder=0.7)
+    (a, c), (b, d) = rotation(float(X_WM[2]))
+    image.set_transform(Affine2D.from_values(a, b, c, d, X_WM[0], X_WM[1]) + axes.transData)
+    axes.axis(limits)
 
 
 def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]

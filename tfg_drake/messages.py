@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, dataclass_transform, runtime_checkable
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,15 +65,6 @@ def message(cls: type[T]) -> type[T]:
     cls.__deepcopy__ = frozen_self  # type: ignore[attr-defined]
     cls.__copy__ = lambda self: self  # type: ignore[attr-defined]
     return dataclasses.dataclass(frozen=True, eq=False, slots=False)(cls)
-
-
-@runtime_checkable
-class Staged(Protocol):
-    """A message of one stage: `stage` goals are in it."""
-
-    @property
-    def stage(self) -> int:
-        """Number of goals."""
 
 
 @message

@@ -127,7 +127,9 @@ def test_an_interrupt_ends_all_at_once(tmp_path):
 
 
 def test_methods_are_named():
-    assert parse_methods("tfg, tfg-nearest") == ["tfg", "tfg-nearest"]
+    assert parse_methods("tfg, grid-nearest") == {"tfg": "", "grid-nearest": ""}
+    example = Path(__file__).parents[2] / "docs" / "example_method.py"
+    assert parse_methods(f"{example}") == {"example_method": str(example)}
     with pytest.raises(SweepError, match="--methods tfg,tfg: names tfg twice; name each once"):
         parse_methods("tfg,tfg")
 

@@ -11,12 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.transforms import Affine2D
 
 from tfg_drake.comparison.curves import Band
 from tfg_drake.comparison.statistics import Spread
-from tfg_drake.figure import draw_landmarks, draw_surfaces
-from tfg_drake.geometry.se2 import rotation
+from tfg_drake.figure import draw_grid, draw_landmarks, draw_surfaces
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GridMap
 from tfg_drake.world.world import World
@@ -135,7 +133,7 @@ def draw_costs(costs: Mapping[str, Mapping[str, Spread]]) -> Figure:
 def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
     walls = list(one.world.walls.reshape(-1, 2, 2))
     if one.grid is not None:
-        _draw_grid(axes, one.world.start, one.grid)
+        draw_grid(axes, one.world.start, one.grid)
         # Coloured: the grid's own walls are to be seen on top of them.
         under = LineCollection(walls, colors=_WALL_ON_GRID, linewidths=1.6, label="true wall, under a grid", zorder=0.5)
         axes.add_collection(under)
@@ -146,21 +144,6 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
     if one.saved is not None:
         draw_surfaces(axes, one.saved.X_WM, one.saved.tfg)
         draw_landmarks(axes, one.saved.X_WM, one.saved.p_ML, one.saved.landmark_covariance, symbol)
-
-
-def _draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
-    """The probabilities as an image from white (free) to black (occupied), turned from M into W."""
-    rows, columns = grid.probability.shape
-    (x, y), cell = grid.origin, grid.resolution
-    extent = (x, x + cell * columns, y, y + cell * rows)
-    limits = axes.axis()
-    # Black, as dense as the probability, over the true walls.
-    ink = np.zeros((rows, columns, 4))
-    ink[..., 3] = grid.probability
-    image = axes.imshow(ink, extent=extent, origin="lower", interpolation="nearest", zorder=0.7)
-    (a, c), (b, d) = rotation(float(X_WM[2]))
-    image.set_transform(Affine2D.from_values(a, b, c, d, X_WM[0], X_WM[1]) + axes.transData)
-    axes.axis(limits)
 
 
 def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = True) -> None:

@@ -1,0 +1,37 @@
+"""A grid in a file: an npz archive of resolution, origin and probability, as GridMap names them."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.files import write_atomic
+from tfg_drake.messages import GridMap
+
+
+def save_grid(path: Path, grid: GridMap) -> None:
+    """Write a grid, atomically; raises OSError where it cannot be written."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        stage=grid.stage,
+        stamp=grid.stamp,
+        resolution=grid.resolution,
+        origin=grid.origin,
+        probability=grid.probability,
+    )
+    write_atomic(path, buffer.getvalue())
+
+
+def load_grid(path: Path) -> GridMap:
+    """The grid of a file that `save_grid` wrote. Raises OSError where it cannot be read."""
+    with np.load(path, allow_pickle=False) as file:
+        return GridMap(
+            stage=int(file["stage"]),
+            stamp=float(file["stamp"]),
+            resolution=float(file["resolution"]),
+            origin=file["origin"],
+            probability=file["probability"],
+        )
