@@ -26,7 +26,7 @@ from tfg_drake.config import (
     TagSensorConfig,
 )
 from tfg_drake.geometry.distance import clearance, nearest_on_segment
-from tfg_drake.geometry.segment_grid import cell_range, segment_grid
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
@@ -141,17 +141,11 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
     """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long."""
     found = np.empty((64, 4))
     count = 0
-    frame, columns, rows, offsets, index = segment_grid(segments)
-    near = np.empty(len(index), dtype=np.int64)
+    grid = segment_grid(segments)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     for i in range(len(ends)):
         x, y = ends[i, 0], ends[i, 1]
-        a0, a1 = cell_range(x - widest, x + widest, frame[0], frame[2], columns)
-        b0, b1 = cell_range(y - widest, y + widest, frame[1], frame[2], rows)
-        stop = 0
-        for a in range(a0, a1):
-            for k in range(offsets[a * rows + b0], offsets[a * rows + b1]):
-                near[stop] = index[k]
-                stop += 1
+        stop = rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, near)
         near[:stop].sort()
         for k in range(stop):
             j = near[k]
@@ -273,19 +267,22 @@ def _travelled_nodes(
         chain = np.vstack([driven, goal])
         chain = chain[_chords(chain)]
     room = clearance(np.hstack([chain, chain]), segments, 1.0)
-    added: list[FloatArray] = []
+    everything = np.vstack([nodes, np.empty_like(chain)])
+    count = len(nodes)
     index: list[int] = []
-    for point, gap in zip(chain, room, strict=True):
-        everything = np.vstack([nodes, *added])
-        distance = np.hypot(*(everything - point).T)
+    near_enough = np.clip(room - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE)
+    near_old = cKDTree(nodes).query_ball_point(chain, SAME_NODE) if count else [[]] * len(chain)
+    for point, enough, old in zip(chain, near_enough, near_old, strict=True):
+        asked = np.array([*sorted(old), *range(len(nodes), count)], dtype=np.int64)
+        distance = np.hypot(*(everything[asked] - point).T)
         nearest = int(np.argmin(distance)) if len(distance) else -1
-        if nearest >= 0 and distance[nearest] < np.clip(gap - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE):
-            index.append(nearest)
+        if nearest >= 0 and distance[nearest] < enough:
+            index.append(int(asked[nearest]))
         else:
-            index.append(len(everything))
-            added.append(np.asarray(point)[None])
-    new = np.vstack([np.zeros((0, 2)), *added])
-    return new, [(a, b) for a, b in itertools.pairwise(index) if a != b]
+            everything[count] = point
+            index.append(count)
+            count += 1
+    return everything[len(nodes) : count], [(a, b) for a, b in itertools.pairwise(index) if a != b]
 
 
 def _nearest_edges(points: FloatArray, first_new: int) -> IntArray:
