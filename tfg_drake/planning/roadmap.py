@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import (
@@ -333,17 +333,16 @@ def extend(
     was_free = np.zeros(len(edges), dtype=np.bool_)
     was_free[: len(state.edges)] = state.free
     # One row for each pair of nodes; a travelled one stands for its twin.
-    order = np.lexsort((~was_travelled, edges[:, 1], edges[:, 0]))
+    pair = edges @ np.array([len(points), 1])
+    order = np.argsort(2 * pair + ~was_travelled, kind="stable")
+    order = order[np.diff(pair[order], prepend=-1) > 0]
     edges, was_travelled, was_free = edges[order], was_travelled[order], was_free[order]
-    first = np.ones(len(edges), dtype=np.bool_)
-    first[1:] = (edges[1:] != edges[:-1]).any(axis=1)
-    edges, was_travelled, was_free = edges[first], was_travelled[first], was_free[first]
 
     sigma = predicted_deviation(
         points, estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
     )
     probability = max(parameters.planner.collision_probability, accepted)
-    need = required_clearance(parameters.robot.radius, sigma[edges].max(axis=1), probability)
+    need = required_clearance(parameters.robot.radius, np.maximum(*sigma[edges.T]), probability)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
     least = parameters.robot.radius + TRAVELLED_MARGIN
@@ -377,6 +376,9 @@ def _needed(
     others. Of the widest that join what falls apart else, these are the ones with room for at least `least`, m, and
     those that lead from here home, whatever their room.
     """
+    needed = np.zeros(len(edges), dtype=np.bool_)
+    if not (np.isfinite(room) & ~keeps).any():
+        return needed
     asked = np.flatnonzero(keeps | np.isfinite(room))
     narrowness = np.where(keeps[asked], 1.0, 2.0 + room.max(initial=0.0) - room[asked])
     graph = csr_matrix((narrowness, edges[asked].T), shape=(count, count))
@@ -387,15 +389,26 @@ def _needed(
     way = [here]
     while before[way[-1]] >= 0:
         way.append(int(before[way[-1]]))
-    needed = np.zeros(len(edges), dtype=np.bool_)
     needed[of_tree] = (room[of_tree] >= least) | np.isin(edges[of_tree], way).all(axis=1)
     return needed & ~keeps
 
 
+@njit(cache=True)
 def components(edges: IntArray, count: int) -> IntArray:
-    """The connected component (count,) of each node under edges (e, 2)."""
-    graph = csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1])
+    """The connected component (count,) of each node under edges (e, 2), by the number of its first node."""
+    first = np.arange(count)
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        while first[a] != a:
+            first[a] = first[first[a]]
+            a = first[a]
+        while first[b] != b:
+            first[b] = first[first[b]]
+            b = first[b]
+        first[max(a, b)] = min(a, b)
+    for i in range(count):
+        first[i] = first[first[i]]
+    return first
 
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:

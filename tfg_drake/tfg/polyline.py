@@ -38,12 +38,20 @@ def arc_length(polyline: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros(1), np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
 
 
+@njit(cache=True)
 def cut(polyline: FloatArray, start: float, stop: float) -> FloatArray:
     """The part of a polyline (v, 2) between two arc lengths start < stop, m."""
-    s = arc_length(polyline)
-    inner = polyline[(s > start + 1e-9) & (s < stop - 1e-9)]
-    ends = np.stack([np.interp([start, stop], s, polyline[:, 0]), np.interp([start, stop], s, polyline[:, 1])], axis=1)
-    return np.concatenate([ends[:1], inner, ends[1:]])
+    s = np.zeros(len(polyline))
+    for i in range(1, len(polyline)):
+        s[i] = s[i - 1] + np.hypot(polyline[i, 0] - polyline[i - 1, 0], polyline[i, 1] - polyline[i - 1, 1])
+    first = np.searchsorted(s, start + 1e-9, side="right")
+    last = max(first, np.searchsorted(s, stop - 1e-9))
+    part = np.empty((last - first + 2, 2))
+    part[1:-1] = polyline[first:last]
+    ends = np.array([start, stop])
+    for axis in range(2):
+        part[0, axis], part[-1, axis] = np.interp(ends, s, polyline[:, axis].copy())
+    return part
 
 
 @njit(cache=True)
