@@ -2,8 +2,8 @@
 
     python benchmarks/kernels.py
 
-On the walls and tags of `paper`, walls cut to pieces of a metre as a map has them: the clearance of roadmap edges up to a
-metre, one robot's lines of sight, what many places see of all tags, which places lie in free space, and the
+On the walls and tags of `paper`, walls cut to pieces of a metre as a map has them: the clearance of roadmap edges up
+to a metre, one robot's lines of sight, what many places see of all tags, which places lie in free space, and the
 information gain of candidates. A row a kernel: CPU milliseconds of one call of the kernel, of numpy and of shapely, the
 least of --repeat, and by what factor the kernel is quicker. numpy and shapely are used as one would: whole arrays at a
 time, prepared geometries, an STRtree. Stops with an AssertionError where a result differs.

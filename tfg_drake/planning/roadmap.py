@@ -119,19 +119,24 @@ def empty_roadmap() -> RoadmapState:
 def thin(proposals: FloatArray, spacing: FloatArray, nodes: FloatArray) -> BoolArray:
     """Which proposals (p, 2) to keep, in order, each at least its own spacing (p,) from nodes (n, 2) and those kept."""
     keep = np.zeros(len(proposals), dtype=np.bool_)
+    grid = segment_grid(np.hstack((nodes, nodes)))
+    near = np.empty(len(nodes), dtype=np.int64)
+    kept = np.empty((len(proposals), 2))
+    count = 0
     for i in range(len(proposals)):
-        x, y = proposals[i, 0], proposals[i, 1]
-        near = spacing[i] * spacing[i]
+        x, y, d = proposals[i, 0], proposals[i, 1], spacing[i]
         ok = True
-        for j in range(len(nodes)):
-            if (nodes[j, 0] - x) ** 2 + (nodes[j, 1] - y) ** 2 < near:
+        for k in range(rows_in_box(grid, x - d, x + d, y - d, y + d, near)):
+            if (nodes[near[k], 0] - x) ** 2 + (nodes[near[k], 1] - y) ** 2 < d * d:
+                ok = False
+                break
+        for j in range(count if ok else 0):
+            if (kept[j, 0] - x) ** 2 + (kept[j, 1] - y) ** 2 < d * d:
                 ok = False
                 break
         if ok:
-            for j in range(i):
-                if keep[j] and (proposals[j, 0] - x) ** 2 + (proposals[j, 1] - y) ** 2 < near:
-                    ok = False
-                    break
+            kept[count] = proposals[i]
+            count += 1
         keep[i] = ok
     return keep
 

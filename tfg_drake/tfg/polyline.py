@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry.distance import point_segment_distance
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # How far a segment covers what lies beyond its ends, m: enough for no gap at a polyline's corners.
@@ -131,11 +132,14 @@ def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, dista
     degrees of the point's.
     """
     result = np.zeros(points.shape[0], dtype=np.bool_)
+    grid = segment_grid(segments)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        for j in range(segments.shape[0]):
+        reach = distance[i] + END_REACH
+        for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
+            j = near[k]
             x0, y0, x1, y1 = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
-            reach = distance[i] + END_REACH
             if min(x0, x1) > x + reach or max(x0, x1) < x - reach:
                 continue
             if min(y0, y1) > y + reach or max(y0, y1) < y - reach:
@@ -157,12 +161,16 @@ def joined(
 ) -> BoolArray:
     """Which points (n, 2) of polylines (n,) lie within distance (m) of a segment (m, 4) of another polyline (m,)."""
     result = np.zeros(points.shape[0], dtype=np.bool_)
+    grid = segment_grid(segments)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     for i in range(points.shape[0]):
-        for j in range(segments.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        for k in range(rows_in_box(grid, x - distance, x + distance, y - distance, y + distance, near)):
+            j = near[k]
             if segment_owner[j] == owner[i]:
                 continue
             s = segments[j]
-            if point_segment_distance(points[i, 0], points[i, 1], s[0], s[1], s[2], s[3]) <= distance:
+            if point_segment_distance(x, y, s[0], s[1], s[2], s[3]) <= distance:
                 result[i] = True
                 break
     return result
