@@ -85,7 +85,7 @@ def choose(
     live frontier, whatever its gain, and what promises more than explorer.stop_gain. On a large map, a place where the
     landmarks are not known jointly with the robot's pose promises what it did when they last were: nothing has changed
     there since. Candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a little less
-    than they would.
+    than they would, as long as any sees frontier: before the mission ends all are judged in full.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -110,11 +110,9 @@ def choose(
     open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
     enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
     tags = expected_tags(points[ask], estimate, tfg, sensor)
-    if explorer.gain == "exact" and len(asked) > 2 * EXACT:
+    if explorer.gain == "exact" and len(asked) > 2 * EXACT and enough[ask].any():
         now = expected(asked, tags.thinned(SCREENING_TAGS))
         close = _best(now, roadmap.travel_time[asked] + stay)
-        if not (enough[ask] | (now.gain > explorer.stop_gain)).any():
-            close = np.arange(len(asked))
         now = _replaced(now, close, expected(asked[close], tags.of(close)))
     else:
         now = expected(asked, tags)

@@ -129,7 +129,8 @@ def grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: Ro
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
         roadmap = _roadmap(nodes, tfg, estimate, parameters, _obstacles(state, estimate), driven_before)
         within, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
-        if within or len(tfg.frontiers) == 0 or (effort > 0 and not beyond):
+        # Where less is left than is worth a visit, no sample could see enough.
+        if within or tfg.frontier_length.sum() < ENOUGH_FRONTIER or (effort > 0 and not beyond):
             break
     shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, estimate)).any()
     if len(state.obstacles) and (shut_in or (beyond and not within)):
