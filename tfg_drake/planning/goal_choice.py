@@ -65,7 +65,7 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
 def apart_from_goals(points: FloatArray, estimate: MapEstimate) -> BoolArray:
     """Which of the points (n, 2), m in M, are no past goal's place, (n,)."""
     distance, _ = cKDTree(estimate.X_MA[:, :2]).query(points, distance_upper_bound=APART)
-    return np.isinf(distance)
+    return np.asarray(np.isinf(distance))
 
 
 @metered("goal")
