@@ -42,14 +42,14 @@ Stage = tuple[MapEstimate, TfgMap, RoadmapState]
 def stages_of(scenario: Scenario) -> list[Stage]:
     """Map, TFG and roadmap of every stage of a mission."""
     stages: list[Stage] = []
-    grow = planner._grow
+    grow = planner.grow
 
     def noted(state, estimate, tfg, parameters):  # type: ignore[no-untyped-def]
         state = grow(state, estimate, tfg, parameters)
         stages.append((estimate, tfg, state.nodes))
         return state
 
-    with mock.patch.object(planner, "_grow", noted):
+    with mock.patch.object(planner, "grow", noted):
         explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="chance-")))
     return stages
 

@@ -57,7 +57,7 @@ def main() -> None:
 
     with (
         mock.patch.object(tfg_builder, "update", timed(tfg_builder.update, parts["tfg"])),
-        mock.patch.object(planner, "_grow", timed(planner._grow, parts["roadmap"])),
+        mock.patch.object(planner, "grow", timed(planner.grow, parts["roadmap"])),
         mock.patch.object(info_gain_goal_selector, "choose", compared),
     ):
         for seed in range(-1, options.seeds):

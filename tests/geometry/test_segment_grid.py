@@ -2,17 +2,15 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tfg_drake.geometry.segment_grid import CELL, MOST_CELLS, cell_range, segment_grid
+from tfg_drake.geometry.segment_grid import CELL, MOST_CELLS, rows_in_box, segment_grid
 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
 def found(grid, left, low, right, high):
     """The segments in the cells that meet a box."""
-    frame, columns, rows, offsets, index = grid
-    a0, a1 = cell_range(left, right, frame[0], frame[2], columns)
-    b0, b1 = cell_range(low, high, frame[1], frame[2], rows)
-    return {int(j) for a in range(a0, a1) for j in index[offsets[a * rows + b0] : offsets[a * rows + b1]]}
+    rows = np.empty(len(grid[-1]), dtype=np.int64)
+    return set(rows[: rows_in_box(grid, left, right, low, high, rows)].tolist())
 
 
 @given(seed=SEEDS)

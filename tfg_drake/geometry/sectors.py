@@ -11,7 +11,7 @@ from numba import njit
 from tfg_drake.messages import FloatArray, IntArray
 
 # Equal parts of the full turn, in diamond angle.
-SECTORS = 64
+SECTORS = 32
 # Rounding of a diamond angle, generously.
 _ROUNDING = 1e-9
 
@@ -21,7 +21,9 @@ def diamond_angle(dx: float, dy: float) -> float:
     """A number in [0, 4) that grows with the direction of (dx, dy) and by 2 with half a turn; 1 for (0, 0)."""
     length = abs(dx) + abs(dy)
     sine = dy / length if length > 0.0 else 0.0
-    return 1.0 + sine if dx >= 0.0 else (3.0 - sine) % 4.0
+    if dx >= 0.0:
+        return 1.0 + sine
+    return 3.0 - sine if sine > -1.0 else 0.0
 
 
 @njit(cache=True)
@@ -42,7 +44,7 @@ def segments_by_sector(segments: FloatArray, x: float, y: float) -> tuple[IntArr
     for j in range(m):
         ax, ay, bx, by = segments[j, 0] - x, segments[j, 1] - y, segments[j, 2] - x, segments[j, 3] - y
         a, b = diamond_angle(ax, ay), diamond_angle(bx, by)
-        turn = (b - a) % 4.0
+        turn = b - a if b >= a else b - a + 4.0
         if abs(turn - 2.0) < 1e-6 or (ax == 0.0 and ay == 0.0) or (bx == 0.0 and by == 0.0):
             first[j], span[j] = 0, SECTORS
         else:

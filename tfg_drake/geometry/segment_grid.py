@@ -57,3 +57,28 @@ def segment_grid(segments: FloatArray) -> tuple[FloatArray, int, int, IntArray, 
             count = offsets.copy()
             index = np.empty(offsets[-1], dtype=np.int64)
     return frame, columns, rows, offsets, index
+
+
+@njit(cache=True)
+def rows_in_box(
+    grid: tuple[FloatArray, int, int, IntArray, IntArray],
+    left: float,
+    right: float,
+    low: float,
+    high: float,
+    rows: IntArray,
+) -> int:
+    """How many rows of segments it has put into rows: of those in the cells of a segment_grid that meet a box, m.
+
+    One that lies in several cells comes several times; there are at most as many as the grid's index has.
+    """
+    frame, columns, lines, offsets, index = grid
+    a0, a1 = cell_range(left, right, frame[0], frame[2], columns)
+    b0, b1 = cell_range(low, high, frame[1], frame[2], lines)
+    count = 0
+    for a in range(a0, a1):
+        # Cells of a column lie one after the other.
+        for k in range(offsets[a * lines + b0], offsets[a * lines + b1]):
+            rows[count] = index[k]
+            count += 1
+    return count

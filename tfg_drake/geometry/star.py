@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 
@@ -44,10 +45,14 @@ def inside_any(
     may fall on either side.
     """
     radii = _square_radii(star_offsets, star_vertices, star_centers)
+    reach = np.sqrt(radii.max()) if len(radii) > 0 else 0.0
+    grid = segment_grid(np.hstack((star_centers, star_centers)))
+    near = np.empty(len(star_centers), dtype=np.int64)
     result = np.zeros(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        for j in range(star_centers.shape[0]):
+        for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
+            j = near[k]
             dx, dy = x - star_centers[j, 0], y - star_centers[j, 1]
             if dx * dx + dy * dy <= radii[j] and _inside(x, y, star_vertices, star_offsets[j], star_offsets[j + 1]):
                 result[i] = True
@@ -71,11 +76,15 @@ def inspected(
     the normal and the line of sight. Star polygons as in `inside_any`.
     """
     radii = _square_radii(star_offsets, star_vertices, star_centers)
+    reach = min(max_range, np.sqrt(radii.max())) if len(radii) > 0 else 0.0
+    grid = segment_grid(np.hstack((star_centers, star_centers)))
+    near = np.empty(len(star_centers), dtype=np.int64)
     least_cosine = np.cos(max_incidence)
     result = np.zeros(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        for j in range(star_centers.shape[0]):
+        for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
+            j = near[k]
             dx, dy = star_centers[j, 0] - x, star_centers[j, 1] - y
             square = dx * dx + dy * dy
             if square > radii[j] or square > max_range * max_range:

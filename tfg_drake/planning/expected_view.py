@@ -11,7 +11,7 @@ from numba import njit
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import segments_cross
 from tfg_drake.geometry.sectors import sector_of, segments_by_sector
-from tfg_drake.geometry.visibility import segments_within
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 
 # A landmark lies on a surface piece that passes within the map's own error of it, m.
@@ -78,34 +78,60 @@ def visible_targets(
     offsets = np.zeros(len(points) + 1, dtype=np.int64)
     index = np.empty(256, dtype=np.int64)
     count = 0
+    target_grid, grid = segment_grid(np.hstack((targets, targets))), segment_grid(segments)
+    asked, ends = np.empty(len(targets), dtype=np.int64), np.empty((len(targets), 2))
+    rows, noted = np.empty(len(grid[4]), dtype=np.int64), np.full(len(segments), -1)
+    near = np.empty_like(segments)
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        near = segments_within(segments, points[i], range_max)
-        sector, rows = segments_by_sector(near, x, y)
-        for t in range(len(targets)):
+        left, right, low, high = x, x, y, y
+        lines = 0
+        for k in range(rows_in_box(target_grid, x - range_max, x + range_max, y - range_max, y + range_max, asked)):
+            t = asked[k]
             dx, dy = targets[t, 0] - x, targets[t, 1] - y
-            if abs(dx) > range_max or abs(dy) > range_max:
-                continue
             r = math.sqrt(dx * dx + dy * dy)
             if r > range_max or r == 0.0 or -(dx * normals[t, 0] + dy * normals[t, 1]) < cos_max * r:
                 continue
             share = max(0.0, 1.0 - tolerance / r)
             ex, ey = x + share * dx, y + share * dy
+            asked[lines], ends[lines, 0], ends[lines, 1] = t, ex, ey
+            left, right, low, high = min(left, ex), max(right, ex), min(low, ey), max(high, ey)
+            lines += 1
+
+        found = 0
+        # Most places see nothing of the few frontiers that are left; sorting what might hide it takes longest.
+        for k in range(rows_in_box(grid, left, right, low, high, rows) if lines > 0 else 0):
+            j = rows[k]
+            if noted[j] == i:
+                continue
+            noted[j] = i
+            x0, y0, x1, y1 = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
+            if min(x0, x1) <= right and max(x0, x1) >= left and min(y0, y1) <= high and max(y0, y1) >= low:
+                near[found] = segments[j]
+                found += 1
+        sector, hiding = segments_by_sector(near[:found], x, y)
+        first = count
+        for k in range(lines):
+            ex, ey = ends[k, 0], ends[k, 1]
             clear = True
-            k = sector_of(dx, dy)
-            for j in range(sector[k], sector[k + 1]):
-                x0, y0, x1, y1 = near[rows[j], 0], near[rows[j], 1], near[rows[j], 2], near[rows[j], 3]
+            s = sector_of(targets[asked[k], 0] - x, targets[asked[k], 1] - y)
+            for h in range(sector[s], sector[s + 1]):
+                x0, y0, x1, y1 = near[hiding[h], 0], near[hiding[h], 1], near[hiding[h], 2], near[hiding[h], 3]
                 if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
                     clear = False
                     # What hid one target often hides the next: look there first.
-                    rows[sector[k]], rows[j] = rows[j], rows[sector[k]]
+                    hiding[sector[s]], hiding[h] = hiding[h], hiding[sector[s]]
                     break
             if clear:
                 if count == len(index):
                     grown = np.empty(2 * count, dtype=np.int64)
                     grown[:count] = index
                     index = grown
-                index[count] = t
+                place = count
+                while place > first and index[place - 1] > asked[k]:
+                    index[place] = index[place - 1]
+                    place -= 1
+                index[place] = asked[k]
                 count += 1
         offsets[i + 1] = count
     return offsets, index[:count].copy()

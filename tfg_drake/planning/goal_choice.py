@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -64,8 +65,8 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
 
 def apart_from_goals(points: FloatArray, estimate: MapEstimate) -> BoolArray:
     """Which of the points (n, 2), m in M, are no past goal's place, (n,)."""
-    distance, _ = cKDTree(estimate.X_MA[:, :2]).query(points)
-    return np.asarray(distance >= APART)
+    distance, _ = cKDTree(estimate.X_MA[:, :2]).query(points, distance_upper_bound=APART)
+    return np.asarray(np.isinf(distance))
 
 
 @metered("goal")
@@ -87,7 +88,7 @@ def choose(
     live frontier, whatever its gain, and what promises more than explorer.stop_gain. On a large map, a place where the
     landmarks are not known jointly with the robot's pose promises what it did when they last were: nothing has changed
     there since. Candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a little less
-    than they would.
+    than they would, as long as any sees frontier: before the mission ends all are judged in full.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -100,26 +101,23 @@ def choose(
     candidates = np.union1d(asked, nodes[kept])
     ask = np.isin(candidates, asked)
 
-    def expected_at(points: FloatArray, time: FloatArray, tags: View, frontiers: View) -> Gains:
+    def expected(points: FloatArray, time: FloatArray, tags: View, frontiers: View) -> Gains:
         distance = robot.max_speed * time
         return information_gain(points, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
-    def expected(nodes: IntArray, tags: View) -> Gains:
-        return expected_at(roadmap.points[nodes], roadmap.travel_time[nodes], tags, sees.of(nodes))
+    def expected_of(rows: IntArray, tags: View) -> Gains:
+        nodes = asked[rows]
+        return expected(roadmap.points[nodes], roadmap.travel_time[nodes], tags, sees.of(nodes))
 
     points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
     stay = 2.0 * math.pi / explorer.turn_rate + OVERHEAD
     open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
     enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
     tags = expected_tags(points[ask], estimate, tfg, sensor)
-    if explorer.gain == "exact" and len(asked) > 2 * EXACT:
-        now = expected(asked, tags.thinned(SCREENING_TAGS))
-        close = _best(now, roadmap.travel_time[asked] + stay)
-        if not (enough[ask] | (now.gain > explorer.stop_gain)).any():
-            close = np.arange(len(asked))
-        now = _replaced(now, close, expected(asked[close], tags.of(close)))
+    if explorer.gain == "exact" and len(asked) > 2 * EXACT and enough[ask].any():
+        now = _screened(expected_of, tags, time[ask] + stay)
     else:
-        now = expected(asked, tags)
+        now = expected_of(np.arange(len(asked)), tags)
     gains = _filled(previous, candidates, ask, now, enough)
     known = np.full(len(candidates), explorer.least_tags)
     known[ask] = tags.count
@@ -127,21 +125,12 @@ def choose(
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
     worth = enough | (gains.gain > explorer.stop_gain)
     affordable = budget.affords(roadmap, candidates)
-    paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
-    if explorer.goal == "argmax":
-        value = paid
-    elif explorer.goal == "nearest_frontier":
-        apart = np.hypot(*(points[:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
-        value = nearest_frontier(time, np.where((open_ahead > 0.0) & (enough & affordable)[:, None], apart, np.inf))
-    elif explorer.goal == "tour":
-        open_ahead[~(worth & affordable)] = 0.0
-        value = tour(paid, time, stay, open_ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
-    elif explorer.goal == "random":
-        value = np.random.default_rng((seed, estimate.stage)).random(len(candidates))
-        worth[:] = worth.any()  # As long as anything is, anywhere will do.
-    else:
-        value = gain_per_time(paid, time + stay)
-    best = pick(value, worth & affordable, known >= explorer.least_tags)
+    open_to = worth & affordable
+    value = _values(gains, time, stay, open_ahead, open_to, candidates, tfg, roadmap, robot, explorer)
+    if explorer.goal == "random" and worth.any():
+        # As long as any place is worth going to, every place will do.
+        open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates))
+    best = pick(value, open_to, known >= explorer.least_tags)
     if best >= 0:
         node, p_MG, verdict = int(candidates[best]), points[best], "goal"
         rate = gains.gain[best] / (time[best] + stay)
@@ -152,11 +141,10 @@ def choose(
         else:
             barred, barred_time = barred_places(roadmap, robot.max_speed)
             views = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
-            barred_gains = expected_at(barred, barred_time, *views)
             _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
             verdict, reason = why_end(
                 bool(len(candidates)),
-                float(barred_gains.gain.max(initial=0.0)),
+                float(expected(barred, barred_time, *views).gain.max(initial=0.0)),
                 given_up_open(tfg, roadmap, robot.radius + NODE_MARGIN),
                 float(tfg.frontier_length.sum()),
                 not roadmap.reachable[home],
@@ -178,6 +166,46 @@ def choose(
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
     )
+
+
+def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: FloatArray) -> Gains:
+    """The gains of candidates by SCREENING_TAGS of the tags they see, those of the best by all.
+
+    expected: the gains of some rows of them that see these tags. time: (c,) s that each takes.
+    """
+    gains = expected(np.arange(len(time)), tags.thinned(SCREENING_TAGS))
+    best = _best(gains, time)
+    return _replaced(gains, best, expected(best, tags.of(best)))
+
+
+def _values(
+    gains: Gains,
+    time: FloatArray,
+    stay: float,
+    open_ahead: FloatArray,
+    open_to: BoolArray,
+    candidates: IntArray,
+    tfg: TfgMap,
+    roadmap: Roadmap,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+) -> FloatArray:
+    """What each of the candidates (c,) is worth by the rule explorer.goal.
+
+    time: (c,) s to get there, stay: s at each. open_ahead: (c, f) m that each sees of each live frontier point.
+    open_to: (c,) those that may be chosen.
+    """
+    paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
+    if explorer.goal == "argmax":
+        return paid
+    if explorer.goal == "nearest_frontier":
+        apart = np.hypot(*(roadmap.points[candidates][:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
+        enough = open_to & (open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
+        return nearest_frontier(time, np.where((open_ahead > 0.0) & enough[:, None], apart, np.inf))
+    if explorer.goal == "tour":
+        ahead = np.where(open_to[:, None], open_ahead, 0.0)
+        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
+    return gain_per_time(paid, time + stay)
 
 
 def _best(gains: Gains, time: FloatArray) -> IntArray:

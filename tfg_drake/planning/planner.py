@@ -101,7 +101,7 @@ def step(
     if tfg.stage == estimate.stage > state.nodes.stage:
         if mission.failures >= BOLD_AFTER:
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        return _grow(state, estimate, tfg, parameters)
+        return grow(state, estimate, tfg, parameters)
     chosen = goal.stage == mission.stage == state.nodes.stage == estimate.stage and goal.node >= 0
     if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
         return _plan(state, estimate, tfg, pose, goal, mission, parameters)
@@ -119,7 +119,8 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
 
 
 @metered("roadmap")
-def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
+def grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
+    """The state with the roadmap extended to the newest goal of the estimate; tfg is of the same stage."""
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + float(np.hypot(*np.diff(state.driven, axis=0).T).sum())
     state = replace(state, driven_before=driven_before)
@@ -128,7 +129,8 @@ def _grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: R
         nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
         roadmap = _roadmap(nodes, tfg, estimate, parameters, _obstacles(state, estimate), driven_before)
         within, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
-        if within or len(tfg.frontiers) == 0 or (effort > 0 and not beyond):
+        # Where less is left than is worth a visit, no sample could see enough.
+        if within or tfg.frontier_length.sum() < ENOUGH_FRONTIER or (effort > 0 and not beyond):
             break
     shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, estimate)).any()
     if len(state.obstacles) and (shut_in or (beyond and not within)):

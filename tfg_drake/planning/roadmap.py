@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import (
@@ -26,7 +26,7 @@ from tfg_drake.config import (
     TagSensorConfig,
 )
 from tfg_drake.geometry.distance import clearance, nearest_on_segment
-from tfg_drake.geometry.segment_grid import cell_range, segment_grid
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
@@ -119,19 +119,24 @@ def empty_roadmap() -> RoadmapState:
 def thin(proposals: FloatArray, spacing: FloatArray, nodes: FloatArray) -> BoolArray:
     """Which proposals (p, 2) to keep, in order, each at least its own spacing (p,) from nodes (n, 2) and those kept."""
     keep = np.zeros(len(proposals), dtype=np.bool_)
+    grid = segment_grid(np.hstack((nodes, nodes)))
+    near = np.empty(len(nodes), dtype=np.int64)
+    kept = np.empty((len(proposals), 2))
+    count = 0
     for i in range(len(proposals)):
-        x, y = proposals[i, 0], proposals[i, 1]
-        near = spacing[i] * spacing[i]
+        x, y, d = proposals[i, 0], proposals[i, 1], spacing[i]
         ok = True
-        for j in range(len(nodes)):
-            if (nodes[j, 0] - x) ** 2 + (nodes[j, 1] - y) ** 2 < near:
+        for k in range(rows_in_box(grid, x - d, x + d, y - d, y + d, near)):
+            if (nodes[near[k], 0] - x) ** 2 + (nodes[near[k], 1] - y) ** 2 < d * d:
+                ok = False
+                break
+        for j in range(count if ok else 0):
+            if (kept[j, 0] - x) ** 2 + (kept[j, 1] - y) ** 2 < d * d:
                 ok = False
                 break
         if ok:
-            for j in range(i):
-                if keep[j] and (proposals[j, 0] - x) ** 2 + (proposals[j, 1] - y) ** 2 < near:
-                    ok = False
-                    break
+            kept[count] = proposals[i]
+            count += 1
         keep[i] = ok
     return keep
 
@@ -141,17 +146,11 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
     """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long."""
     found = np.empty((64, 4))
     count = 0
-    frame, columns, rows, offsets, index = segment_grid(segments)
-    near = np.empty(len(index), dtype=np.int64)
+    grid = segment_grid(segments)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     for i in range(len(ends)):
         x, y = ends[i, 0], ends[i, 1]
-        a0, a1 = cell_range(x - widest, x + widest, frame[0], frame[2], columns)
-        b0, b1 = cell_range(y - widest, y + widest, frame[1], frame[2], rows)
-        stop = 0
-        for a in range(a0, a1):
-            for k in range(offsets[a * rows + b0], offsets[a * rows + b1]):
-                near[stop] = index[k]
-                stop += 1
+        stop = rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, near)
         near[:stop].sort()
         for k in range(stop):
             j = near[k]
@@ -273,19 +272,22 @@ def _travelled_nodes(
         chain = np.vstack([driven, goal])
         chain = chain[_chords(chain)]
     room = clearance(np.hstack([chain, chain]), segments, 1.0)
-    added: list[FloatArray] = []
+    everything = np.vstack([nodes, np.empty_like(chain)])
+    count = len(nodes)
     index: list[int] = []
-    for point, gap in zip(chain, room, strict=True):
-        everything = np.vstack([nodes, *added])
-        distance = np.hypot(*(everything - point).T)
+    near_enough = np.clip(room - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE)
+    near_old = cKDTree(nodes).query_ball_point(chain, SAME_NODE) if count else [[]] * len(chain)
+    for point, enough, old in zip(chain, near_enough, near_old, strict=True):
+        asked = np.array([*sorted(old), *range(len(nodes), count)], dtype=np.int64)
+        distance = np.hypot(*(everything[asked] - point).T)
         nearest = int(np.argmin(distance)) if len(distance) else -1
-        if nearest >= 0 and distance[nearest] < np.clip(gap - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE):
-            index.append(nearest)
+        if nearest >= 0 and distance[nearest] < enough:
+            index.append(int(asked[nearest]))
         else:
-            index.append(len(everything))
-            added.append(np.asarray(point)[None])
-    new = np.vstack([np.zeros((0, 2)), *added])
-    return new, [(a, b) for a, b in itertools.pairwise(index) if a != b]
+            everything[count] = point
+            index.append(count)
+            count += 1
+    return everything[len(nodes) : count], [(a, b) for a, b in itertools.pairwise(index) if a != b]
 
 
 def _nearest_edges(points: FloatArray, first_new: int) -> IntArray:
@@ -336,17 +338,16 @@ def extend(
     was_free = np.zeros(len(edges), dtype=np.bool_)
     was_free[: len(state.edges)] = state.free
     # One row for each pair of nodes; a travelled one stands for its twin.
-    order = np.lexsort((~was_travelled, edges[:, 1], edges[:, 0]))
+    pair = edges @ np.array([len(points), 1])
+    order = np.argsort(2 * pair + ~was_travelled, kind="stable")
+    order = order[np.diff(pair[order], prepend=-1) > 0]
     edges, was_travelled, was_free = edges[order], was_travelled[order], was_free[order]
-    first = np.ones(len(edges), dtype=np.bool_)
-    first[1:] = (edges[1:] != edges[:-1]).any(axis=1)
-    edges, was_travelled, was_free = edges[first], was_travelled[first], was_free[first]
 
     sigma = predicted_deviation(
         points, estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
     )
     probability = max(parameters.planner.collision_probability, accepted)
-    need = required_clearance(parameters.robot.radius, sigma[edges].max(axis=1), probability)
+    need = required_clearance(parameters.robot.radius, np.maximum(*sigma[edges.T]), probability)
     lines = points[edges].reshape(-1, 4)
     has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
     least = parameters.robot.radius + TRAVELLED_MARGIN
@@ -380,6 +381,9 @@ def _needed(
     others. Of the widest that join what falls apart else, these are the ones with room for at least `least`, m, and
     those that lead from here home, whatever their room.
     """
+    needed = np.zeros(len(edges), dtype=np.bool_)
+    if not (np.isfinite(room) & ~keeps).any():
+        return needed
     asked = np.flatnonzero(keeps | np.isfinite(room))
     narrowness = np.where(keeps[asked], 1.0, 2.0 + room.max(initial=0.0) - room[asked])
     graph = csr_matrix((narrowness, edges[asked].T), shape=(count, count))
@@ -390,15 +394,26 @@ def _needed(
     way = [here]
     while before[way[-1]] >= 0:
         way.append(int(before[way[-1]]))
-    needed = np.zeros(len(edges), dtype=np.bool_)
     needed[of_tree] = (room[of_tree] >= least) | np.isin(edges[of_tree], way).all(axis=1)
     return needed & ~keeps
 
 
+@njit(cache=True)
 def components(edges: IntArray, count: int) -> IntArray:
-    """The connected component (count,) of each node under edges (e, 2)."""
-    graph = csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1])
+    """The connected component (count,) of each node under edges (e, 2), by the number of its first node."""
+    first = np.arange(count)
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        while first[a] != a:
+            first[a] = first[first[a]]
+            a = first[a]
+        while first[b] != b:
+            first[b] = first[first[b]]
+            b = first[b]
+        first[max(a, b)] = min(a, b)
+    for i in range(count):
+        first[i] = first[first[i]]
+    return first
 
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:

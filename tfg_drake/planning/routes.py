@@ -181,7 +181,9 @@ def _with_room(
     need = required_clearance(robot.radius, np.array(deviation), planner.collision_probability)
     fits = state.usable | (state.free & (state.edge_clearance >= need))
     label = components(state.edges[fits], n)
-    return np.isin(label, label[np.isfinite(ways.cost)])
+    joined = np.zeros(n, dtype=np.bool_)
+    joined[label[np.isfinite(ways.cost)]] = True
+    return joined[label]
 
 
 def roadmap_message(

@@ -7,6 +7,7 @@ all anchored to landmarks or goals, so that they move with the map when a loop c
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -286,11 +287,16 @@ def live_frontiers(
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     shadows = _open_shadows(graph, estimate, segments)
-    poorly_seen = join(graph.uninspected, graph.unseen_backs)
-    points = join(shadows, uninspected_frontiers(place_points(poorly_seen, estimate.X_MA)))
+    points = join(shadows, _poorly_seen(graph.uninspected, graph.unseen_backs, estimate))
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
     return select(replace(points, length=points.length * left**2), left > 0.0)
+
+
+@functools.lru_cache(maxsize=1)
+def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, estimate: MapEstimate) -> FrontierPoints:
+    """Frontier points, in the map frame, in front of surface that no turn has seen well or at all."""
+    return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
 def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
@@ -421,7 +427,7 @@ def _count_attempts(
         return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear])
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
-    failed, then = in_view(after), in_view(before)
+    then, failed = in_view(before), in_view(after)
     failed = failed[~far_from(failed, then, TRIED_DISTANCE)]
 
     tried = place_points(after.tried, estimate.X_MA)

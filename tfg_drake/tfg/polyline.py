@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry.distance import point_segment_distance
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # How far a segment covers what lies beyond its ends, m: enough for no gap at a polyline's corners.
@@ -38,12 +39,20 @@ def arc_length(polyline: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros(1), np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
 
 
+@njit(cache=True)
 def cut(polyline: FloatArray, start: float, stop: float) -> FloatArray:
     """The part of a polyline (v, 2) between two arc lengths start < stop, m."""
-    s = arc_length(polyline)
-    inner = polyline[(s > start + 1e-9) & (s < stop - 1e-9)]
-    ends = np.stack([np.interp([start, stop], s, polyline[:, 0]), np.interp([start, stop], s, polyline[:, 1])], axis=1)
-    return np.concatenate([ends[:1], inner, ends[1:]])
+    s = np.zeros(len(polyline))
+    for i in range(1, len(polyline)):
+        s[i] = s[i - 1] + np.hypot(polyline[i, 0] - polyline[i - 1, 0], polyline[i, 1] - polyline[i - 1, 1])
+    first = np.searchsorted(s, start + 1e-9, side="right")
+    last = max(first, np.searchsorted(s, stop - 1e-9))
+    part = np.empty((last - first + 2, 2))
+    part[1:-1] = polyline[first:last]
+    ends = np.array([start, stop])
+    for axis in range(2):
+        part[0, axis], part[-1, axis] = np.interp(ends, s, polyline[:, axis].copy())
+    return part
 
 
 @njit(cache=True)
@@ -123,11 +132,14 @@ def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, dista
     degrees of the point's.
     """
     result = np.zeros(points.shape[0], dtype=np.bool_)
+    grid = segment_grid(segments)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        for j in range(segments.shape[0]):
+        reach = distance[i] + END_REACH
+        for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
+            j = near[k]
             x0, y0, x1, y1 = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
-            reach = distance[i] + END_REACH
             if min(x0, x1) > x + reach or max(x0, x1) < x - reach:
                 continue
             if min(y0, y1) > y + reach or max(y0, y1) < y - reach:
@@ -149,12 +161,16 @@ def joined(
 ) -> BoolArray:
     """Which points (n, 2) of polylines (n,) lie within distance (m) of a segment (m, 4) of another polyline (m,)."""
     result = np.zeros(points.shape[0], dtype=np.bool_)
+    grid = segment_grid(segments)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     for i in range(points.shape[0]):
-        for j in range(segments.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        for k in range(rows_in_box(grid, x - distance, x + distance, y - distance, y + distance, near)):
+            j = near[k]
             if segment_owner[j] == owner[i]:
                 continue
             s = segments[j]
-            if point_segment_distance(points[i, 0], points[i, 1], s[0], s[1], s[2], s[3]) <= distance:
+            if point_segment_distance(x, y, s[0], s[1], s[2], s[3]) <= distance:
                 result[i] = True
                 break
     return result
