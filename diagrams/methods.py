@@ -80,7 +80,7 @@ def FindMethod(name_or_path: str) -> Method:
         raise MethodError(f"{name_or_path}: cannot be imported: {type(error).__name__}: {error}") from error
     if not callable(getattr(module, "MakeExplorer", None)):
         raise MethodError(
-            f"{name_or_path}: has no MakeExplorer(scenario); define it, it returns the explorer's diagram"
+            f"{name_or_path}: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"
         )
     summary = (module.__doc__ or "").strip().split("\n")[0]
     return Method(path.stem, summary, module.MakeExplorer)
