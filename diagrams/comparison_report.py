@@ -15,6 +15,7 @@ from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, VARIABLES
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page
 from tfg_drake.comparison.runs import Run, sample, to_csv
 from tfg_drake.comparison.statistics import spread
+from tfg_drake.diagrams.report import EVERY
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.sweep import Task
 from tfg_drake.files import write_atomic
@@ -25,8 +26,6 @@ from tfg_drake.paper_figures import write_figure
 from tfg_drake.trajectory import read_tum
 from tfg_drake.world.reachability import make_grid, reachable_cells
 
-# Coverage is counted on every n-th of the reachable cells in x and y: 0.2 m apart is plenty for a curve.
-_EVERY = 4
 # Errors against time are averaged over about so many stretches; coverage is given every so many m.
 _STRETCHES, _DISTANCE_STEP = 150, 0.5
 
@@ -132,7 +131,7 @@ def _cells(scenario: Scenario) -> FloatArray:
     grid = make_grid(world)
     reachable = reachable_cells(grid, world, scenario.robot.radius)
     thinned = np.zeros_like(reachable)
-    thinned[::_EVERY, ::_EVERY] = reachable[::_EVERY, ::_EVERY]
+    thinned[::EVERY, ::EVERY] = reachable[::EVERY, ::EVERY]
     return grid.centers(thinned)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tfg_drake import __version__, metrics
-from tfg_drake.comparison.curves import coverage_curve
+from tfg_drake.comparison.curves import scan_coverage
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.figure import draw_run
 from tfg_drake.files import write_atomic
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.run import Departure, Mission
 
 SCHEMA = 1
+# What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
+# but corners that a scan happens to miss.
+EVERY = 4
+NEARLY_ALL = 0.99
 
 
 def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, world_name: str) -> dict[str, Any]:
@@ -80,7 +84,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         **_consistency(mission.departures, compose(inverse(world.start), X_WD_true)),
         **_pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
         **_surfaces(scenario, world, grid, cells, _mapped_surfaces(world, tfg, mission.grid)),
-        "area_coverage": _area_coverage(scenario, world, grid.centers(cells), mission, X_WD_true, X_WB_true),
+        **_area(scenario, world, grid, cells, mission, X_WD_true, true_stamps, X_WB_true),
         "contacts": mission.contacts,
         "min_clearance_m": mission.clearance,
         "map_variables": _variables(mission, estimate),
@@ -171,16 +175,30 @@ def _surfaces(scenario: Scenario, world: World, grid: Grid, cells: BoolArray, se
     }
 
 
-def _area_coverage(
-    scenario: Scenario, world: World, p_WC: FloatArray, mission: Mission, X_WD: FloatArray, X_WB: FloatArray
-) -> float:
-    """Of the reachable cells p_WC (c, 2): seen from the goals, where the robot turns, by a method that maps only there;
-    by the scanner on the whole way by one that maps all along."""
+def _area(
+    scenario: Scenario,
+    world: World,
+    grid: Grid,
+    cells: BoolArray,
+    mission: Mission,
+    X_WD: FloatArray,
+    stamps: FloatArray,
+    X_WB: FloatArray,
+) -> dict[str, float]:
+    """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
+
+    Seen from the goals, where the robot turns, by a method that maps only there; by the scanner on the whole way by one
+    that maps all along.
+    """
     scan = scenario.scan
+    thinned = np.zeros_like(cells)
+    thinned[::EVERY, ::EVERY] = cells[::EVERY, ::EVERY]
+    rows, share = scan_coverage(X_WB, grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
+    nearly = np.flatnonzero(share >= NEARLY_ALL)
+    coverage = float(share[-1]) if len(share) else math.nan
     if mission.grid is None:
-        return metrics.area_coverage(p_WC, world.walls, X_WD[:, :2], scan.range)
-    share = coverage_curve(X_WB, p_WC, world.walls, scan.range, scan.field_of_view).y
-    return float(share[-1]) if len(share) else math.nan
+        coverage = metrics.area_coverage(grid.centers(cells), world.walls, X_WD[:, :2], scan.range)
+    return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
 
 
 def _spread(values: list[float]) -> dict[str, float]:

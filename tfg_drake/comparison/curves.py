@@ -51,7 +51,18 @@ def error_curves(
 def coverage_curve(
     X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float
 ) -> Curve:
-    """Share of the cells seen so far by the scanner against the distance driven (m).
+    """Share of the cells seen so far by the scanner against the distance driven (m); arguments as of `scan_coverage`."""
+    if not len(X_WB) or not len(p_WC):
+        return Curve(np.zeros(0), np.zeros(0))
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(X_WB[:, :2], axis=0).T))])
+    rows, share = scan_coverage(X_WB, p_WC, walls, scan_range, field_of_view)
+    return Curve(driven[rows], share)
+
+
+def scan_coverage(
+    X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float
+) -> tuple[IntArray, FloatArray]:
+    """Rows (k,) of the poses from which the scanner's view counts, and the share (k,) of the cells seen up to each.
 
     Args:
         X_WB: (n, 3) true poses in W, close enough together to add up the distance.
@@ -60,16 +71,15 @@ def coverage_curve(
         scan_range: m. field_of_view: rad, ahead of the robot.
     """
     if not len(X_WB) or not len(p_WC):
-        return Curve(np.zeros(0), np.zeros(0))
-    kept = _samples(X_WB)
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(X_WB[:, :2], axis=0).T))])
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    rows = _samples(X_WB)
     walls, unseen = np.ascontiguousarray(walls), np.ascontiguousarray(p_WC)
-    share = np.empty(len(kept))
-    for k, pose in enumerate(X_WB[kept]):
+    share = np.empty(len(rows))
+    for k, pose in enumerate(X_WB[rows]):
         seen = _seen(pose, unseen, walls, scan_range, field_of_view)
         unseen = unseen[~seen]
         share[k] = 1.0 - len(unseen) / len(p_WC)
-    return Curve(driven[kept], share)
+    return rows, share
 
 
 def averaged(curve: Curve, step: float) -> Curve:
