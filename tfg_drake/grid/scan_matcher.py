@@ -1,8 +1,8 @@
 """Where a scan fits a particle's own grid, and a draw from GMapping's improved proposal.
 
-The likelihood of a scan is that of its end points, each by the distance to the nearest occupied cell's mean end (likelihood
-fields; Thrun, Burgard and Fox 2005, section 6.4), of the particle's grid alone. The proposal is the Gaussian that fits
-likelihood times motion model round their common mode (Grisetti, Stachniss and Burgard 2007, section III-B).
+The likelihood of a scan is that of its end points, each by the distance to the nearest mean end of an
+occupied cell (likelihood fields; Thrun, Burgard and Fox 2005, section 6.4), of the particle's grid alone. The
+proposal is the Gaussian that fits likelihood times motion model round their common mode (Grisetti, Stachniss and Burgard 2007, section III-B).
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def _thinned(p_BP: FloatArray, spacing: float) -> IntArray:
 
 
 def _splat_table(resolution: float) -> FloatArray:
-    """Log likelihood of an end point: by the part of an occupied cell, rows and columns, that its mean is in, and by how
-    many rows and columns the end point's cell is from it."""
+    """Log likelihood of an end point: by the part of an occupied cell, rows and columns, that its mean is in, and by
+    how many rows and columns the end point's cell is from it."""
     mean = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5)[:, None]
     squared = (resolution * (np.arange(-_SPLAT, _SPLAT + 1) - mean)) ** 2
     squared = squared[:, None, :, None] + squared[None, :, None, :]
