@@ -6,7 +6,8 @@ it they did, x and y from its middle in FINE-ths of a cell. Without the mean a s
 only, and the heading would drift from room to room.
 
 A particle's grid is a table of indices into one pool of square tiles. Particles that
-descend from one another name the same tiles; a scan writes copies of those that it touches. So a new set of maps costs what the scan touches, not what the maps hold, and the old set stays as it was.
+descend from one another name the same tiles; a scan writes copies of those that it touches. So a new set of maps costs
+what the scan touches, not what the maps hold, and the old set stays as it was.
 
 Cell (i, j) has its centre at ((j + 0.5) r, (i + 0.5) r) in M, r the resolution: rows go along y.
 """

@@ -2,7 +2,8 @@
 
 The likelihood of a scan is that of its end points, each by the distance to the nearest mean end of an
 occupied cell (likelihood fields; Thrun, Burgard and Fox 2005, section 6.4), of the particle's grid alone. The
-proposal is the Gaussian that fits likelihood times motion model round their common mode (Grisetti, Stachniss and Burgard 2007, section III-B).
+proposal is the Gaussian that fits likelihood times motion model round their common mode (Grisetti, Stachniss and
+Burgard 2007, section III-B).
 """
 
 from __future__ import annotations
