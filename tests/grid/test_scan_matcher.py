@@ -33,7 +33,7 @@ def room_map(particles=1, noise=0.0):
 
 def test_the_likelihood_peaks_at_the_true_pose():
     maps, p_BP = room_map(), end_points(view(TRUE), 0.05)
-    for axis, step in ((0, 0.01), (1, 0.01), (2, 0.0025)):
+    for axis, step in ((0, 0.02), (1, 0.02), (2, 0.005)):
         poses = np.tile(TRUE, (41, 1))
         poses[:, axis] += step * np.arange(-20, 21)
         values = log_likelihood(maps, 0, poses, p_BP)

@@ -146,9 +146,9 @@ def process_scan(state: GmappingState, scan: LaserScan, force: bool = False) -> 
     """The state after a scan, which is put in if the robot has moved enough since the last one that was, or if forced.
 
     Enough is GridConfig's update_period, of motion (a robot at rest learns nothing from looking again), update_distance
-    or update_angle. A scan newer than the newest odometry waits for the next, as the robot may brake or turn in between,
-    but goes in at once if forced, the motion taken to go on. A scan that is not newer than the last one put in, says nothing at all, or that no odometry of its
-    time is known for, changes nothing.
+    or update_angle. A scan newer than the newest odometry waits for the next, as the robot may brake or turn meanwhile;
+    if forced, it goes in at once, the motion taken to go on. A scan that is not newer than the last one put in, says
+    nothing at all, or that no odometry of its time is known for, changes nothing.
     """
     if not scan.stamp > state.stamp or not state.reckonings or reach_of(scan) == 0.0:
         return state
