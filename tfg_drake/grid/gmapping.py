@@ -222,7 +222,7 @@ def resample(log_weight: FloatArray, share: float) -> IntArray:
     n = len(weight)
     rows = np.searchsorted(total, (np.arange(n) + share) / n * total[-1], side="right")
     # Rounding may lead past the last row that weighs anything.
-    return np.minimum(rows, np.flatnonzero(weight)[-1])
+    return np.asarray(np.minimum(rows, np.flatnonzero(weight)[-1]))
 
 
 def _put_in(state: GmappingState, scan: LaserScan, X_UB: FloatArray) -> GmappingState:
