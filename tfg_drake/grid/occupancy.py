@@ -148,7 +148,7 @@ def _compacted(
 
 def log_odds(maps: TileMaps, particle: int) -> tuple[FloatArray, NDArray[np.int8]]:
     """One particle's grid: origin (2,), the corner of cell [0, 0] in M, m, and (h, w) log odds in steps."""
-    origin: FloatArray = maps.corner * (TILE * maps.resolution)
+    origin = np.asarray(maps.corner * (TILE * maps.resolution), dtype=np.float64)
     h, w = maps.index.shape[1:]
     grid = maps.tiles[maps.index[particle], :, :, ODDS].swapaxes(1, 2).reshape(h * TILE, w * TILE)
     return origin, grid

@@ -380,5 +380,4 @@ def _gaussian(
             for j in range(3):
                 covariance[i, j] += weight[k] * d[i] * d[j]
     log_norm = value + math.log(norm) + math.log(spread[0, 0] * spread[1, 1] * spread[2, 2])
-    root: FloatArray = np.linalg.cholesky(covariance)
-    return mode + mean, root, log_norm
+    return mode + mean, np.linalg.cholesky(covariance).astype(np.float64), log_norm
