@@ -1,1 +1,1 @@
-"""Recorded data sets for the SLAM estimator alone: their loaders, its run on them, and its errors."""
+"""Recorded data sets for the SLAM estimators alone: their loaders, a run on them, and its errors."""

@@ -16,7 +16,7 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, ScanLog
 from tfg_drake.datasets.text import is_finite_number, read_text
 from tfg_drake.geometry import se2
-from tfg_drake.messages import LaserScan, Odometry
+from tfg_drake.messages import FloatArray, LaserScan, Odometry
 
 # The rover: metres a count, half the distance between the wheels, m, and the scanner's place ahead of the axle, m.
 METRES_PER_COUNT = 2.0 * math.pi * 0.077 / 2000.0
@@ -78,7 +78,7 @@ def load_breezyslam(path: Path) -> ScanLog:
     )
 
 
-def _odometry(stamps: np.ndarray, wheels: np.ndarray) -> tuple[Odometry, ...]:
+def _odometry(stamps: FloatArray, wheels: FloatArray) -> tuple[Odometry, ...]:
     """The scanner's pose by how far (n, 2), m, the left and the right wheel have come."""
     X_AS = np.array([SCANNER_AHEAD, 0.0, 0.0])  # From the axle to the scanner.
     X_OA = se2.inverse(X_AS)

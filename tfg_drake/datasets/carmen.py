@@ -15,7 +15,7 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, ScanLog
 from tfg_drake.datasets.text import is_finite_number, read_text
-from tfg_drake.messages import FloatArray, LaserScan
+from tfg_drake.messages import FloatArray, LaserScan, Odometry
 from tfg_drake.simulation import odometry
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
@@ -77,9 +77,7 @@ def _scan_line(path: Path, number: int, words: list[str]) -> tuple[FloatArray, F
     return values[:count], values[count:], float(stamp)
 
 
-def _noisy_odometry(
-    stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int
-) -> tuple[odometry.Odometry, ...]:
+def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:
     """What wheels and a gyro would have said at stamps (n,) and true poses (n, 3)."""
     rng = np.random.default_rng(seed)
     errors = odometry.run_errors(rng.standard_normal(3), model)

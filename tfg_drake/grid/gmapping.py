@@ -60,7 +60,8 @@ class GmappingState:
     stamp: s, of the newest scan put in, -inf before the first. clock: s, X_OU: (3,) odometry then. motion_noise: (3, 3)
     random covariance of X_UB, of (x, y) in U and theta, motion_calibration: (3, 3) its Jacobian on the constants of the
     odometry's calibration. X_MU: (n, 3). log_weight: (n,), normalised. score: (n,) sum of all log weights of a
-    particle's history. parents: (n,) each particle's row before the newest scan. maps: n grids.
+    particle's history. parents: (n,) each particle's row before the newest scan. waiting: the newest scan, if odometry
+    has not come as far. maps: n grids.
     """
 
     config: GridConfig
@@ -78,6 +79,7 @@ class GmappingState:
     log_weight: FloatArray
     score: FloatArray
     parents: IntArray
+    waiting: LaserScan | None
     maps: TileMaps
 
 
@@ -100,12 +102,16 @@ def initial_state(config: GridConfig, odometry: OdometryConfig, seed: int) -> Gm
         log_weight=np.full(n, -math.log(n)),
         score=np.zeros(n),
         parents=np.arange(n),
+        waiting=None,
         maps=empty_maps(n, config.resolution),
     )
 
 
 def process_odometry(state: GmappingState, odometry: Odometry) -> GmappingState:
-    """The state after an odometry message; one that is not newer than the last, or not finite, changes nothing."""
+    """The state after an odometry message; one that is not newer than the last, or not finite, changes nothing.
+
+    A scan that has waited for it may go in.
+    """
     if not (math.isfinite(odometry.stamp) and np.isfinite(odometry.X_OB).all() and np.isfinite(odometry.V_B).all()):
         return state
     if state.odometry is None:
@@ -118,29 +124,38 @@ def process_odometry(state: GmappingState, odometry: Odometry) -> GmappingState:
     reckonings = (*state.reckonings[1 - KEPT :], newest)
     if before.stamp < state.stamp:
         # A scan was put in before the odometry round it was known: where the robot was then, is known better now.
-        return _since(replace(state, odometry=odometry, reckonings=reckonings), state.stamp)
-    noise, jacobian = _accumulate(
-        state.motion_noise,
-        state.motion_calibration,
-        se2.between(state.X_OU, before.X_OB),
-        arc(before.X_OB, newest.X_OB),
-        newest.clock - before.clock,
-        state.model.noise,
-    )
-    return replace(state, odometry=odometry, reckonings=reckonings, motion_noise=noise, motion_calibration=jacobian)
+        state = _since(replace(state, odometry=odometry, reckonings=reckonings), state.stamp)
+    else:
+        noise, jacobian = _accumulate(
+            state.motion_noise,
+            state.motion_calibration,
+            se2.between(state.X_OU, before.X_OB),
+            arc(before.X_OB, newest.X_OB),
+            newest.clock - before.clock,
+            state.model.noise,
+        )
+        state = replace(
+            state, odometry=odometry, reckonings=reckonings, motion_noise=noise, motion_calibration=jacobian
+        )
+    if state.waiting is None or state.waiting.stamp > newest.stamp:
+        return state
+    return process_scan(replace(state, waiting=None), state.waiting)
 
 
 def process_scan(state: GmappingState, scan: LaserScan, force: bool = False) -> GmappingState:
     """The state after a scan, which is put in if the robot has moved enough since the last one that was, or if forced.
 
     Enough is GridConfig's update_period, of motion (a robot at rest learns nothing from looking again), update_distance
-    or update_angle. A scan that is not newer than the last one put in, says nothing at all, or that no odometry of its
-    time is known for, changes nothing.
+    or update_angle. A scan newer than the newest odometry waits for the next, as the robot may brake or turn meanwhile;
+    if forced, it goes in at once, the motion taken to go on. A scan that is not newer than the last one put in, says
+    nothing at all, or that no odometry of its time is known for, changes nothing.
     """
     if not scan.stamp > state.stamp or not state.reckonings or reach_of(scan) == 0.0:
         return state
     if not state.reckonings[0].stamp <= scan.stamp <= state.reckonings[-1].stamp + LONGEST_EXTRAPOLATION:
         return state
+    if scan.stamp > state.reckonings[-1].stamp and not force:
+        return replace(state, waiting=scan)
     here = _reckoning_at(state.reckonings, scan.stamp)
     X_UB = se2.between(state.X_OU, here.X_OB)
     config = state.config
@@ -207,7 +222,7 @@ def resample(log_weight: FloatArray, share: float) -> IntArray:
     n = len(weight)
     rows = np.searchsorted(total, (np.arange(n) + share) / n * total[-1], side="right")
     # Rounding may lead past the last row that weighs anything.
-    return np.minimum(rows, np.flatnonzero(weight)[-1])
+    return np.asarray(np.minimum(rows, np.flatnonzero(weight)[-1]))
 
 
 def _put_in(state: GmappingState, scan: LaserScan, X_UB: FloatArray) -> GmappingState:

@@ -3,9 +3,11 @@
 A cell holds four numbers: its log odds of being occupied (Moravec and Elfes 1985; Thrun, Burgard and Fox 2005, section
 9.2) in steps of STEP nats, 0 where nothing was ever measured; how many rays have ended in it; and the mean of where in
 it they did, x and y from its middle in FINE-ths of a cell. Without the mean a surface would be known to half a cell
-only, and the heading would drift from room to room. A particle's grid is a table of indices into one pool of square tiles.
-Particles that descend from one another name the same tiles; a scan writes copies of those that it touches. So a new set
-of maps costs what the scan touches, not what the maps hold, and the old set stays as it was.
+only, and the heading would drift from room to room.
+
+A particle's grid is a table of indices into one pool of square tiles. Particles that
+descend from one another name the same tiles; a scan writes copies of those that it touches. So a new set of maps costs
+what the scan touches, not what the maps hold, and the old set stays as it was.
 
 Cell (i, j) has its centre at ((j + 0.5) r, (i + 0.5) r) in M, r the resolution: rows go along y.
 """
@@ -35,8 +37,8 @@ HIT, PASS, LIMIT = 9, -4, 60
 # Parts of a cell that means are kept in, and the ends that go into one at most: more would hardly move it.
 FINE = 250
 MOST_ENDS = 100
-# Neighbouring returns no farther apart than this, m, lie on one surface, which is put in between them, too. Without that
-# far surfaces are rows of dots, and scans would match at every multiple of the angle between rays.
+# Neighbouring returns no farther apart than this, m, lie on one surface, which is put in between them, too. Without
+# that far surfaces are rows of dots, and scans would match at every multiple of the angle between rays.
 SURFACE_GAP = 0.35
 # The numbers of a cell.
 ODDS, ENDS, MEAN_X, MEAN_Y = 0, 1, 2, 3
@@ -46,9 +48,9 @@ ODDS, ENDS, MEAN_X, MEAN_Y = 0, 1, 2, 3
 class TileMaps:
     """The grids of n particles; never changed, so a deep copy is itself.
 
-    resolution: side of a cell, m. corner: (2,) x and y, in tiles from M's origin, of the tile that index[:, 0, 0] names.
-    index: (n, h, w) each particle's tiles, rows along y. tiles: (t, TILE, TILE, 4) the pool;
-    tile 0 is the unknown.
+    resolution: side of a cell, m. corner: (2,) x and y, in tiles from M's origin, of the tile that index[:, 0, 0]
+    names. index: (n, h, w) each particle's tiles, rows along y. tiles: (t, TILE, TILE, 4) the pool; tile 0 is the
+    unknown.
     """
 
     resolution: float
@@ -80,8 +82,8 @@ def grown(maps: TileMaps, lower: FloatArray, upper: FloatArray) -> TileMaps:
     n, h, w = maps.index.shape
     if h * w:
         first = np.minimum(first, maps.corner)
-        last = np.maximum(last, maps.corner + [w - 1, h - 1])
-        if np.array_equal(first, maps.corner) and np.array_equal(last, maps.corner + [w - 1, h - 1]):
+        last = np.maximum(last, maps.corner + np.array([w - 1, h - 1]))
+        if np.array_equal(first, maps.corner) and np.array_equal(last, maps.corner + np.array([w - 1, h - 1])):
             return maps
     wide = np.zeros((n, int(last[1] - first[1]) + 1, int(last[0] - first[0]) + 1), dtype=np.int32)
     if h * w:
@@ -101,8 +103,8 @@ def insert_scan(maps: TileMaps, parents: IntArray, X_MB: FloatArray, scan: Laser
 
     parents: (n,) rows of maps. X_MB: (m, 3) poses of the m particles of maps. A range within range_max is a return in
     the cell where it ends; any longer one, inf too, leaves its ray free up to range_max; nan and what is not above 0
-    say nothing. Neighbouring returns within SURFACE_GAP are joined. A cell changes once a scan: by HIT if any ray ends in
-    it or a joined surface passes through it, else by PASS if any ray does.
+    say nothing. Neighbouring returns within SURFACE_GAP are joined. A cell changes once a scan: by HIT if any ray ends
+    in it or a joined surface passes through it, else by PASS if any ray does.
     """
     alive, inverse = np.unique(parents, return_inverse=True)
     X = np.ascontiguousarray(X_MB[alive])
@@ -146,7 +148,7 @@ def _compacted(
 
 def log_odds(maps: TileMaps, particle: int) -> tuple[FloatArray, NDArray[np.int8]]:
     """One particle's grid: origin (2,), the corner of cell [0, 0] in M, m, and (h, w) log odds in steps."""
-    origin = maps.corner * (TILE * maps.resolution)
+    origin = np.asarray(maps.corner * (TILE * maps.resolution), dtype=np.float64)
     h, w = maps.index.shape[1:]
     grid = maps.tiles[maps.index[particle], :, :, ODDS].swapaxes(1, 2).reshape(h * TILE, w * TILE)
     return origin, grid
@@ -160,7 +162,7 @@ def probability(steps: NDArray[np.int8]) -> NDArray[np.float32]:
 
 @njit(cache=True)
 def surface_points(angles: FloatArray, ranges: FloatArray, range_max: float, spacing: float) -> FloatArray:
-    """p_BP (k, 2), m: the returns and, where neighbours are within SURFACE_GAP, points between them at a spacing (m)."""
+    """p_BP (k, 2), m: the returns and, between neighbours within SURFACE_GAP, points at a spacing (m)."""
     most = int(SURFACE_GAP / spacing) + 1
     points = np.empty((most * len(angles), 2))
     count = 0
@@ -172,7 +174,7 @@ def surface_points(angles: FloatArray, ranges: FloatArray, range_max: float, spa
             continue
         u, v = ranges[k] * math.cos(angles[k]), ranges[k] * math.sin(angles[k])
         gap = math.hypot(u - x, v - y)
-        pieces = int(math.ceil(gap / spacing)) if gap <= SURFACE_GAP else 1
+        pieces = math.ceil(gap / spacing) if gap <= SURFACE_GAP else 1
         for piece in range(1, max(1, pieces)):
             points[count, 0] = x + piece / pieces * (u - x)
             points[count, 1] = y + piece / pieces * (v - y)
@@ -196,9 +198,9 @@ def mark_scan(
 ) -> None:
     """Marks the cells that rays meet with 1.
 
-    cells: (h, w), the marks so far; every ray must stay inside. x, y, theta: the robot's pose in the frame of the corner
-    of cell [0, 0], m and rad. angles (m,), ranges (m,), range_max: as in LaserScan. A ray visits every cell that its
-    segment meets (Amanatides and Woo 1987).
+    cells: (h, w), the marks so far; every ray must stay inside. x, y, theta: the robot's pose in the frame of the
+    corner of cell [0, 0], m and rad. angles (m,), ranges (m,), range_max: as in LaserScan. A ray visits every cell
+    that its segment meets (Amanatides and Woo 1987).
     """
     for k in range(len(angles)):
         r = ranges[k]

@@ -1,8 +1,9 @@
 """Where a scan fits a particle's own grid, and a draw from GMapping's improved proposal.
 
-The likelihood of a scan is that of its end points, each by the distance to the nearest occupied cell's mean end (likelihood
-fields; Thrun, Burgard and Fox 2005, section 6.4), of the particle's grid alone. The proposal is the Gaussian that fits
-likelihood times motion model round their common mode (Grisetti, Stachniss and Burgard 2007, section III-B).
+The likelihood of a scan is that of its end points, each by the distance to the nearest mean end of an
+occupied cell (likelihood fields; Thrun, Burgard and Fox 2005, section 6.4), of the particle's grid alone. The
+proposal is the Gaussian that fits likelihood times motion model round their common mode (Grisetti, Stachniss and
+Burgard 2007, section III-B).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from tfg_drake.grid.occupancy import FINE, MEAN_X, MEAN_Y, ODDS, TILE, TileIndex, TileMaps, Tiles
 from tfg_drake.messages import FloatArray, IntArray, LaserScan
@@ -32,6 +34,8 @@ MARGIN = 0.5
 STEP_POSITION, STEP_HEADING, HALVINGS = 0.05, 0.02, 5
 # Steps of the differences that tell the mode's curvature, m and rad.
 DIFFERENCE = np.array([0.025, 0.025, 0.008])
+Field = NDArray[np.float32]
+
 # Cells to either side of an occupied one within which it is felt.
 _SPLAT = 3
 # Parts of a cell's side that the field tells apart.
@@ -59,13 +63,13 @@ def _thinned(p_BP: FloatArray, spacing: float) -> IntArray:
     return kept[:count]
 
 
-def _splat_table(resolution: float) -> FloatArray:
-    """Log likelihood of an end point: by the part of an occupied cell, rows and columns, that its mean is in, and by how
-    many rows and columns the end point's cell is from it."""
+def _splat_table(resolution: float) -> Field:
+    """Log likelihood of an end point: by the part of an occupied cell, rows and columns, that its mean is in, and by
+    how many rows and columns the end point's cell is from it."""
     mean = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5)[:, None]
     squared = (resolution * (np.arange(-_SPLAT, _SPLAT + 1) - mean)) ** 2
     squared = squared[:, None, :, None] + squared[None, :, None, :]
-    return np.log(MISS + (1.0 - MISS) * np.exp(-0.5 * squared / SIGMA**2)).astype(np.float32)
+    return np.asarray(np.log(MISS + (1.0 - MISS) * np.exp(-0.5 * squared / SIGMA**2)), dtype=np.float32)
 
 
 def propose(
@@ -120,8 +124,8 @@ def _log_likelihoods(
     resolution: float,
     poses: FloatArray,
     p_BP: FloatArray,
-    splat: FloatArray,
-    field: FloatArray,
+    splat: Field,
+    field: Field,
 ) -> FloatArray:
     x0, y0 = _fill(field, index, tiles, corner, resolution, splat, poses[0])
     result = np.empty(len(poses))
@@ -132,12 +136,12 @@ def _log_likelihoods(
 
 @njit(cache=True)
 def _fill(
-    field: FloatArray,
+    field: Field,
     index: TileIndex,
     tiles: Tiles,
     corner: IntArray,
     resolution: float,
-    splat: FloatArray,
+    splat: Field,
     X_MB: FloatArray,
 ) -> tuple[float, float]:
     """Log likelihoods of an end point in each cell round the robot; returns where the field's corner is in M, m."""
@@ -184,7 +188,7 @@ def _fill(
 
 
 @njit(cache=True)
-def _score(field: FloatArray, x0: float, y0: float, resolution: float, p_BP: FloatArray, X_MB: FloatArray) -> float:
+def _score(field: Field, x0: float, y0: float, resolution: float, p_BP: FloatArray, X_MB: FloatArray) -> float:
     """Log likelihood of all end points, bilinear between the middles of cells."""
     c, s = math.cos(X_MB[2]) / resolution, math.sin(X_MB[2]) / resolution
     x, y = (X_MB[0] - x0) / resolution - 0.5, (X_MB[1] - y0) / resolution - 0.5
@@ -206,9 +210,7 @@ def _score(field: FloatArray, x0: float, y0: float, resolution: float, p_BP: Flo
 
 
 @njit(cache=True)
-def _share_matched(
-    field: FloatArray, x0: float, y0: float, resolution: float, p_BP: FloatArray, X_MB: FloatArray
-) -> float:
+def _share_matched(field: Field, x0: float, y0: float, resolution: float, p_BP: FloatArray, X_MB: FloatArray) -> float:
     """Share of the end points within a standard deviation and a half of an occupied cell."""
     least = math.log(MISS + (1.0 - MISS) * math.exp(-0.5 * 1.5**2))
     count = 0
@@ -219,7 +221,7 @@ def _share_matched(
 
 @njit(cache=True)
 def _log_posterior(
-    field: FloatArray,
+    field: Field,
     x0: float,
     y0: float,
     resolution: float,
@@ -244,8 +246,8 @@ def _propose(
     covariance: FloatArray,
     p_BP: FloatArray,
     standard_normal: FloatArray,
-    splat: FloatArray,
-    field: FloatArray,
+    splat: Field,
+    field: Field,
 ) -> tuple[FloatArray, FloatArray]:
     n = len(X_MB)
     drawn, log_weight = np.empty((n, 3)), np.empty(n)
@@ -271,7 +273,7 @@ def _propose(
 
 @njit(cache=True)
 def _climb(
-    field: FloatArray,
+    field: Field,
     x0: float,
     y0: float,
     resolution: float,
@@ -311,7 +313,7 @@ def _climb(
 
 @njit(cache=True)
 def _gaussian(
-    field: FloatArray,
+    field: Field,
     x0: float,
     y0: float,
     resolution: float,
@@ -378,4 +380,4 @@ def _gaussian(
             for j in range(3):
                 covariance[i, j] += weight[k] * d[i] * d[j]
     log_norm = value + math.log(norm) + math.log(spread[0, 0] * spread[1, 1] * spread[2, 2])
-    return mode + mean, np.linalg.cholesky(covariance), log_norm
+    return mode + mean, np.linalg.cholesky(covariance).astype(np.float64), log_norm
