@@ -82,7 +82,7 @@ def explore(
     loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
     if out is not None:
         _make_writable(out)
-    explorer = _find_method(method)
+    explorer = _find_method(method, loaded)
     name = Path(scenario).stem
     meshcat = None if headless else _start_meshcat()
     _announce_compilation()
@@ -159,10 +159,10 @@ def compare(
 
     name = Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
     try:
-        sources = parse_methods(methods)
-        names = list(sources)
         place = _parse_start(start)
         of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
+        sources = parse_methods(methods, of_seed[0])
+        names = list(sources)
         # All methods of a seed before the next seed, so that a partial report compares like with like.
         world_name = scenario if world is None else str(world)
         tasks = [Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names]
@@ -337,11 +337,13 @@ def _load(
     return scenario
 
 
-def _find_method(name: str) -> Method:
+def _find_method(name: str, scenario: Scenario) -> Method:
     from tfg_drake.diagrams.methods import FindMethod, MethodError
 
     try:
-        return FindMethod(name)
+        method = FindMethod(name)
+        method.Check(scenario)
+        return method
     except MethodError as error:
         _bad_input(f"--method {error}")
 

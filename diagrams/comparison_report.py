@@ -110,7 +110,9 @@ def _bands(
 
 
 def _round(step: float) -> float:
-    """The next greater 1, 2 or 5 times a power of ten."""
+    """The next greater 1, 2 or 5 times a power of ten; 0.1 for less than that, as of a run that ended at once."""
+    if step < 0.1:
+        return 0.1
     power = 10.0 ** np.floor(np.log10(step))
     return float(next(digit * power for digit in (1.0, 2.0, 5.0, 10.0) if digit * power >= step))
 

@@ -25,7 +25,8 @@ class MethodError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing.
+    """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
+    the scenario must have a drive.
 
     The diagram's inputs are odometry, detections, scan, hazards (messages), pause, enable and stop (vectors of size 1);
     its outputs velocity_commanded, pose (PoseEstimate) and mission (MissionStatus), and, where it has them, map, tfg,
@@ -35,6 +36,12 @@ class Method:
     name: str
     summary: str
     MakeExplorer: Callable[[Scenario], Diagram]
+    needs_drive: bool = False
+
+    def Check(self, scenario: Scenario) -> None:
+        """Raises MethodError where the scenario lacks what the method needs."""
+        if self.needs_drive and not scenario.drive:
+            raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
 
 
 def _TfgWith(goal: str) -> Callable[[Scenario], Diagram]:

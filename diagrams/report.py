@@ -80,7 +80,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         "real_time_factor": mission.end_time / mission.wall_time,
         "distance_m": float(np.linalg.norm(np.diff(X_WB_true[:, :2], axis=0), axis=1).sum()),
         "stages": len(mission.stages),
-        **_landmarks(world, reachable, estimate),
+        **_landmarks(world, reachable, estimate, mission.grid is None),
         **_consistency(mission.departures, compose(inverse(world.start), X_WD_true)),
         **_pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
         **_surfaces(scenario, world, grid, cells, _mapped_surfaces(world, tfg, mission.grid)),
@@ -101,14 +101,16 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     return summary
 
 
-def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None) -> dict[str, Any]:
+def _landmarks(
+    world: World, reachable: BoolArray, estimate: MapEstimate | None, maps_landmarks: bool
+) -> dict[str, Any]:
     mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
     counted = np.isin(mapped, world.tag_ids[reachable])
     figures = {
         "landmarks_present": len(world.tag_ids),
         "landmarks_reachable": int(np.count_nonzero(reachable)),
-        "landmarks_mapped": int(np.count_nonzero(counted)) if estimate is not None else None,
-        "landmarks_extra": int(np.count_nonzero(~counted)) if estimate is not None else None,
+        "landmarks_mapped": int(np.count_nonzero(counted)) if maps_landmarks else None,
+        "landmarks_extra": int(np.count_nonzero(~counted)) if maps_landmarks else None,
         "landmark_rmse_m": math.nan,
         "landmark_rmse_aligned_m": math.nan,
         "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,

@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import AssembleExplorer
-from tfg_drake.diagrams.scenario import Scenario, ScenarioError
+from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
@@ -16,15 +16,12 @@ from tfg_drake.systems.tfg_builder import TfgBuilder
 
 
 def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
-    """The explorer for a scenario with a drive; its ports are those of MakeTfgExplorer, less the roadmap.
-
-    Raises ScenarioError where the scenario has no drive.
-    """
-    if not scenario.drive:
-        raise ScenarioError("scripted: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
+    """The explorer for a scenario with a drive; its ports are those of MakeTfgExplorer, less the roadmap."""
     robot, explorer = scenario.robot, scenario.explorer
     # The operator stands beside the robot and knows where in the building it began.
-    p_MG = transform(inverse(np.array(scenario.world.start, dtype=float)), np.array(scenario.drive, dtype=float))
+    p_MG = transform(
+        inverse(np.array(scenario.world.start, dtype=float)), np.array(scenario.drive, dtype=float).reshape(-1, 2)
+    )
     return AssembleExplorer(
         {
             "slam_estimator": SlamEstimator(scenario.odometry, explorer.path_keyframe_period),

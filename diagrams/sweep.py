@@ -69,20 +69,21 @@ class Task:
         return task | {"max_time_s": self.max_time, "method": self.method, "method_sha256": code, "seed": self.seed}
 
 
-def parse_methods(text: str) -> dict[str, str]:
+def parse_methods(text: str, scenario: Scenario) -> dict[str, str]:
     """The methods that a list such as "tfg,mine.py" names: their names, and the paths of those that are files.
 
-    Raises SweepError.
+    Raises SweepError for one that there is not, or that the scenario lacks something for.
     """
     methods: dict[str, str] = {}
     for word in (word.strip() for word in text.split(",")):
         try:
-            name = FindMethod(word).name
+            method = FindMethod(word)
+            method.Check(scenario)
         except MethodError as error:
             raise SweepError(f"--methods {error}") from None
-        if name in methods:
-            raise SweepError(f"--methods {text}: names {name} twice; name each once")
-        methods[name] = "" if word in METHODS else str(Path(word).resolve())
+        if method.name in methods:
+            raise SweepError(f"--methods {text}: names {method.name} twice; name each once")
+        methods[method.name] = "" if word in METHODS else str(Path(word).resolve())
     return methods
 
 

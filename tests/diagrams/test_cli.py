@@ -176,14 +176,23 @@ def test_a_second_ctrl_c_leaves_at_once(room, tmp_path):
     assert err == "\ntfg-drake: interrupted; nothing more is written\n"
 
 
-def test_a_fault_ends_with_one_line_and_exit_code_3(call, monkeypatch, room, tmp_path):
-    def fail(_scenario):
-        raise ValueError("no way\nmore")
-
-    monkeypatch.setattr("tfg_drake.diagrams.run.MakeTfgExplorer", fail)
-    code, out, err = call("explore", room, "--headless", "--out", str(tmp_path))
+def test_a_fault_ends_with_one_line_and_exit_code_3(call, room, tmp_path):
+    broken = tmp_path / "broken.py"
+    broken.write_text("def MakeExplorer(scenario):\n    raise ValueError('no way\\nmore')\n")
+    code, out, err = call("explore", room, "--method", str(broken), "--headless", "--out", str(tmp_path))
     assert (code, out.splitlines()[0]) == (3, "outcome     fault: ValueError at 0.00 s: no way")
     assert err == f"tfg-drake: ValueError at 0.00 s: no way; the traceback is in {tmp_path}/log.txt\n"
+
+
+def test_a_method_that_there_is_not_or_that_lacks_something_is_refused(call, room):
+    code, _, err = call("explore", room, "--method", "tgf")
+    assert (code, err.startswith("tfg-drake: --method tgf: no such method; name a .py file or one of tfg, ")) == (
+        2,
+        True,
+    )
+    code, _, err = call("explore", room, "--method", "scripted")
+    complaint = "scripted: the scenario has no drive; give it one, a list of [x, y] under `drive:`"
+    assert (code, err) == (2, f"tfg-drake: --method {complaint}\n")
 
 
 def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, room, tmp_path):

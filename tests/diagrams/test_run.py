@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from tfg_drake.diagrams import run
+from tfg_drake.diagrams.methods import FindMethod, Method
 from tfg_drake.diagrams.run_folder import make_run_folder
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.trajectory import read_tum
 
@@ -25,8 +27,8 @@ MACHINE |= {"peak_rss_bytes", "stage_ms"}
 _FIELDS = """schema version scenario world seed method outcome reason sim_time_s wall_time_s cpu_time_s real_time_factor
 distance_m stages landmarks_present landmarks_reachable landmarks_mapped landmarks_extra landmark_rmse_m
 landmark_rmse_aligned_m landmark_entropy_nats landmark_anees landmark_nees pose_anees position_error_m
-heading_error_rad surface_coverage surface_phantom_m area_coverage contacts min_clearance_m map_variables map_bytes
-estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
+heading_error_rad surface_coverage surface_phantom_m area_coverage area_seen_s contacts min_clearance_m map_variables
+map_bytes estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
 FIELDS = _FIELDS.split()
 
 
@@ -159,12 +161,12 @@ def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, mo
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
 
 
-def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path, monkeypatch):
+def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
     def fail(_scenario):
         raise ValueError("\nno way\nmore")
 
-    monkeypatch.setattr(run, "MakeTfgExplorer", fail)
-    summary = run.explore(room(), out_dir=tmp_path).summary
+    method = Method("failing", "", fail)
+    summary = run.explore(room(), method=method, out_dir=tmp_path).summary
     assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
     assert list(summary) == FIELDS
     names = "figure.png log.txt scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
@@ -192,3 +194,40 @@ def test_the_mission_may_run_outside_the_main_thread(tmp_path):
     worker.start()
     worker.join()
     assert results[0].summary["outcome"] == "time_limit"
+
+
+def test_a_grid_mission_has_a_grid_and_no_landmarks(tmp_path):
+    summary = run.explore(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path).summary
+    assert (summary["method"], summary["outcome"], summary["contacts"]) == ("grid-nearest", "complete", 0)
+    assert list(summary) == FIELDS
+    assert summary["landmarks_mapped"] is None
+    assert summary["landmark_rmse_m"] is None
+    assert list(summary["map_variables"]) == ["cells"]
+    assert summary["area_coverage"] > 0.99
+    assert summary["surface_coverage"] > 0.9
+    assert summary["position_error_m"]["max"] < 0.1
+    grid = load_grid(tmp_path / "grid.npz")
+    assert grid.probability.size == summary["map_variables"]["cells"]
+    assert not (tmp_path / "map.npz").exists()
+    again = run.explore(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path / "again").summary
+    assert {key: again[key] for key in again if key not in MACHINE} == {
+        key: summary[key] for key in summary if key not in MACHINE
+    }
+
+
+@pytest.mark.parametrize("name", ["weighted", "random"])
+def test_other_methods_end_a_mission_too(name, tmp_path):
+    summary = run.explore(room(), method=FindMethod(name), name="room", max_time=300.0, out_dir=tmp_path).summary
+    assert summary["outcome"] in ("complete", "time_limit")
+    assert summary["contacts"] == 0
+    assert summary["area_coverage"] > 0.99
+
+
+def test_a_scripted_drive_maps_what_it_passes(tmp_path):
+    scenario = room()
+    scenario.drive = [[4.0, 1.5], [5.0, 3.0]]
+    summary = run.explore(scenario, method=FindMethod("scripted"), name="room", out_dir=tmp_path).summary
+    assert summary["stages"] == 3
+    assert summary["outcome"] in ("complete", "stuck")
+    assert summary["landmarks_mapped"] > 10
+    assert summary["position_error_m"]["max"] < 0.1

@@ -17,7 +17,16 @@ from tfg_drake.diagrams.scenario import (
 )
 from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_tags
 
-SHIPPED = ("corridor", "house", "office", "paper", "paper_white")
+SHIPPED = (
+    "corridor",
+    "corridor_bare",
+    "corridor_push",
+    "corridor_slip",
+    "house",
+    "office",
+    "paper",
+    "paper_white",
+)
 FACTS = """
 seed: 4
 world:

@@ -127,11 +127,13 @@ def test_an_interrupt_ends_all_at_once(tmp_path):
 
 
 def test_methods_are_named():
-    assert parse_methods("tfg, grid-nearest") == {"tfg": "", "grid-nearest": ""}
+    assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == {"tfg": "", "grid-nearest": ""}
     example = Path(__file__).parents[2] / "docs" / "example_method.py"
-    assert parse_methods(f"{example}") == {"example_method": str(example)}
+    assert parse_methods(f"{example}", LoadScenario(data=ROOM)) == {"example_method": str(example)}
     with pytest.raises(SweepError, match="--methods tfg,tfg: names tfg twice; name each once"):
-        parse_methods("tfg,tfg")
+        parse_methods("tfg,tfg", LoadScenario(data=ROOM))
+    with pytest.raises(SweepError, match=r"^--methods scripted: the scenario has no drive; give it one, a list of"):
+        parse_methods("tfg,scripted", LoadScenario(data=ROOM))
 
 
 needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed")
