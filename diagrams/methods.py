@@ -62,7 +62,7 @@ METHODS = {
         ),
         Method("random", "any place within reach, on the TFG", _TfgWith("random")),
         Method(
-            "scripted", "the scenario's drive, as a human operator would go, mapped as the TFG", MakeScriptedExplorer
+            "scripted", "the scenario's drive, as a human operator would go, on the TFG", MakeScriptedExplorer, True
         ),
     )
 }
