@@ -132,7 +132,8 @@ def explore(
     with threadpool_limits(limits=1), logging_to(folder / "log.txt"):
         write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
-        mission = Mission(scenario, method, meshcat, f"{name}, {method.name}, seed {scenario.seed}")
+        title = name if method.name == "tfg" else f"{name}, {method.name}"
+        mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}")
         with contextlib.nullcontext(interrupted) if interrupted is not None else _interrupts() as stop:
             with (folder / "stages.jsonl").open("w", buffering=1) as stages_file:
                 mission.run(realtime_rate, max_time, stop, stages_file.write, on_progress)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import math
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -37,9 +38,11 @@ def render_caption(title: str, figures: Sequence[tuple[str, str]], legend: Seque
     draw = ImageDraw.Draw(image)
     bold, plain, small = _font("DejaVuSans-Bold", 40), _font("DejaVuSans", 40), _font("DejaVuSans", 26)
     draw.text((4, 52), title, font=bold, fill=_INK, anchor="ls")
-    gap = (WIDTH - 560) / max(len(figures), 1)
+    # In steps, so that the figures do not move with every word of the title.
+    begin = 560 + 100 * max(0, math.ceil((draw.textlength(title, font=bold) - 520) / 100))
+    gap = (WIDTH - begin) / max(len(figures), 1)
     for i, (name, value) in enumerate(figures):
-        x = 560 + i * gap
+        x = begin + i * gap
         draw.text((x, 52), name, font=small, fill=_SOFT, anchor="ls")
         draw.text((x + draw.textlength(name, font=small) + 14, 52), value, font=plain, fill=_INK, anchor="ls")
     x, lengths = 4.0, [_MARK + draw.textlength(label, font=small) for label, _, _ in legend]

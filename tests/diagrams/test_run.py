@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from pydrake.geometry import Meshcat, MeshcatParams
 
 from tfg_drake.diagrams import run
 from tfg_drake.diagrams.methods import FindMethod, Method
@@ -231,3 +232,12 @@ def test_a_scripted_drive_maps_what_it_passes(tmp_path):
     assert summary["outcome"] in ("complete", "stuck")
     assert summary["landmarks_mapped"] > 10
     assert summary["position_error_m"]["max"] < 0.1
+
+
+@pytest.mark.parametrize("name", ["grid-nearest", "scripted"])
+def test_a_method_without_every_port_is_shown_too(name, tmp_path):
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    scenario = room()
+    scenario.drive = [[4.0, 1.5]]
+    arguments = {"method": FindMethod(name), "meshcat": meshcat, "max_time": 2.0, "out_dir": tmp_path}
+    assert run.explore(scenario, **arguments).summary["outcome"] == "time_limit"

@@ -185,7 +185,7 @@ def pose_estimate(state: GmappingState, stage: int) -> PoseEstimate:
     best = best_particle(state)
     motion = _motion_covariance(state, state.X_MU[best : best + 1])[0]
     return PoseEstimate(
-        stamp=state.odometry.stamp if state.odometry else -math.inf,
+        stamp=state.odometry.stamp if state.odometry else 0.0,  # the mission begins at M's origin
         X_MB=X_MB[best],
         covariance=(weight[:, None] * d).T @ d + motion,
         speed=state.odometry.V_B if state.odometry else np.zeros(2),
