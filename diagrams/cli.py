@@ -224,11 +224,12 @@ def slam(
 def figures(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write them.")] = Path("figures"),
 ) -> None:
-    """Draw the paper's figures from a mission of our own: information gain, priors, the TFG, the map as it grows."""
+    """The paper's figures and tables from missions of our own: gains, priors, the TFG, its growth, Tables I and II."""
     _make_writable(out)
     _announce_compilation()
 
-    from tfg_drake.diagrams.figures import write_figures
+    from tfg_drake.diagrams.figures import write_figures, write_tables
+    from tfg_drake.diagrams.sweep import SweepError
 
     def on_stage(stage: int, time: float) -> bool:
         print(f"stage {stage}, {time:.0f} s", flush=True)
@@ -236,6 +237,10 @@ def figures(
 
     try:
         files = write_figures(out, on_stage)
+        if not _interrupted.is_set():
+            files.append(write_tables(out, _interrupted))
+    except SweepError as error:
+        _bad_input(str(error))
     except OSError as error:
         _bad_input(f"{error.filename or out}: cannot be written: {error.strerror or error}")
     for file in files:

@@ -1,16 +1,22 @@
-"""`tfg-drake figures`: the paper's figures from a mission of our own."""
+"""`tfg-drake figures`: the paper's figures and tables from missions of our own."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
 from threadpoolctl import threadpool_limits
 
+from tfg_drake.comparison.paper_tables import METHODS, parameter_table, performance_table
+from tfg_drake.diagrams.compare_command import run_sweep
 from tfg_drake.diagrams.run import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
+from tfg_drake.diagrams.sweep import Task
+from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray
 from tfg_drake.paper_figures import Field, Stage, draw_gains, draw_growth, draw_priors, draw_tfg, write_figure
 
@@ -21,6 +27,8 @@ GROWTH = 4
 # Simulated time between two looks at the mission, s.
 STEP = 0.5
 LONGEST = 3600.0
+# Missions of each method for Table II, as many as in the paper.
+RUNS = 4
 
 
 def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tuple[list[Stage], FloatArray, FloatArray]:
@@ -69,3 +77,25 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
         "growth": draw_growth(growth, stamps, p_MB),
     }
     return [path for name, figure in figures.items() for path in write_figure(figure, folder, name)]
+
+
+def write_tables(folder: Path, interrupted: threading.Event) -> Path:
+    """Run RUNS missions of each method of Table II in `paper`, less those that are in the folder, and write the tables.
+
+    Raises:
+        SweepError: the folder holds other missions.
+        OSError: a file cannot be written.
+    """
+    scenarios = [LoadScenario(FindScenario("paper")) for _ in range(RUNS)]
+    for seed, scenario in enumerate(scenarios):
+        scenario.seed = seed
+    tasks = [Task(method, scenario, "paper", "paper", LONGEST) for scenario in scenarios for method in METHODS]
+    sweep = folder / "table-2"
+    sweep.mkdir(parents=True, exist_ok=True)
+    runs = run_sweep(tasks, sweep, 1, None, interrupted)
+    scenario, world = scenarios[0], MakeWorld(scenarios[0].world)
+    width, height = np.ptp(world.walls.reshape(-1, 2), axis=0)
+    parameters = parameter_table((width, height), len(world.tag_ids), scenario.tags, scenario.scan, scenario.grid)
+    path = folder / "tables.md"
+    write_atomic(path, f"{parameters}\n{performance_table(runs, 'paper')}")
+    return path

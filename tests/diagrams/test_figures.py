@@ -17,12 +17,19 @@ def test_stages_hold_what_belongs_together_and_end_when_told():
 def test_the_command_writes_every_figure_and_names_it(tmp_path, monkeypatch, capsys):
     stages_of = figures.stages_of
     monkeypatch.setattr(figures, "stages_of", lambda scenario, _: stages_of(scenario, lambda stage, time: stage == 2))
+    monkeypatch.setattr(figures, "RUNS", 1)
+    monkeypatch.setattr(figures, "LONGEST", 15.0)
     with pytest.raises(SystemExit) as end:
         cli.main(["figures", "--out", str(tmp_path)])
     assert end.value.code == 0
     names = sorted(path.name for path in tmp_path.iterdir())
     figures_of = ("growth", "information_gain", "priors", "tfg")
-    assert names == [name + suffix for name in figures_of for suffix in (".pdf", ".png")]
+    assert names == sorted(
+        [name + suffix for name in figures_of for suffix in (".pdf", ".png")] + ["table-2", "tables.md"]
+    )
+    tables = (tmp_path / "tables.md").read_text()
+    assert "| landmarks | 274 | 274 |" in tables
+    assert "| running time (s) | 2433 ± 546 | 15 | 2293 ± 375 | 15 |" in tables
     assert str(tmp_path / "growth.png") in capsys.readouterr().out
 
 

@@ -58,6 +58,7 @@ def cpu_idle(summary: dict[str, Any]) -> float | None:
 
 TIME = Measure("time", "s", 0, _field("sim_time_s"))
 POSITION = Measure("position error, mean", "m", 4, _field("position_error_m.mean"))
+HEADING = Measure("heading error, mean", "rad", 5, _field("heading_error_rad.mean"))
 VARIABLES = Measure("variables of the map", "", 0, variables)
 MAP_SIZE = Measure("map on disk", "kB", 1, _field("map_bytes", 1e-3))
 CPU_IDLE = Measure("CPU idle at real time", "%", 1, cpu_idle)
@@ -68,7 +69,7 @@ MEASURES = (
     Measure("distance", "m", 1, _field("distance_m")),
     POSITION,
     Measure("position error, max", "m", 4, _field("position_error_m.max")),
-    Measure("heading error, mean", "rad", 5, _field("heading_error_rad.mean")),
+    HEADING,
     VARIABLES,
     MAP_SIZE,
     Measure("peak memory", "MB", 0, _field("peak_rss_bytes", 1e-6)),
