@@ -31,6 +31,8 @@ from tfg_drake.messages import FloatArray, GridMap
 from tfg_drake.metrics import align
 
 CARMEN = ("intel", "freiburg-079", "aces")
+# Without a gyro the rover's heading is lost between scans half a radian apart: one every so many m or rad.
+ROVER, ROVER_STEP = "exp1", 0.1
 
 
 def logs(folder: Path, noise: float, seed: int) -> list[ScanLog]:
@@ -39,7 +41,7 @@ def logs(folder: Path, noise: float, seed: int) -> list[ScanLog]:
     model = OdometryConfig(**{name: noise * value for name, value in default.items()})
     paths = [folder / "carmen" / f"{name}-corrected.log.gz" for name in CARMEN]
     found = [load_carmen(path, model, seed) for path in paths if path.is_file()]
-    rover = folder / "breezyslam" / "exp1.dat.gz"
+    rover = folder / "breezyslam" / f"{ROVER}.dat.gz"
     return found + ([load_breezyslam(rover)] if rover.is_file() else [])
 
 
@@ -109,7 +111,10 @@ def main() -> None:
     for log in logs(options.data, options.noise, options.seed):
         if options.only not in log.name:
             continue
-        state, stamps, X_MB, cpu = run(log, GridConfig(particles=options.particles), options.seed)
+        config = GridConfig(particles=options.particles)
+        if log.name == ROVER:
+            config.update_distance = config.update_angle = ROVER_STEP
+        state, stamps, X_MB, cpu = run(log, config, options.seed)
         X_OB = np.array([one.X_OB for one in log.odometry])
         X_OB = X_OB[np.searchsorted([one.stamp for one in log.odometry], stamps)]
         cells = errors(log, stamps, X_MB[:, 1]) + errors(log, stamps, X_MB[:, 0]) + errors(log, stamps, X_OB)
