@@ -313,3 +313,14 @@ def test_the_anchor_is_what_is_known_best_but_never_what_is_not_known_yet(window
     unknown = graph.departure_covariance.copy()
     unknown[goals[goals != goals[5]]] = np.inf
     assert map_window.anchor_goal(replace(graph, departure_covariance=unknown), goals) == goals[5]
+
+
+def test_a_map_that_hangs_on_nothing_any_more_keeps_its_shape():
+    """Two points a known distance apart whose place has rounded to less than nothing."""
+    free = -1e-7 * np.eye(4)
+    tie = np.kron(np.array([[1.0, -1.0], [-1.0, 1.0]]), 1e4 * np.eye(2))
+    factor = map_solver._cholesky(free + tie)
+    covariance = np.linalg.inv(factor.T @ factor)
+    J = np.hstack([np.eye(2), -np.eye(2)])
+    np.testing.assert_allclose(J @ covariance @ J.T, 1e-4 * np.eye(2), rtol=1e-3)
+    assert np.sqrt(covariance[0, 0]) < 2.0 * map_solver.LOOSEST

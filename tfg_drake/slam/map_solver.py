@@ -41,6 +41,8 @@ SMALL_STEP = 1e-3
 RIM_STEP = 0.01
 # As good as zero.
 NOTHING = 1e-150
+# What hangs looser than this, m or rad, may as well hang by this.
+LOOSEST = 100.0
 # Poses and landmarks of more unknowns than this are never known jointly: it would take gigabytes.
 MOST_JOINT = 12_000
 
@@ -243,7 +245,7 @@ def _joint(
     pose = int(goals[-1]) if pose is None else pose
     poses = (*(ends or ()), pose)
     rows, information = _information(graph, goals, boundary_goals(graph, goals, graph.X_MD[pose, :2]), poses)
-    factor = scipy.linalg.cholesky(information, check_finite=False)
+    factor = _cholesky(information)
     entropy = _entropy(factor, 2 * len(rows))
     upper, _ = scipy.linalg.lapack.dpotri(factor)
     covariance = upper + upper.T
@@ -255,6 +257,19 @@ def _joint(
         covariance[at] = R_MD @ covariance[at]
         covariance[:, at] = covariance[:, at] @ R_MD.T
     return rows, np.asarray(covariance), entropy
+
+
+def _cholesky(information: FloatArray) -> FloatArray:
+    """The upper factor of an information matrix (n, n).
+
+    A map that hangs on its origin by kilometres, as where the robot was carried and the tags before were moved, is not
+    held at all by what is left of a double beside joints of hundredths of a millimetre: it hangs by LOOSEST then.
+    """
+    try:
+        return np.asarray(scipy.linalg.cholesky(information, check_finite=False))
+    except scipy.linalg.LinAlgError:
+        held = information + np.eye(len(information)) / LOOSEST**2
+        return np.asarray(scipy.linalg.cholesky(held, check_finite=False))
 
 
 def _between(graph: GoalGraph, i: int, j: int, covariance: FloatArray) -> FloatArray:
@@ -288,7 +303,7 @@ def _entropy_before(graph: GoalGraph, goals: IntArray) -> float:
     known[rows] = False
     # Seen before from elsewhere only.
     others = np.linalg.slogdet(2.0 * math.pi * math.e * graph.landmark_covariance[known])[1]
-    before = _entropy(scipy.linalg.cholesky(information, check_finite=False), 2 * len(rows))
+    before = _entropy(_cholesky(information), 2 * len(rows))
     return before + 0.5 * float(np.sum(others))
 
 
