@@ -28,14 +28,14 @@ def emulate(
     ] = "none",
 ) -> None:
     """Emulate a Kobuki until Ctrl-C; prints its device, then the address that serves its tags and scans."""
-    with _emulator(world) as emulator:
-        print(emulator.device, flush=True)
-        print("{}:{}".format(*emulator.sensors), flush=True)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with _emulator(world) as emulator:
+            print(emulator.device, flush=True)
+            print("{}:{}".format(*emulator.sensors), flush=True)
             threading.Event().wait()
-        except KeyboardInterrupt:
-            print()
+    except KeyboardInterrupt:
+        print()
 
 
 def _emulator(world: str) -> Emulator:
