@@ -46,12 +46,23 @@ class KobukiDriver:
         )
         theirs.close()
 
+    @property
+    def process_id(self) -> int:
+        """Of the driver's process."""
+        return self._process.pid
+
     def report(self) -> Report:
-        """The newest report; never waits. Raises KobukiError where the process has ended."""
+        """The newest report; never waits. Raises KobukiError where the process has ended.
+
+        Whoever has not asked for seconds may get one that is as old, once: go by its stamps.
+        """
+        newest = b""
         try:
             while datagram := self._socket.recv(65536):
-                self._report = decode_report(datagram)
+                newest = datagram
         except BlockingIOError:
+            if newest:
+                self._report = decode_report(newest)
             return self._report
         except OSError:
             pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import termios
 from typing import TYPE_CHECKING
 
 from tfg_drake.hardware.kobuki.codec import BAUD_RATE
@@ -32,6 +33,7 @@ def open_port(path: str) -> serial.Serial:
         raise KobukiError("the package pyserial is missing: pip install tfg_drake[kobuki]") from None
     try:
         return serial.Serial(path, BAUD_RATE, timeout=0.0, exclusive=True)
-    except serial.SerialException as error:
-        mend = _MENDS.get(error.errno or 0, "is no serial port that can be used; name the base's")
+    except (OSError, termios.error) as error:
+        # The second where the device goes away while it is being opened.
+        mend = _MENDS.get(getattr(error, "errno", 0), "is no serial port that can be used; name the base's")
         raise KobukiError(f"{path}: {mend}") from None

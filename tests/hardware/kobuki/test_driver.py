@@ -146,7 +146,7 @@ def test_it_stops_when_the_base_is_silent(usb, driving):
 
 def test_it_stops_at_sigterm(usb, driving):
     begin = time.monotonic()
-    os.kill(driving._process.pid, signal.SIGTERM)
+    os.kill(driving.process_id, signal.SIGTERM)
     assert_stops(usb.emulator, begin)
     with pytest.raises(KobukiError, match="process has ended"):
         driving.report()
