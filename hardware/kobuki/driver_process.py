@@ -7,7 +7,6 @@ does: plan for a second, hang, crash or be killed. Started by tfg_drake.hardware
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import os
 import select
@@ -15,17 +14,13 @@ import signal
 import socket
 import sys
 import time
-from typing import TYPE_CHECKING
 
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki import payloads as p
-from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
+from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.kobuki.link import KobukiError, Limits, Report, Request, decode_request, encode_report
 from tfg_drake.hardware.kobuki.serial_port import open_port
 from tfg_drake.hardware.kobuki.watchdog import allowed_velocity
-
-if TYPE_CHECKING:
-    import serial
 
 # Time between two commands to the base, s: it says as many frames, and the vendor's driver answers each.
 PERIOD = 0.02
@@ -33,6 +28,8 @@ PERIOD = 0.02
 LOST_AFTER, VERSION_WITHIN = 1.0, 2.0
 # Between two attempts to connect: at first, twice as long each time, at most; s.
 FIRST_RETRY, LAST_RETRY = 0.5, 5.0
+# Requests taken up before the base has its turn again, however many there are.
+_REQUESTS_AT_ONCE = 100
 # Between two requests of the versions, s.
 _ASK_EVERY = 0.2
 _VERSIONS = p.RequestExtra(0x0B)
@@ -42,27 +39,6 @@ _TUNE_ON, _TUNE_OFF = p.SoundSequence(0), p.SoundSequence(1)
 _STOP = p.BaseControl(0, 0)
 # The major number of the firmware whose protocol this is.
 _MAJOR = "1"
-
-
-@dataclasses.dataclass
-class Connection:
-    """One open port.
-
-    opened, heard, asked: when it was, when a frame came last, when versions were asked for last, s. said_anything:
-    bytes came, frames or not. core: the newest frame's. firmware, hardware, unique_id: as in Report. leds: as set last.
-    """
-
-    port: serial.Serial
-    opened: float
-    heard: float
-    asked: float = 0.0
-    said_anything: bool = False
-    deframer: Deframer = dataclasses.field(default_factory=Deframer)
-    core: p.CoreSensors | None = None
-    firmware: str = ""
-    hardware: str = ""
-    unique_id: str = ""
-    leds: int = -1
 
 
 class DriverProcess:
@@ -79,6 +55,8 @@ class DriverProcess:
         self._connection: Connection | None = None
         self._reckoning: odometry.Reckoning | None = None
         self._wanted: Request | None = None
+        # When the versions were asked for last, s, and the LEDs as they were set last.
+        self._asked, self._leds = 0.0, -1
         self._velocity = (0.0, 0.0)
         self._retry_at, self._retry_after = 0.0, FIRST_RETRY
 
@@ -91,24 +69,25 @@ class DriverProcess:
         due = time.monotonic()
         try:
             while not self._ended:
-                sources: list[int] = [self._parent.fileno()]
+                sources: list[socket.socket | Connection] = [self._parent]
                 if self._connection is not None:
-                    sources.append(self._connection.port.fileno())
+                    sources.append(self._connection)
                 ready, _, _ = select.select(sources, [], [], max(0.0, due - time.monotonic()))
-                if sources[0] in ready:
+                if self._parent in ready:
                     self._hear_parent()
-                if len(sources) > 1 and sources[1] in ready:
-                    self._hear_base()
+                if self._connection is not None and self._connection in ready:
+                    self._hear_base(self._connection, time.monotonic())
                 if (now := time.monotonic()) >= due:
                     due = max(due, now - PERIOD) + PERIOD
                     self._tick(now)
         finally:
-            self._say(_STOP, _TUNE_OFF, p.GeneralOutput(_POWER))
-            self._say(_STOP)
+            if self._connection is not None:
+                self._connection.say(_STOP, _TUNE_OFF, p.GeneralOutput(_POWER))
+                self._connection.say(_STOP)
 
     def _hear_parent(self) -> None:
         with contextlib.suppress(BlockingIOError):
-            while not self._ended:
+            for _ in range(_REQUESTS_AT_ONCE):
                 try:
                     datagram = self._parent.recv(65536)
                 except ConnectionResetError:
@@ -123,44 +102,11 @@ class DriverProcess:
                     # What was wanted before does not count.
                     self._state, self._wanted = "enabled", None
 
-    def _hear_base(self) -> None:
-        connection, now = self._connection, time.monotonic()
-        assert connection is not None
-        try:
-            data = os.read(connection.port.fileno(), 4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
+    def _hear_base(self, connection: Connection, now: float) -> None:
+        there = connection.read(now)
+        self._reckoning = connection.reckoning
+        if not there:
             self._disconnect(now, "the connection broke; put the cable back and switch the base on")
-            return
-        connection.said_anything = True
-        for payload in connection.deframer.feed(data):
-            self._take(connection, decode(payload, FEEDBACK), now)
-
-    def _take(self, connection: Connection, parts: tuple[p.SubPayload, ...], now: float) -> None:
-        """One frame."""
-        core = inertia = None
-        for part in parts:
-            match part:
-                case p.CoreSensors():
-                    core = part
-                case p.Inertia():
-                    inertia = part
-                case p.HardwareVersion():
-                    connection.hardware = f"{part.major}.{part.minor}.{part.patch}"
-                case p.FirmwareVersion():
-                    connection.firmware = f"{part.major}.{part.minor}.{part.patch}"
-                case p.UniqueId():
-                    connection.unique_id = f"{part.a:08x}{part.b:08x}{part.c:08x}"
-        if core is None or inertia is None:
-            return
-        if connection.core is None or self._reckoning is None:
-            self._reckoning = odometry.first(core, inertia, now, self._reckoning)
-        else:
-            self._reckoning = odometry.advanced(self._reckoning, core, inertia, now)
-        connection.core, connection.heard = core, now
 
     def _tick(self, now: float) -> None:
         """What happens every period."""
@@ -190,7 +136,7 @@ class DriverProcess:
             firmware=connection.firmware,
             hardware=connection.hardware,
             unique_id=connection.unique_id,
-            bad_frames=connection.deframer.bad,
+            bad_frames=connection.bad_frames,
         )
 
     def _connect(self, now: float) -> None:
@@ -199,7 +145,8 @@ class DriverProcess:
         except KobukiError as error:
             self._retry(now, str(error))
             return
-        self._connection = Connection(port, now, now)
+        self._connection = Connection(port, now, self._reckoning)
+        self._leds = -1
 
     def _check(self, connection: Connection, now: float) -> None:
         """Whether the connection is one, and when it becomes one."""
@@ -221,7 +168,7 @@ class DriverProcess:
             elif connection.core is not None:
                 self._state, self._detail, self._number = "disabled", "", self._number + 1
                 self._retry_after = FIRST_RETRY
-                self._say(_TUNE_ON)
+                connection.say(_TUNE_ON)
 
     def _command(self, connection: Connection, now: float) -> None:
         """Tells the base what to do in the next period. Before its first frame it is told nothing."""
@@ -234,25 +181,18 @@ class DriverProcess:
         )
         parts: list[p.SubPayload] = [odometry.base_control(*self._velocity)]
         leds = {"disabled": _ORANGE, "enabled": _GREEN}.get(self._state, 0)
-        if leds != connection.leds:
-            connection.leds = leds
+        if leds != self._leds:
+            self._leds = leds
             parts.append(p.GeneralOutput(_POWER | leds))
-        if self._state == "disconnected" and now - connection.asked > _ASK_EVERY:
-            connection.asked = now
+        if self._state == "disconnected" and now - self._asked > _ASK_EVERY:
+            self._asked = now
             parts.append(_VERSIONS)
-        self._say(*parts)
-
-    def _say(self, *parts: p.SubPayload) -> None:
-        """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""
-        if self._connection is not None:
-            with contextlib.suppress(OSError):
-                os.write(self._connection.port.fileno(), encode(*parts))
+        connection.say(*parts)
 
     def _disconnect(self, now: float, why: str) -> None:
-        assert self._connection is not None
-        self._say(_STOP)
-        with contextlib.suppress(OSError):
-            self._connection.port.close()
+        if self._connection is not None:
+            self._connection.say(_STOP)
+            self._connection.close()
         self._connection = None
         self._retry(now, f"{self._path}: {why}")
 
