@@ -96,7 +96,7 @@ def _data(part: SubPayload) -> bytes:
         if isinstance(part, RawGyro):
             numbers = [number for sample in part.samples for number in sample]
             return struct.pack(f"<BB{len(numbers)}h", part.frame_id, len(numbers), *numbers)
-        return _DATA[type(part)].pack(*(getattr(part, field.name) for field in dataclasses.fields(part)))  # type: ignore[arg-type]
+        return _DATA[type(part)].pack(*(getattr(part, field.name) for field in dataclasses.fields(part)))
     except struct.error as error:
         raise ValueError(f"{part}: {error}") from None
 

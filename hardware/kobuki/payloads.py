@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 
 
+@dataclasses.dataclass(frozen=True)
 class SubPayload:
     """One sub-payload of a frame; each kind is a frozen dataclass."""
 

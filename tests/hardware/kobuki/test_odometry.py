@@ -126,13 +126,17 @@ GOLDEN = {
     (0.7, 0.02): (702, 32767),
     (0.7, -0.02): (702, -32768),
     (0.0, 0.0): (0, 0),
-    (99.0, 0.0): (32767, 0),
 }
 
 
 @pytest.mark.parametrize(("wanted", "command"), GOLDEN.items())
 def test_commands_are_the_vendors(wanted, command):
     assert o.base_control(*wanted) == BaseControl(*command)
+
+
+def test_commands_are_saturated():
+    assert o.base_control(99.0, 0.0) == BaseControl(32767, 0)
+    assert o.base_control(-99.0, 1e-3) == BaseControl(-32768, -32768)
 
 
 @given(st.floats(-0.7, 0.7), st.floats(-math.pi, math.pi))
