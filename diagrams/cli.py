@@ -18,6 +18,7 @@ import typer
 
 from tfg_drake.diagrams.command_line import BadInput, wait_for_enter
 from tfg_drake.diagrams.command_line import bad_input as _bad_input
+from tfg_drake.diagrams.kobuki_command import kobuki_app
 from tfg_drake.diagrams.map_command import map_app
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ _UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 app.add_typer(map_app, name="map")
+app.add_typer(kobuki_app, name="kobuki")
 
 
 @app.callback()

@@ -1,0 +1,106 @@
+"""How soon the Kobuki's wheels are told to stop when something goes wrong, measured at an emulated base.
+
+python benchmarks/kobuki_watchdog.py
+python benchmarks/kobuki_watchdog.py --trials 50
+
+The time from what went wrong to the last command that was not a stop, as the emulator read it, every 20 ms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+from tfg_drake.hardware.kobuki.driver import KobukiDriver
+from tfg_drake.hardware.kobuki.emulator import Emulator
+from tfg_drake.hardware.kobuki.payloads import BaseControl
+
+_STOP = BaseControl(0, 0)
+_PARENT = """
+import sys, time
+from tfg_drake.hardware.kobuki.driver import KobukiDriver
+driver = KobukiDriver(sys.argv[1])
+driver.wait_connected()
+driver.enable()
+while True:
+    driver.command(0.2, 0.0)
+    time.sleep(0.02)
+"""
+# Motion this long after what went wrong has no end, and one that ended for so long has, s.
+_AT_MOST, _AFTERWARDS = 3.0, 0.4
+
+
+def stopped_after(emulator: Emulator, begin: float) -> float:
+    """Time from begin to the last command that was not a stop, s; inf where motion does not end."""
+    last = math.inf
+    while time.monotonic() < min(last, begin + _AT_MOST) + _AFTERWARDS:
+        time.sleep(0.02)
+        last = max((when for when, what in list(emulator.commands) if what != _STOP and when > begin), default=begin)
+    return last - begin if last < begin + _AT_MOST else math.inf
+
+
+def of_parent(how: signal.Signals) -> float:
+    """A parent in a process of its own gets a signal while it drives."""
+    with Emulator() as emulator:
+        parent = subprocess.Popen([sys.executable, "-c", _PARENT, emulator.device])
+        while not emulator.commands or emulator.commands[-1][1] == _STOP:
+            time.sleep(0.01)
+        begin = time.monotonic()
+        parent.send_signal(how)
+        after = stopped_after(emulator, begin)
+        parent.kill()
+        parent.wait()
+    return after
+
+
+def of_driver(fault: Callable[[Emulator, KobukiDriver], None]) -> float:
+    """Something happens while the driver in this process drives."""
+    with Emulator() as emulator, KobukiDriver(emulator.device) as driver:
+        driver.wait_connected()
+        driver.enable()
+        for _ in range(15):
+            driver.command(0.2, 0.0)
+            time.sleep(0.02)
+        begin = time.monotonic()
+        fault(emulator, driver)
+        return stopped_after(emulator, begin)
+
+
+def _silence(emulator: Emulator, driver: KobukiDriver) -> None:
+    emulator.silent = True
+    for _ in range(20):
+        driver.command(0.2, 0.0)
+        time.sleep(0.02)
+
+
+FAULTS: dict[str, Callable[[], float]] = {
+    "parent killed (-9)": lambda: of_parent(signal.SIGKILL),
+    "parent stopped (SIGSTOP)": lambda: of_parent(signal.SIGSTOP),
+    "no more commands": lambda: of_driver(lambda _, __: None),
+    "command NaN": lambda: of_driver(lambda _, driver: driver.command(math.nan, 0.0)),
+    "base silent, commands go on": lambda: of_driver(_silence),
+    "SIGTERM to the driver": lambda: of_driver(lambda _, driver: os.kill(driver.process_id, signal.SIGTERM)),
+    "driver closed": lambda: of_driver(lambda _, driver: driver.close()),
+}
+
+
+def main() -> None:
+    """Run the trials and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=10)
+    options = parser.parse_args()
+    print(f"{'what':<30}{'median, s':>10}{'worst, s':>10}")
+    for name, trial in FAULTS.items():
+        times = [trial() for _ in range(options.trials)]
+        print(f"{name:<30}{statistics.median(times):>10.3f}{max(times):>10.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""The bytes on the Kobuki's serial line: frames, their checksum, and the sub-payloads in them, both ways.
+
+A frame is `AA 55 | length | payload | xor`, the xor over length and payload. A payload is a row of sub-payloads
+`id | length | data`, little-endian. An id means one thing in COMMANDS (host to base) and another in FEEDBACK (base to
+host). Source: the vendor's driver kobuki_core 1.4.0, see tfg_drake.hardware.kobuki.payloads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import operator
+import struct
+from collections.abc import Callable, Mapping
+
+from tfg_drake.hardware.kobuki import payloads
+from tfg_drake.hardware.kobuki.payloads import FirmwareVersion, HardwareVersion, RawGyro, SubPayload
+
+BAUD_RATE = 115200
+HEADER = b"\xaa\x55"
+# Least and greatest length of a payload: one sub-payload with a byte of data; what the length's byte can say.
+MIN_PAYLOAD, MAX_PAYLOAD = 3, 255
+
+# Kinds by id.
+Kinds = Mapping[int, type[SubPayload]]
+COMMANDS: Kinds = {
+    1: payloads.BaseControl,
+    3: payloads.Sound,
+    4: payloads.SoundSequence,
+    9: payloads.RequestExtra,
+    12: payloads.GeneralOutput,
+    13: payloads.SetGains,
+    14: payloads.GetGains,
+}
+FEEDBACK: Kinds = {
+    1: payloads.CoreSensors,
+    3: payloads.DockInfrared,
+    4: payloads.Inertia,
+    5: payloads.CliffAdc,
+    6: payloads.Current,
+    10: payloads.HardwareVersion,
+    11: payloads.FirmwareVersion,
+    13: payloads.RawGyro,
+    16: payloads.GeneralInput,
+    19: payloads.UniqueId,
+    21: payloads.Gains,
+}
+_ID = {kind: number for kinds in (COMMANDS, FEEDBACK) for number, kind in kinds.items()}
+
+# The data of each kind but RawGyro, whose length varies.
+_DATA: dict[type[SubPayload], struct.Struct] = {
+    kind: struct.Struct("<" + fields)
+    for kind, fields in (
+        (payloads.BaseControl, "hh"),
+        (payloads.Sound, "HB"),
+        (payloads.SoundSequence, "B"),
+        (payloads.RequestExtra, "H"),
+        (payloads.GeneralOutput, "H"),
+        (payloads.SetGains, "BIII"),
+        (payloads.GetGains, "B"),
+        (payloads.CoreSensors, "HBBBHHbbBBBB"),
+        (payloads.DockInfrared, "BBB"),
+        (payloads.Inertia, "hh3x"),
+        (payloads.CliffAdc, "HHH"),
+        (payloads.Current, "BB"),
+        (payloads.HardwareVersion, "BBBx"),
+        (payloads.FirmwareVersion, "BBBx"),
+        (payloads.GeneralInput, "HHHHH6x"),
+        (payloads.UniqueId, "III"),
+        (payloads.Gains, "BIII"),
+    )
+}
+# Versions that old firmware writes in two bytes, as (patch, minor, major).
+_OLD_VERSIONS: dict[type[SubPayload], dict[int, tuple[int, int, int]]] = {
+    HardwareVersion: {104: (4, 0, 1)},
+    FirmwareVersion: {123: (0, 0, 1), 110: (0, 1, 1), 10100: (0, 1, 1), 111: (1, 1, 1), 10101: (1, 1, 1)},
+}
+
+
+def checksum(body: bytes) -> int:
+    """The xor of all bytes; body: length and payload."""
+    return functools.reduce(operator.xor, body, 0)
+
+
+def encode(*parts: SubPayload) -> bytes:
+    """The frame that carries these sub-payloads. Raises ValueError where a number or the whole does not fit."""
+    payload = b"".join(bytes([_ID[type(part)], len(data)]) + data for part in parts for data in [_data(part)])
+    if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
+        raise ValueError(f"a payload of {len(payload)} bytes; a frame carries {MIN_PAYLOAD} to {MAX_PAYLOAD}")
+    body = bytes([len(payload)]) + payload
+    return HEADER + body + bytes([checksum(body)])
+
+
+def _data(part: SubPayload) -> bytes:
+    try:
+        if isinstance(part, RawGyro):
+            numbers = [number for sample in part.samples for number in sample]
+            return struct.pack(f"<BB{len(numbers)}h", part.frame_id, len(numbers), *numbers)
+        return _DATA[type(part)].pack(*(getattr(part, field.name) for field in dataclasses.fields(part)))
+    except struct.error as error:
+        raise ValueError(f"{part}: {error}") from None
+
+
+def decode(payload: bytes, kinds: Kinds) -> tuple[SubPayload, ...]:
+    """The sub-payloads of one payload, in order.
+
+    Unknown ids are skipped, and so is a known one of a length it cannot have, or one cut off by the payload's end.
+    """
+    parts: list[SubPayload] = []
+    at = 0
+    while at + 2 <= len(payload):
+        number, end = payload[at], at + 2 + payload[at + 1]
+        data, at = payload[at + 2 : end], end
+        if at <= len(payload) and number in kinds and (part := _part(kinds[number], data)) is not None:
+            parts.append(part)
+    return tuple(parts)
+
+
+def _part(kind: type[SubPayload], data: bytes) -> SubPayload | None:
+    if kind is RawGyro:
+        if len(data) < 2 or data[1] % 3 or len(data) != 2 + 2 * data[1]:
+            return None
+        numbers = struct.unpack(f"<{data[1]}h", data[2:])
+        return RawGyro(data[0], tuple(zip(numbers[0::3], numbers[1::3], numbers[2::3], strict=True)))
+    make: Callable[..., SubPayload] = kind
+    if kind in _OLD_VERSIONS and len(data) == 2:
+        version = _OLD_VERSIONS[kind].get(int.from_bytes(data, "little"))
+        return None if version is None else make(*version)
+    return make(*_DATA[kind].unpack(data)) if len(data) == _DATA[kind].size else None
+
+
+def _tiled(payload: bytes) -> bool:
+    """Whether the payload is a row of whole sub-payloads, known or not."""
+    at = 0
+    while at + 2 <= len(payload):
+        at += 2 + payload[at + 1]
+    return at == len(payload)
+
+
+class Deframer:
+    """Finds the payloads in a stream of bytes that may begin, break off and be garbled anywhere.
+
+    A checksum of one byte is right by chance once in 256 times, so a payload must consist of whole sub-payloads, too.
+    bad: beginnings of a frame that turned out to be none. A true frame may hide behind such a one: the search goes on
+    at its next byte.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.bad = 0
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The payloads that are complete with these bytes, whose checksums are right."""
+        buffer, found = self._buffer, []
+        buffer += data
+        at = 0
+        while True:
+            start = buffer.find(HEADER, at)
+            if start < 0:
+                # Half a header may be the last byte.
+                at = len(buffer) - (buffer[-1:] == HEADER[:1])
+                break
+            at = start
+            if len(buffer) < at + 3:
+                break
+            length = buffer[at + 2]
+            end = at + 4 + length
+            if length < MIN_PAYLOAD:
+                self.bad += 1
+                at += 1
+                continue
+            if len(buffer) < end:
+                break
+            body = bytes(buffer[at + 2 : end - 1])
+            if checksum(body) == buffer[end - 1] and _tiled(body[1:]):
+                found.append(body[1:])
+                at = end
+            else:
+                self.bad += 1
+                at += 1
+        del buffer[:at]
+        return found

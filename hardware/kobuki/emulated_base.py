@@ -1,0 +1,120 @@
+"""A Kobuki without its wire: what it does with commands, and what it says 50 times a second."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.hardware.kobuki import payloads as p
+from tfg_drake.hardware.kobuki.odometry import GYRO_UNIT, METRES_PER_TICK, WHEEL_BASE, velocity
+from tfg_drake.messages import FloatArray
+from tfg_drake.simulation import differential_drive as drive
+
+# Time between two feedback frames, s.
+PERIOD = 0.02
+# The base's own limits of speed, m/s, and turn rate, rad/s.
+MAX_SPEED, MAX_TURN_RATE = 0.70, math.pi
+# A full battery, 0.1 V.
+_BATTERY = 165
+# The unit of the gyro's raw samples, rad/s.
+_RAW_GYRO_UNIT = math.radians(0.00875)
+
+
+class EmulatedBase:
+    """The base among walls. It obeys its last command for ever: the firmware stops neither by itself nor at a bumper.
+
+    state: of tfg_drake.simulation.differential_drive, the truth. outputs: the newest GeneralOutput's bits. sounds:
+    numbers of the tunes it was told to play. wheel_drop, cliff: bits of CoreSensors, to be set from outside. firmware:
+    the version that it says, (major, minor, patch).
+    """
+
+    def __init__(self, walls: FloatArray, start: FloatArray, robot: RobotConfig) -> None:
+        """walls: (m, 4) in W, m. start: (3,) X_WS. robot: its radius and accelerations count; speeds are the base's."""
+        self._walls = walls
+        self._robot = RobotConfig(
+            robot.radius, MAX_SPEED, MAX_TURN_RATE, robot.max_acceleration, robot.max_turn_acceleration
+        )
+        self.state = drive.initial_state(start, walls, self._robot)
+        self.outputs = 0
+        self.sounds: list[int] = []
+        self.wheel_drop = self.cliff = 0
+        self.firmware = (1, 1, 4)
+        self._command = (0.0, 0.0)
+        # What the left and the right wheel have gone, m, what the gyro has turned, rad, and frames so far.
+        self._wheels = [0.0, 0.0]
+        self._turned = 0.0
+        self._frames = 0
+        self._answers: list[p.SubPayload] = []
+        self._gains = p.Gains(0, 100_000, 100, 2000)
+
+    @property
+    def time(self) -> float:
+        """Time since it was switched on, s."""
+        return float(self.state[drive.TIME])
+
+    @property
+    def pose(self) -> FloatArray:
+        """The true pose X_WB (3,)."""
+        pose: FloatArray = self.state[drive.X : drive.THETA + 1]
+        return pose
+
+    def obey(self, part: p.SubPayload) -> None:
+        """Takes one command; answers come with the next frame."""
+        match part:
+            case p.BaseControl():
+                self._command = velocity(part)
+            case p.GeneralOutput():
+                self.outputs = part.bits
+            case p.SoundSequence():
+                self.sounds.append(part.number)
+            case p.RequestExtra():
+                major, minor, patch = self.firmware
+                answers = {1: p.HardwareVersion(4, 0, 1), 2: p.FirmwareVersion(patch, minor, major)}
+                answers[8] = p.UniqueId(1, 2, 3)
+                self._answers += [answer for flag, answer in answers.items() if part.flags & flag]
+            case p.SetGains():
+                self._gains = p.Gains(part.kind, part.p, part.i, part.d)
+            case p.GetGains():
+                self._answers.append(self._gains)
+
+    def step(self) -> None:
+        """Moves on by one PERIOD."""
+        self.state = drive.step(self.state, np.array(self._command), self._walls, self._robot, PERIOD)
+        speed, turn_rate = float(self.state[drive.SPEED]), float(self.state[drive.TURN_RATE])
+        self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
+        self._wheels[1] += PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
+        self._turned += PERIOD * turn_rate
+
+    def feedback(self) -> list[p.SubPayload]:
+        """What it says now: what it streams by itself, then the answers to what it was asked."""
+        left, right = (round(distance / METRES_PER_TICK) % 65536 for distance in self._wheels)
+        turn_rate = float(self.state[drive.TURN_RATE])
+        angle = (round(self._turned / GYRO_UNIT) + 18000) % 36000 - 18000
+        sample = (0, 0, round(turn_rate / _RAW_GYRO_UNIT))
+        self._frames += 1
+        answers, self._answers = self._answers, []
+        return [
+            p.CoreSensors(
+                stamp=round(1000.0 * self.time) % 65536,
+                bumper=int(self.state[drive.BUMPER]),
+                wheel_drop=self.wheel_drop,
+                cliff=self.cliff,
+                left_encoder=left,
+                right_encoder=right,
+                left_pwm=0,
+                right_pwm=0,
+                buttons=0,
+                charger=0,
+                battery=_BATTERY,
+                overcurrent=0,
+            ),
+            p.DockInfrared(0, 0, 0),
+            p.Inertia(angle, round(turn_rate / GYRO_UNIT)),
+            p.CliffAdc(2000, 2000, 2000),
+            p.Current(0, 0),
+            p.RawGyro(self._frames % 256, (sample, sample)),
+            p.GeneralInput(0, 0, 0, 0, 0),
+            *answers,
+        ]

@@ -1,0 +1,140 @@
+"""From the Kobuki's units to SI and back: dead reckoning, hazards, and the command that a velocity becomes.
+
+Source: the vendor's driver kobuki_core 1.4.0 (diff_drive.cpp, kobuki.cpp); its numbers in whole ticks, millimetres and
+hundredths of a degree are converted here and nowhere else. Plain arithmetic: the driver's process, which watches over
+the base, must never wait for a kernel to compile.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from tfg_drake.hardware.kobuki.payloads import BaseControl, CoreSensors, Inertia
+from tfg_drake.messages import Hazards, Odometry
+
+# Distance between the wheels, m, and how far one tick of an encoder takes its wheel, m.
+WHEEL_BASE = 0.230
+METRES_PER_TICK = 8.5292090e-5
+# The unit of the gyro's angle, rad, and of its rate, rad/s.
+GYRO_UNIT = math.radians(0.01)
+# No wheel moves faster, m/s: twice the base's top speed.
+_FASTEST_WHEEL = 1.4
+# Frames farther apart than this are no longer reckoned between, s.
+_LONGEST_GAP = 1.0
+# Without a tick for this long the base is at rest, s: longer than what lies between two looks at its newest message.
+_REST = 0.1
+# How fast the clocks of base and host may drift apart, s/s.
+_CLOCK_DRIFT = 2e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class Reckoning:
+    """Dead reckoning up to one feedback frame.
+
+    core, inertia: that frame's. base_time: s, since the first frame, by the base's own clock. offset: host's clock less
+    base_time, s. X_OB: pose in the odometry frame, m and rad. V_B: forward speed, m/s, and turn rate, rad/s. stamp: s
+    of the host's clock, never decreasing. moved: stamp of the last tick, s.
+    """
+
+    core: CoreSensors
+    inertia: Inertia
+    base_time: float
+    offset: float
+    X_OB: tuple[float, float, float]
+    V_B: tuple[float, float]
+    stamp: float
+    moved: float
+
+
+def first(core: CoreSensors, inertia: Inertia, received: float, before: Reckoning | None = None) -> Reckoning:
+    """The start of dead reckoning, or its continuation after a gap of unknown length.
+
+    received: when the frame came, s of the host's clock. The ticks, the gyro's angle and the base's clock count from
+    this frame on; the pose starts at 0, or stays what it was before: nobody knows how the base moved meanwhile.
+    """
+    pose = (0.0, 0.0, 0.0) if before is None else before.X_OB
+    return Reckoning(core, inertia, 0.0, received, pose, (0.0, 0.0), received, received)
+
+
+def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float) -> Reckoning:
+    """Dead reckoning one frame later; received: when it came, s of the host's clock.
+
+    The encoders say how far, the gyro which way: the base drives an arc of mean distance of its wheels and of the
+    gyro's turn. The stamp is the base's own clock, moved to the host's by the least delay seen, so that a frame which
+    waited somewhere is not taken for a late one. A frame that repeats the time of the one before, or whose ticks no
+    wheel can have made since, changes nothing; after a second without one that does, dead reckoning starts from there.
+    """
+    duration = 1e-3 * ((core.stamp - state.core.stamp) % 65536)
+    if duration > _LONGEST_GAP:
+        return first(core, inertia, received, state)
+    left = METRES_PER_TICK * _signed(core.left_encoder - state.core.left_encoder)
+    right = METRES_PER_TICK * _signed(core.right_encoder - state.core.right_encoder)
+    if duration == 0.0 or max(abs(left), abs(right)) > _FASTEST_WHEEL * duration:
+        return state
+    distance = 0.5 * (left + right)
+    # The angle is in (-180, 180] degrees.
+    turn = GYRO_UNIT * ((inertia.angle - state.inertia.angle + 18000) % 36000 - 18000)
+    x, y, theta = state.X_OB
+    half = 0.5 * turn
+    chord = distance * (math.sin(half) / half if abs(half) > 1e-8 else 1.0)
+    pose = (
+        x + chord * math.cos(theta + half),
+        y + chord * math.sin(theta + half),
+        math.pi - (math.pi - theta - turn) % (2.0 * math.pi),
+    )
+    base_time = state.base_time + duration
+    offset = min(state.offset + _CLOCK_DRIFT * duration, received - base_time)
+    stamp = max(state.stamp, base_time + offset)
+    moved = stamp if left or right else state.moved
+    speed = (distance / duration, GYRO_UNIT * inertia.rate)
+    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved)
+
+
+def _signed(ticks: int) -> int:
+    """The difference of two 16-bit counters that wrap, in [-32768, 32768)."""
+    return (ticks + 32768) % 65536 - 32768
+
+
+def odometry_message(state: Reckoning) -> Odometry:
+    """What dead reckoning says to the robot. At rest: no tick of any wheel for 0.1 s."""
+    at_rest = state.stamp - state.moved >= _REST
+    return Odometry(state.stamp, np.array(state.X_OB), np.array(state.V_B), at_rest)
+
+
+def hazards_message(core: CoreSensors, stamp: float) -> Hazards:
+    """The base's alarms at stamp (s of the host's clock). The left wheel's bit of a drop moves from 2 to 4."""
+    drop = (core.wheel_drop & 1) | (core.wheel_drop & 2) << 1
+    return Hazards(stamp, core.bumper & 7, core.cliff & 7, drop)
+
+
+def base_control(speed: float, turn_rate: float) -> BaseControl:
+    """The command for a finite forward speed (m/s) and turn rate (rad/s).
+
+    The base wants the speed of its outer wheel and the radius of its centre's arc. Straight ahead is radius 0, a turn
+    in place radius 1 with the direction in the speed. Fractions are cut off, and what exceeds 16 bits is saturated, as
+    the vendor's driver does.
+    """
+    half_base = 500.0 * WHEEL_BASE
+    if abs(turn_rate) < 1e-4:
+        return BaseControl(_int16(1000.0 * speed), 0)
+    radius = 1000.0 * speed / turn_rate
+    if abs(speed) < 1e-4 or abs(radius) <= 1.0:
+        return BaseControl(_int16(half_base * turn_rate), 1)
+    return BaseControl(_int16((radius + math.copysign(half_base, radius)) * turn_rate), _int16(radius))
+
+
+def velocity(command: BaseControl) -> tuple[float, float]:
+    """Forward speed (m/s) and turn rate (rad/s) that a command asks for: base_control backwards."""
+    if command.radius == 0:
+        return 1e-3 * command.speed, 0.0
+    if abs(command.radius) == 1:
+        return 0.0, command.radius * command.speed / (500.0 * WHEEL_BASE)
+    turn_rate = command.speed / (command.radius + math.copysign(500.0 * WHEEL_BASE, command.radius))
+    return 1e-3 * command.radius * turn_rate, turn_rate
+
+
+def _int16(value: float) -> int:
+    return int(min(32767.0, max(-32768.0, value)))

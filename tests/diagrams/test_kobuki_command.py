@@ -1,0 +1,87 @@
+"""tfg-drake kobuki, as a user calls it."""
+
+import dataclasses
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tfg_drake.hardware.kobuki.emulator import Emulator, empty_plane
+from tfg_drake.hardware.kobuki.payloads import BaseControl
+
+
+def test_emulate_prints_device_and_address_and_ends_with_ctrl_c():
+    command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "kobuki", "emulate", "--world", "corridor"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        device, address = process.stdout.readline().strip(), process.stdout.readline().strip()
+        with open(device, "rb", buffering=0) as port:
+            assert b"\xaa\x55" in port.read(300)
+        host, port = address.split(":")
+        with socket.create_connection((host, int(port)), timeout=10.0) as client:
+            assert client.recv(10).startswith(b'{"type":')
+        process.send_signal(signal.SIGINT)
+        rest = process.communicate(timeout=10.0)
+        assert (process.returncode, *rest) == (0, "\n", "")
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_an_unknown_world(call):
+    code, out, err = call("kobuki", "emulate", "--world", "nowhere")
+    assert (code, out) == (2, "")
+    assert err.startswith("tfg-drake: nowhere: no such file or scenario; name a YAML file or one of corridor,")
+
+
+CHECKED = """\
+firmware    1.1.4
+hardware    1.0.4
+id          000000010000000200000003
+battery     16.5 V, discharging
+bumper      none
+cliff       left, right
+wheel drop  none
+"""
+
+
+def test_check(call):
+    with Emulator() as emulator:
+        emulator.base.cliff = 5
+        assert call("kobuki", "check", "--port", emulator.device) == (0, CHECKED, "")
+        assert {command for _, command in emulator.commands} == {BaseControl(0, 0)}
+        assert emulator.base.pose.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_check_drives_20_cm(call):
+    with Emulator() as emulator:
+        code, out, err = call("kobuki", "check", "--port", emulator.device, "--drive")
+        assert (code, err) == (0, "")
+        assert emulator.base.pose == pytest.approx([0.2, 0.0, 0.0], abs=0.01)
+    line = out.splitlines()[-1]
+    assert re.fullmatch(r"drive       0\.\d{3} m ahead, [+-]0\.000 m to the left, [+-]0\.0 degrees", line)
+
+
+def test_check_drives_into_nothing(call):
+    world = dataclasses.replace(empty_plane(), walls=np.array([[0.25, -1.0, 0.25, 1.0]]))
+    with Emulator(world) as emulator:
+        code, _, err = call("kobuki", "check", "--port", emulator.device, "--drive")
+        complaint = "the drive was stopped by bumper, cliff or wheel drop; make room ahead of the base"
+        assert (code, err) == (2, f"tfg-drake: {complaint}\n")
+
+
+def test_check_without_a_base(call, tmp_path):
+    code, out, err = call("kobuki", "check", "--port", tmp_path / "kobuki")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"tfg-drake: {tmp_path}/kobuki: no such device; plug the base in and switch it on, or name")
+
+
+@pytest.mark.parametrize("command", ["check", "emulate"])
+def test_help(call, command):
+    code, out, _ = call("kobuki", command, "--help")
+    assert code == 0
+    assert "Usage: tfg-drake kobuki" in out

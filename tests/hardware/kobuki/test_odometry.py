@@ -1,0 +1,147 @@
+"""Dead reckoning against the simulator's motion, and velocities against the vendor's commands."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tfg_drake.geometry.se2 import between
+from tfg_drake.hardware.kobuki import odometry as o
+from tfg_drake.hardware.kobuki.payloads import BaseControl, CoreSensors, Inertia
+from tfg_drake.simulation.differential_drive import advance
+
+CORE = CoreSensors(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 165, 0)
+PERIOD = 0.02
+
+
+def frame(time, left, right, angle, rate=0.0):
+    """What the base says at time (s) whose wheels have gone so far (m) and which has turned by an angle (rad)."""
+    ticks = [round(distance / o.METRES_PER_TICK) % 65536 for distance in (left, right)]
+    degrees = round(angle / o.GYRO_UNIT + 18000) % 36000 - 18000
+    core = dataclasses.replace(CORE, stamp=round(1000 * time) % 65536, left_encoder=ticks[0], right_encoder=ticks[1])
+    return core, Inertia(degrees, round(rate / o.GYRO_UNIT))
+
+
+def drive(speed, turn_rate, duration, start=0.0):
+    """Dead reckoning and the true pose after an arc; wheels, clock and gyro begin near where they wrap."""
+    pose, state, wheel = np.zeros(3), None, np.array([5.5, 5.4])
+    for k in range(round(duration / PERIOD) + 1):
+        time = 65.0 + k * PERIOD
+        core, inertia = frame(time, *wheel, 3.0 + turn_rate * k * PERIOD, turn_rate)
+        state = o.first(core, inertia, time) if state is None else o.advanced(state, core, inertia, time)
+        truth = pose
+        pose = advance(pose, speed, turn_rate, PERIOD)
+        wheel = wheel + PERIOD * (speed + 0.5 * o.WHEEL_BASE * turn_rate * np.array([-1.0, 1.0]))
+    return o.odometry_message(state), truth
+
+
+@pytest.mark.parametrize(("speed", "turn_rate"), [(0.3, 0.0), (-0.2, 0.0), (0.0, 1.5), (0.25, 0.6), (-0.1, -0.4)])
+def test_it_follows_the_simulators_motion(speed, turn_rate):
+    odometry, truth = drive(speed, turn_rate, 40.0)
+    # A tick is 0.085 mm and a step of the angle 0.17 mrad; neither error adds up.
+    assert between(truth, odometry.X_OB) == pytest.approx(np.zeros(3), abs=2e-3)
+    assert pytest.approx([speed, turn_rate], abs=5e-3) == odometry.V_B
+    assert odometry.stamp == pytest.approx(105.0)
+    assert not odometry.at_rest
+
+
+def test_at_rest_after_a_while_without_ticks():
+    state = o.first(*frame(0.0, 0.0, 0.0, 0.0), 10.0)
+    seen = []
+    for k in range(1, 20):
+        state = o.advanced(state, *frame(k * PERIOD, 0.01 * min(k, 5), 0.01 * min(k, 5), 0.0), 10.0 + k * PERIOD)
+        seen.append(o.odometry_message(state).at_rest)
+    assert not any(seen[:9])
+    assert all(seen[10:])
+
+
+def test_stamps_are_not_late_because_frames_were():
+    late = [0.0, 0.0, 0.004, 0.5, 0.48, 0.46, 0.003, 0.0]
+    state, stamps = None, []
+    for k, delay in enumerate(late):
+        received = 50.0 + k * PERIOD + delay
+        parts = frame(k * PERIOD, 0.0, 0.0, 0.0)
+        state = o.first(*parts, received) if state is None else o.advanced(state, *parts, received)
+        stamps.append(state.stamp)
+    assert stamps == pytest.approx([50.0 + k * PERIOD for k in range(len(late))], abs=1e-4)
+
+
+def test_stamps_never_decrease_even_where_the_first_frame_was_late():
+    state = o.first(*frame(0.0, 0.0, 0.0, 0.0), 50.3)
+    stamps = [state.stamp]
+    for k in range(1, 30):
+        state = o.advanced(state, *frame(k * PERIOD, 0.0, 0.0, 0.0), 50.0 + k * PERIOD)
+        stamps.append(state.stamp)
+    assert (np.diff(stamps) >= 0.0).all()
+    assert stamps[-1] == pytest.approx(50.0 + 29 * PERIOD, abs=1e-4)
+
+
+def test_impossible_ticks_and_repeated_frames_change_nothing():
+    state = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0)
+    assert o.advanced(state, *frame(0.0, 0.001, 0.001, 0.0), 0.001) is state
+    assert o.advanced(state, *frame(0.02, 2.0, 0.0, 0.0), 0.02) is state
+    state = o.advanced(state, *frame(0.04, 0.01, 0.01, 0.0), 0.04)
+    assert pytest.approx((0.01, 0.0, 0.0), abs=1e-4) == state.X_OB
+
+
+def test_a_base_that_counts_from_anew_costs_a_second_at_most():
+    state, moved = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0), 0.0
+    for k in range(1, 100):
+        moved = 3.0 + 0.002 * k
+        state = o.advanced(state, *frame(k * PERIOD, moved, moved, 0.0), k * PERIOD)
+    assert 0.0 < state.X_OB[0] <= 0.002 * 50
+    assert state.stamp == pytest.approx(99 * PERIOD)
+
+
+def test_after_a_reconnection_everything_counts_from_the_new_frame():
+    before = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0)
+    before = o.advanced(before, *frame(0.02, 0.01, 0.01, 0.0), 0.02)
+    state = o.first(*frame(30.0, 4.0, 1.0, 2.0), 9.0, before)
+    assert (state.X_OB, state.V_B, state.stamp) == (before.X_OB, (0.0, 0.0), 9.0)
+    state = o.advanced(state, *frame(30.02, 4.01, 1.01, 2.0), 9.02)
+    assert pytest.approx((0.02, 0.0, 0.0), abs=2e-4) == state.X_OB
+
+
+@pytest.mark.parametrize(("bits", "drop"), [(0, 0), (1, 1), (2, 4), (3, 5)])
+def test_hazards(bits, drop):
+    hazards = o.hazards_message(dataclasses.replace(CORE, bumper=5, cliff=2, wheel_drop=bits), 3.0)
+    assert (hazards.stamp, hazards.bumper, hazards.cliff, hazards.wheel_drop) == (3.0, 5, 2, drop)
+
+
+# (v, w) and what the vendor's driver makes of it, kobuki_core 1.4.0.
+GOLDEN = {
+    (0.2, 0.0): (200, 0),
+    (-0.2, 0.0): (-200, 0),
+    (0.0, 0.8): (92, 1),
+    (0.0, -0.8): (-92, 1),
+    (0.2, 0.5): (257, 400),
+    (0.15, -0.9): (253, -166),
+    (-0.1, 0.3): (-134, -333),
+    (-0.2, -0.5): (-257, 400),
+    (0.0005, 1.0): (115, 1),
+    (0.05, 2.0): (280, 25),
+    (0.7, 0.02): (702, 32767),
+    (0.7, -0.02): (702, -32768),
+    (0.0, 0.0): (0, 0),
+}
+
+
+@pytest.mark.parametrize(("wanted", "command"), GOLDEN.items())
+def test_commands_are_the_vendors(wanted, command):
+    assert o.base_control(*wanted) == BaseControl(*command)
+
+
+def test_commands_are_saturated():
+    assert o.base_control(99.0, 0.0) == BaseControl(32767, 0)
+    assert o.base_control(-99.0, 1e-3) == BaseControl(-32768, -32768)
+
+
+@given(st.floats(-0.7, 0.7), st.floats(-math.pi, math.pi))
+def test_the_base_does_what_was_wanted(speed, turn_rate):
+    v, w = o.velocity(o.base_control(speed, turn_rate))
+    # Speeds are whole mm/s, and so is the radius, which matters where it is small.
+    assert v == pytest.approx(speed, abs=3e-3 + 2e-3 * abs(turn_rate))
+    assert w == pytest.approx(turn_rate, abs=0.02 + 0.01 * abs(turn_rate))
