@@ -15,6 +15,8 @@ import time
 from multiprocessing import Pipe
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
+
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
@@ -152,8 +154,10 @@ class Device:
                 kind, content = "ended", "the robot's process has ended"
             with self._changed:
                 if kind == "message":
-                    # Made anew: pickling loses that a message's arrays are read-only.
-                    self._newest[type(content)] = type(content)(**content.__dict__)
+                    for value in vars(content).values():  # pickling loses that arrays are read-only
+                        if isinstance(value, np.ndarray):
+                            value.setflags(write=False)
+                    self._newest[type(content)] = content
                 elif kind == "locked":
                     self._locked = content
                 elif kind == "answer":

@@ -151,7 +151,7 @@ def apriltag_detections(message: Any, camera_info: Any, stamp: float, camera: Ca
 
 def _corners(corners: Any) -> list[float]:
     """Eight numbers, of apriltag_msgs' float64[8] or of a list of points."""
-    return [float(v) for c in corners for v in ((field(c, "x"), field(c, "y")) if not np.isscalar(c) else (c,))]
+    return [float(v) for c in corners for v in ((c,) if isinstance(c, int | float) else (field(c, "x"), field(c, "y")))]
 
 
 def _either(message: Any, name: str, old: str) -> Any:

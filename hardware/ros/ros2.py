@@ -55,6 +55,7 @@ class Ros2Driver:
         """Waits until odometry and scan arrive; raises DeviceError."""
         try:
             import rclpy
+            from rclpy.context import Context
             from rclpy.executors import SingleThreadedExecutor
             from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
             from rclpy.signals import SignalHandlerOptions
@@ -71,7 +72,7 @@ class Ros2Driver:
         }
         topics = preset.topics
         types = {topic.name: _message_type(topic) for topic in (topics.command, *self._topics())}
-        self._context = rclpy.Context()
+        self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._node = rclpy.create_node("tfg_drake", context=self._context)
