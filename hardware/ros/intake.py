@@ -87,3 +87,22 @@ class Intake:
         """Why the robot must stop, once."""
         fault, self._fault = self._fault, None
         return fault
+
+    def absent(self, topic: Topic, types: list[str], graph: list[tuple[str, str]], verb: str) -> str | None:
+        """What is wrong, in one line, with a topic that the graph has with these types; None when all is well.
+
+        graph: (name, type) of every topic there is. verb: what nobody does, such as "publishes".
+        """
+        if topic.type in types:
+            return None
+        if types:
+            return f"{topic.name} is {types[0]}, the preset has {topic.type}: set its type"
+        ours = {one.name for _, one in self.topics()} | {
+            self._preset.topics.command.name,
+            "/rosout",
+            "/parameter_events",
+        }
+        seen = [name for name, kind in graph if kind == topic.type and name not in ours]
+        other = [name for name, _ in graph if name not in ours]
+        instead = ", ".join((seen or other)[:5]) or "no other topic (check ROS_DOMAIN_ID and the network)"
+        return f"nobody {verb} {topic.name} ({topic.type}); seen instead: {instead}"

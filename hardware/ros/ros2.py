@@ -121,17 +121,8 @@ class Ros2Driver:
         return self._absent(command, self._node.get_subscriptions_info_by_topic(command.name), "listens to")
 
     def _absent(self, topic: Topic, ends: list[Any], verb: str) -> str | None:
-        types = sorted({end.topic_type for end in ends})
-        if topic.type in types:
-            return None
-        if types:
-            return f"{topic.name} is {types[0]}, the preset has {topic.type}: set its type"
-        graph = self._node.get_topic_names_and_types()
-        ours = {one.name for one in (*self._topics(), self._preset.topics.command)}
-        seen = [name for name, kinds in graph if topic.type in kinds and name not in ours]
-        other = [name for name, _ in graph if name not in ours and name not in ("/rosout", "/parameter_events")]
-        instead = ", ".join((seen or other)[:5]) or "no other topic (check ROS_DOMAIN_ID and the network)"
-        return f"nobody {verb} {topic.name} ({topic.type}); seen instead: {instead}"
+        graph = [(name, kind) for name, kinds in self._node.get_topic_names_and_types() for kind in kinds]
+        return self._intake.absent(topic, sorted({end.topic_type for end in ends}), graph, verb)
 
     def _quality(self, name: str) -> str:
         ends = self._node.get_publishers_info_by_topic(name)

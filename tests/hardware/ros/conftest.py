@@ -56,7 +56,7 @@ class Transport:
         """When the robot was last told to move."""
         return max((t for t, v, w in self.order("report")["commands"] if v or w), default=-math.inf)
 
-    def stop_after(self, fault, settle=1.5):
+    def stop_after(self, fault, settle=1.1):
         """How long after the fault the robot was last told to move, having waited `settle` s."""
         time.sleep(max(0.0, fault + settle - time.monotonic()))
         last = self.last_motion_told()
@@ -94,7 +94,9 @@ class Transport:
 @pytest.fixture(scope="session")
 def ros_domain():
     """A graph of ROS 2 of our own, on this machine only."""
-    pytest.importorskip("rclpy", reason="rclpy is not installed: source ROS 2, or pip install -e .[ros2-test]")
+    pytest.importorskip(
+        "rclpy", reason="rclpy is not installed: source ROS 2, or pip install -e .[test] on Linux, x86_64"
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
@@ -105,5 +107,14 @@ def ros_domain():
 def ros2(ros_domain):
     """A simulated TurtleBot on ROS 2."""
     transport = Transport("ros2")
+    yield transport
+    transport.close()
+
+
+@pytest.fixture(scope="session")
+def rosbridge():
+    """A simulated TurtleBot behind rosbridge."""
+    pytest.importorskip("roslibpy", reason="roslibpy is not installed: pip install -e .[rosbridge]")
+    transport = Transport("rosbridge")
     yield transport
     transport.close()
