@@ -88,21 +88,21 @@ class Intake:
         fault, self._fault = self._fault, None
         return fault
 
-    def absent(self, topic: Topic, types: list[str], graph: list[tuple[str, str]], verb: str) -> str | None:
-        """What is wrong, in one line, with a topic that the graph has with these types; None when all is well.
+    def nobody(self, topic: Topic, graph: list[tuple[str, str]], verb: str) -> str:
+        """The complaint that a topic has no other end: nobody "publishes" or "listens to" it.
 
-        graph: (name, type) of every topic there is. verb: what nobody does, such as "publishes".
+        graph: (name, type) of every topic there is.
         """
-        if topic.type in types:
-            return None
-        if types:
-            return f"{topic.name} is {types[0]}, the preset has {topic.type}: set its type"
-        ours = {one.name for _, one in self.topics()} | {
-            self._preset.topics.command.name,
-            "/rosout",
-            "/parameter_events",
-        }
-        seen = [name for name, kind in graph if kind == topic.type and name not in ours]
-        other = [name for name, _ in graph if name not in ours]
-        instead = ", ".join((seen or other)[:5]) or "no other topic (check ROS_DOMAIN_ID and the network)"
+        ours = {one.name for _, one in self.topics()} | {self._preset.topics.command.name}
+        others = [(name, kind) for name, kind in graph if name not in ours | {"/rosout", "/parameter_events"}]
+        alike = [name for name, kind in others if kind == topic.type]
+        seen = (alike or [name for name, _ in others])[:5]
+        instead = ", ".join(seen) or "no other topic (check ROS_DOMAIN_ID and the network)"
         return f"nobody {verb} {topic.name} ({topic.type}); seen instead: {instead}"
+
+
+def mistyped(topic: Topic, types: list[str]) -> str | None:
+    """The complaint that the graph has the topic, but with other types only; None when it has it not, or rightly."""
+    if not types or topic.type in types:
+        return None
+    return f"{topic.name} is {types[0]}, the preset has {topic.type}: set its type"

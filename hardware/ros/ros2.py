@@ -12,7 +12,7 @@ from typing import Any
 
 from tfg_drake.hardware.device import Device, DeviceError, Message
 from tfg_drake.hardware.ros import conversions
-from tfg_drake.hardware.ros.intake import Intake
+from tfg_drake.hardware.ros.intake import Intake, mistyped
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.stamps import SILENCE
 from tfg_drake.hardware.watchdog import TICK
@@ -99,10 +99,16 @@ class Ros2Driver:
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             self.spin(TICK)
-            if self._intake.clock.ready and needed <= self._intake.arrived and self._missing() is None:
+            ends = self._ends()
+            for topic, types, _ in ends:
+                if line := mistyped(topic, types):
+                    raise DeviceError(f"ros2: {line}")
+            if self._intake.clock.ready and needed <= self._intake.arrived and all(types for _, types, _ in ends):
                 break
-        if line := self._missing():
-            raise DeviceError(f"ros2: {line}")
+        for topic, types, verb in self._ends():
+            if not types:
+                graph = [(name, kind) for name, kinds in self._node.get_topic_names_and_types() for kind in kinds]
+                raise DeviceError(f"ros2: {self._intake.nobody(topic, graph, verb)}")
         if silent := sorted(needed - self._intake.arrived):
             raise DeviceError(f"ros2: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: {self._quality(silent[0])}")
         if not self._intake.clock.ready:
@@ -112,17 +118,12 @@ class Ros2Driver:
         if line := self._intake.clock.skew():
             raise DeviceError(f"ros2: {line}")
 
-    def _missing(self) -> str | None:
-        """A topic of the preset that nobody is at the other end of, or with another type, in one line."""
-        for topic in self._topics():
-            if line := self._absent(topic, self._node.get_publishers_info_by_topic(topic.name), "publishes"):
-                return line
-        command = self._preset.topics.command
-        return self._absent(command, self._node.get_subscriptions_info_by_topic(command.name), "listens to")
-
-    def _absent(self, topic: Topic, ends: list[Any], verb: str) -> str | None:
-        graph = [(name, kind) for name, kinds in self._node.get_topic_names_and_types() for kind in kinds]
-        return self._intake.absent(topic, sorted({end.topic_type for end in ends}), graph, verb)
+    def _ends(self) -> list[tuple[Topic, list[str], str]]:
+        """Every topic, the types that its other end has, and what that does."""
+        node, command = self._node, self._preset.topics.command
+        inputs = [(topic, node.get_publishers_info_by_topic(topic.name), "publishes") for topic in self._topics()]
+        outputs = [(command, node.get_subscriptions_info_by_topic(command.name), "listens to")]
+        return [(topic, sorted({end.topic_type for end in ends}), verb) for topic, ends, verb in inputs + outputs]
 
     def _quality(self, name: str) -> str:
         ends = self._node.get_publishers_info_by_topic(name)

@@ -15,7 +15,7 @@ from typing import Any
 
 from tfg_drake.hardware.device import Device, DeviceError, Message
 from tfg_drake.hardware.ros import conversions
-from tfg_drake.hardware.ros.intake import Intake
+from tfg_drake.hardware.ros.intake import Intake, mistyped
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.stamps import SILENCE
 from tfg_drake.hardware.watchdog import TICK
@@ -91,8 +91,10 @@ class RosbridgeDriver:
         ours = [(topic, "publishes") for _, topic in self._intake.topics()]
         for topic, verb in [*ours, (self._preset.topics.command, "listens to")]:
             types = [kind for name, kind in graph if name == topic.name]
-            if line := self._intake.absent(topic, types, graph, verb):
+            if line := mistyped(topic, types):
                 raise DeviceError(f"rosbridge: {line}")
+            if not types:
+                raise DeviceError(f"rosbridge: {self._intake.nobody(topic, graph, verb)}")
 
     def _wait(self) -> None:
         odometry, scan = self._preset.topics.odometry.name, self._preset.topics.scan.name

@@ -10,7 +10,7 @@ import math
 import time
 
 # The clock is learned from this much odometry before anything is believed, s.
-LEARN = 1.0
+LEARN = 0.5
 # The least offset is taken over the newest one to two spans of this, s.
 SPAN = 10.0
 # The offset changes no faster than this, s/s, so that stamps keep their order.

@@ -1,5 +1,6 @@
 """Simulated TurtleBots in processes of their own, on each transport."""
 
+import functools
 import importlib
 import math
 import os
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tfg_drake.hardware.ros.preset import load_preset
+from tfg_drake.messages import Odometry
 
 HERE = Path(__file__).parent
 
@@ -29,6 +31,11 @@ class Transport:
         theirs.close()
         assert self._connection.poll(60.0), "the simulated robot did not begin"
         self.port = self._connection.recv()
+
+    @functools.cached_property
+    def device(self):
+        """One to share."""
+        return self.connect()
 
     def arguments(self):
         """Of connect, besides the preset."""
@@ -67,9 +74,17 @@ class Transport:
         return last - fault
 
     def close(self):
-        """Ends the robot."""
+        """Ends the robot, and the shared device if there is one."""
+        if "device" in self.__dict__:
+            self.device.close()
         self._connection.close()
         self._process.wait(10.0)
+
+    @staticmethod
+    def fresh(device):
+        """Whether odometry arrives."""
+        odometry = device.newest(Odometry)
+        return odometry is not None and time.monotonic() - odometry.stamp < 0.3
 
     @staticmethod
     def wait_for(condition, timeout=20.0):
@@ -118,3 +133,18 @@ def rosbridge():
     transport = Transport("rosbridge")
     yield transport
     transport.close()
+
+
+@pytest.fixture
+def device(transport):
+    """The device that the tests of a transport share."""
+    return transport.device
+
+
+@pytest.fixture
+def driving(device, transport):
+    """The device, the robot turning."""
+    transport.wait_for(lambda: transport.fresh(device))
+    device.enable()
+    transport.drive(device, 0.4, 0.0, 0.8)
+    return device

@@ -82,7 +82,11 @@ def main():
         twists.clear()
         return received
 
-    serve(Connection(int(sys.argv[1])), publish, spin, server.sockets[0].getsockname()[1])
+    def cut():
+        for client in clients:
+            client.transport.abort()
+
+    serve(Connection(int(sys.argv[1])), publish, spin, server.sockets[0].getsockname()[1], cut)
 
 
 main()

@@ -77,12 +77,12 @@ class SimulatedTurtlebot:
         return messages
 
     def order(self, name, value):
-        """What a test asks for: ("silent", bool), ("jump", s), ("report", None)."""
+        """What a test asks for: ("silent", bool), ("jump", s), ("report", None); else only the time, s."""
         if name == "silent":
             self.silent = value
         elif name == "jump":
             self.clock += value
-        else:
+        elif name == "report":
             return {"commands": self.commands, "moved": self.moved, "told": self.told, "poses": self.poses}
         return time.monotonic()
 
@@ -91,10 +91,10 @@ class SimulatedTurtlebot:
         return {"sec": seconds, "nanosec": int(1e9 * (now + self.clock - seconds))}
 
 
-def serve(connection, publish, spin, port=None):
+def serve(connection, publish, spin, port=None, cut=None):
     """Runs the robot in real time until the connection closes; publish(key, message), spin(duration).
 
-    port: what the other end is told to connect to.
+    port: what the other end is told to connect to. cut: loses the connections, asked for by the order "cut".
     """
     robot = SimulatedTurtlebot()
     connection.send(port)
@@ -110,6 +110,8 @@ def serve(connection, publish, spin, port=None):
                 order = connection.recv()
             except EOFError:
                 return
+            if order[0] == "cut":
+                cut()
             connection.send(robot.order(*order))
 
 

@@ -59,3 +59,19 @@ def test_no_server(rosbridge, monkeypatch):
 )
 def test_topics_that_differ(rosbridge, topics, line):
     assert complaint(changed(rosbridge.preset, **topics), rosbridge.port) == f"rosbridge: {line}"
+
+
+def test_a_connection_that_is_lost(rosbridge):
+    """The robot stands, and drives again when it is enabled anew."""
+    with rosbridge.connect() as device:
+        device.enable()
+        rosbridge.drive(device, 0.3, 0.0, 0.8)
+        lost = rosbridge.order("cut")
+        rosbridge.drive(device, 0.8, 0.0, 0.8)
+        assert device.locked == "no odometry for more than 0.5 s"
+        rosbridge.wait_for(lambda: rosbridge.fresh(device))
+        rosbridge.drive(device, 0.3, 0.0, 0.8)
+        assert rosbridge.last_motion_told() <= lost + 0.1
+        device.enable()
+        rosbridge.drive(device, 0.3, 0.0, 0.8)
+        assert rosbridge.last_motion_told() > lost + 0.8
