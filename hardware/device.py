@@ -75,6 +75,7 @@ class Device:
             [sys.executable, "-m", "tfg_drake.hardware.driver_process", str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
             start_new_session=True,
         )
         theirs.close()

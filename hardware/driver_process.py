@@ -59,7 +59,7 @@ def serve(driver: Driver, connection: Connection) -> None:
             driver.spin(TICK)
             for message in driver.take():
                 if isinstance(message, Odometry):
-                    watchdog.hear(message.stamp)
+                    watchdog.hear(min(message.stamp, time.monotonic()))
                 outbox.put("message", message)
             if fault := driver.fault():
                 watchdog.lock(fault)

@@ -49,7 +49,7 @@ class Intake:
                 self._newest[type(converted)] = converted
         except ClockJump as jump:
             self._fault, self._odometry = str(jump), None
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, LookupError) as error:
             if topic.name not in self._refused:
                 _log.warning("%s: messages are not used: %s", topic.name, error)
             self._refused.add(topic.name)

@@ -19,8 +19,9 @@ SLEW = 1e-3
 JUMP = 0.25
 # Odometry silent for longer is a new connection: the clock is learned anew, s.
 SILENCE = 0.5
-# The robot's clock may differ from the host's by this, s.
+# The robot's clock may differ from the host's by this, s; what a camera sees may be this old when it arrives.
 MAX_SKEW = 0.25
+MAX_AGE = 1.0
 
 
 class ClockJump(Exception):
@@ -31,7 +32,7 @@ class StampClock:
     """Brings ROS stamps to the host's monotonic clock."""
 
     def __init__(self) -> None:
-        self._offset = 0.0
+        self._offset, self._source = 0.0, ""
         self._reset()
 
     def _reset(self) -> None:
@@ -47,6 +48,7 @@ class StampClock:
 
     def odometry(self, topic: str, stamp: float, arrival: float) -> float | None:
         """As `host`, for the topic that the clock is learned from."""
+        self._source = topic
         if arrival - self._heard > SILENCE:
             self._reset()
         dt = arrival - self._heard
@@ -83,10 +85,11 @@ class StampClock:
         wall = time.time() - time.monotonic()
         for topic, least in self._least.items():
             behind = wall + least
-            if abs(behind) > MAX_SKEW:
+            allowed = MAX_SKEW if behind < 0.0 or topic == self._source else MAX_AGE
+            if abs(behind) > allowed:
                 side = "behind" if behind > 0.0 else "ahead of"
                 return (
-                    f"{topic} is stamped {abs(behind):.2f} s {side} this computer's clock ({MAX_SKEW} s are allowed); "
+                    f"{topic} is stamped {abs(behind):.2f} s {side} this computer's clock ({allowed} s are allowed); "
                     "synchronise both, with chrony for example"
                 )
         return None
