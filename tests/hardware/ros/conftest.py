@@ -29,7 +29,7 @@ class Transport:
         command = [sys.executable, str(HERE / f"{name}_turtlebot.py"), str(theirs.fileno())]
         self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()])
         theirs.close()
-        assert self._connection.poll(60.0), "the simulated robot did not begin"
+        assert self._connection.poll(180.0), "the simulated robot did not begin"
         self.port = self._connection.recv()
 
     @functools.cached_property

@@ -97,6 +97,8 @@ def serve(connection, publish, spin, port=None, cut=None):
     port: what the other end is told to connect to. cut: loses the connections, asked for by the order "cut".
     """
     robot = SimulatedTurtlebot()
+    for _ in range(3):
+        robot.step()  # compiles what is to be compiled
     connection.send(port)
     due = time.monotonic()
     while True:

@@ -36,9 +36,9 @@ def test_it_stands_until_it_is_enabled(device, transport):
 def test_what_the_robot_sees(device, transport):
     """It stands: odometry is where it is; every ray ends on a wall; the tags are those of the sensor's model."""
     transport.wait_for(lambda: all(device.newest(kind) for kind in (Odometry, LaserScan, TagDetections)))
+    transport.wait_for(lambda: device.newest(Odometry).at_rest)
     odometry, scan, tags = (device.newest(kind) for kind in (Odometry, LaserScan, TagDetections))
     assert device.newest(Hazards) is None
-    assert odometry.at_rest
     X_WB = true_pose(transport, odometry.stamp)
     np.testing.assert_allclose(odometry.X_OB, se2.between(transport.order("report")["poses"][0][1], X_WB), atol=1e-9)
     for message in (odometry, scan, tags):
