@@ -1,0 +1,172 @@
+"""A robot's base and sensors behind a process of their own.
+
+The process (driver_process.py) reads the robot, keeps the watchdog and sends the velocity: GTSAM holds the interpreter
+while it solves, and a stop must not wait for that. All stamps are the host's monotonic clock, s.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import subprocess
+import sys
+import threading
+import time
+from multiprocessing import Pipe
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from tfg_drake.hardware.watchdog import Limits
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+
+Message = Odometry | LaserScan | Hazards | TagDetections
+T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections)
+
+# How long to wait for the process to find its robot, and to answer, s.
+START_TIMEOUT = 60.0
+ANSWER_TIMEOUT = 5.0
+
+
+class DeviceError(RuntimeError):
+    """The robot cannot be used; the message is one line: what is wrong and how to mend it."""
+
+
+class Driver(Protocol):
+    """What the process drives a robot with; used by one thread."""
+
+    limits: Limits
+
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s."""
+
+    def take(self) -> list[Message]:
+        """The newest message of each kind since the last call."""
+
+    def fault(self) -> str | None:
+        """Why the robot must stop until it is enabled anew, once; None when all is well."""
+
+    def send(self, speed: float, turn_rate: float) -> None:
+        """Sends a velocity, m/s and rad/s, to the base."""
+
+    def close(self) -> None:
+        """Lets go of the robot."""
+
+
+class DriverConfig(Protocol):
+    """What the process is told: pickled, and opened there."""
+
+    def open(self) -> Driver:
+        """The driver, its robot found, odometry arriving; raises DeviceError."""
+
+
+class Device:
+    """A robot: its newest messages, and a velocity that lasts half a second.
+
+    Nothing moves before `enable`. Without a new command the velocity is zero after COMMAND_TIMEOUT. After a clock's
+    jump or when odometry was silent the robot stands until `enable` is called again; `locked` says why.
+    """
+
+    def __init__(self, config: DriverConfig) -> None:
+        """Starts the process and waits until odometry arrives; raises DeviceError."""
+        self._connection, theirs = Pipe()
+        # In a session of its own: an interrupt from the keyboard is for this process, which stops the robot by ending.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tfg_drake.hardware.driver_process", str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        theirs.close()
+        self._changed = threading.Condition()
+        self._newest: dict[type, Message] = {}
+        self._locked: str | None = "not enabled yet"
+        self._answers = 0
+        self._ended: str | None = None
+        self._ready = False
+        self._put(config)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        with self._changed:
+            self._changed.wait_for(lambda: self._ready or self._ended is not None, START_TIMEOUT)
+        if not self._ready:
+            line = self._ended or f"the robot's process did not begin in {START_TIMEOUT:.0f} s"
+            self.close()
+            raise DeviceError(line)
+
+    def newest(self, kind: type[T]) -> T | None:
+        """The newest message of a kind, such as Odometry; None where none has arrived yet."""
+        message = self._newest.get(kind)
+        return message if isinstance(message, kind) else None
+
+    @property
+    def locked(self) -> str | None:
+        """Why the robot may not move; None when it may."""
+        return self._ended or self._locked
+
+    def command(self, speed: float, turn_rate: float) -> None:
+        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError."""
+        self._put(("command", time.monotonic(), float(speed), float(turn_rate)))
+
+    def enable(self) -> None:
+        """Lets the commands that follow move the robot; raises DeviceError where it may not."""
+        with self._changed:
+            before = self._answers
+            self._put(("enable",))
+            answered = self._changed.wait_for(lambda: self._answers > before or bool(self._ended), ANSWER_TIMEOUT)
+        if not answered or self.locked is not None:
+            raise DeviceError(f"the robot is not enabled: {self.locked if answered else 'its process does not answer'}")
+
+    def close(self) -> None:
+        """Stops the robot and ends the process."""
+        with contextlib.suppress(DeviceError):
+            self._put(("close",))
+        self._ended = self._ended or "closed"
+        try:
+            self._process.wait(ANSWER_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._reader.join()
+        self._connection.close()
+
+    def __enter__(self) -> Device:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _put(self, order: Any) -> None:
+        if self._ended is not None:
+            raise DeviceError(self._ended)
+        try:
+            if not select.select([], [self._connection], [], 0.0)[1]:
+                raise DeviceError("the robot's process does not take commands any more")
+            self._connection.send(order)
+        except OSError:
+            raise DeviceError("the robot's process has ended") from None
+
+    def _read(self) -> None:
+        while True:
+            try:
+                kind, content = self._connection.recv()
+            except (EOFError, OSError):
+                kind, content = "ended", "the robot's process has ended"
+            with self._changed:
+                if kind == "message":
+                    for value in vars(content).values():  # pickling loses that arrays are read-only
+                        if isinstance(value, np.ndarray):
+                            value.setflags(write=False)
+                    self._newest[type(content)] = content
+                elif kind == "locked":
+                    self._locked = content
+                elif kind == "answer":
+                    self._answers, self._locked = self._answers + 1, content
+                elif kind == "ready":
+                    self._ready = True
+                else:
+                    self._ended = self._ended or content
+                self._changed.notify_all()
+            if kind == "ended":
+                return

@@ -1,0 +1,107 @@
+"""The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... FILE_DESCRIPTOR`.
+
+What arrives for it: the driver's configuration, then ("command", sent, speed, turn_rate), ("enable",) and ("close",).
+What it says: ("ready", None), ("message", message), ("locked", reason or None), ("answer", reason or None) to an
+enable, and ("ended", line). When the other end is gone the robot stands and the process ends.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from multiprocessing.connection import Connection
+from typing import Any
+
+from tfg_drake.hardware.device import DeviceError, Driver
+from tfg_drake.hardware.watchdog import TICK, Watchdog
+from tfg_drake.messages import Odometry
+
+# The last word to the base is said this often, a tick apart: one may be lost.
+_LAST_ZEROS = 5
+
+
+class _Outbox:
+    """Sends from a thread of its own, the newest of each kind: a parent that does not read holds nothing up."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._waiting: dict[Any, tuple[str, Any]] = {}
+        self._changed = threading.Condition()
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def put(self, kind: str, content: Any) -> None:
+        with self._changed:
+            self._waiting[kind, type(content) if kind == "message" else None] = (kind, content)
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting)
+                waiting, self._waiting = list(self._waiting.values()), {}
+            try:
+                for one in waiting:
+                    self._connection.send(one)
+            except OSError:
+                return
+
+
+def serve(driver: Driver, connection: Connection) -> None:
+    """Drives until the other end of the connection is closed or its process gone."""
+    watchdog, outbox, parent = Watchdog(driver.limits), _Outbox(connection), os.getppid()
+    outbox.put("ready", None)
+    told, moved = watchdog.locked, False
+    try:
+        while os.getppid() == parent:
+            driver.spin(TICK)
+            for message in driver.take():
+                if isinstance(message, Odometry):
+                    watchdog.hear(min(message.stamp, time.monotonic()))
+                outbox.put("message", message)
+            if fault := driver.fault():
+                watchdog.lock(fault)
+            while connection.poll():
+                order = connection.recv()
+                if order[0] == "close":
+                    return
+                if order[0] == "enable":
+                    watchdog.enable(time.monotonic())
+                    moved = True
+                    told = watchdog.locked
+                    outbox.put("answer", told)
+                else:
+                    watchdog.command(*order[1:])
+            velocity = watchdog.velocity(time.monotonic())
+            if moved:  # a robot that was never enabled is somebody else's
+                driver.send(*velocity)
+            if watchdog.locked != told:
+                told = watchdog.locked
+                outbox.put("locked", told)
+    except (EOFError, OSError):
+        pass  # the other end is gone
+    finally:
+        for _ in range(_LAST_ZEROS if moved else 0):
+            driver.send(0.0, 0.0)
+            driver.spin(TICK)
+
+
+def main() -> None:
+    """The process."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    connection = Connection(int(sys.argv[1]))
+    try:
+        driver = connection.recv().open()
+    except DeviceError as error:
+        connection.send(("ended", str(error)))
+        return
+    try:
+        serve(driver, connection)
+    finally:
+        driver.close()
+
+
+if __name__ == "__main__":
+    main()

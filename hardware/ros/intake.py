@@ -1,0 +1,108 @@
+"""What both transports do with what they receive: stamps, conversion, the newest message of each kind."""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.hardware.device import Message
+from tfg_drake.hardware.ros import conversions
+from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.hardware.ros.stamps import ClockJump, StampClock
+from tfg_drake.messages import Hazards, Odometry
+
+_log = logging.getLogger(__name__)
+
+
+class Intake:
+    """Converts ROS messages of either transport; one thread may use it."""
+
+    def __init__(self, preset: Preset) -> None:
+        self.clock = StampClock()
+        self._preset = preset
+        self._newest: dict[type, Message] = {}
+        self._odometry: Odometry | None = None
+        self._hazards = Hazards(-math.inf, 0, 0, 0)
+        self._camera_info: Any = None
+        self._fault: str | None = None
+        self._refused: set[str] = set()
+        self.arrived: set[str] = set()
+
+    def topics(self) -> list[tuple[str, Topic]]:
+        """What to subscribe to: (key for `receive`, topic)."""
+        topics = self._preset.topics
+        one_each = [(key, getattr(topics, key)) for key in ("odometry", "scan", "detections", "camera_info")]
+        return [(key, t) for key, t in one_each if t is not None] + [("hazards", topic) for topic in topics.hazards]
+
+    def receive(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
+        """Takes a message in that arrived at `arrival` (host's monotonic clock, s)."""
+        self.arrived.add(topic.name)
+        if key == "camera_info":
+            self._camera_info = message
+            return
+        try:
+            if (stamp := self._host_stamp(key, topic, message, arrival)) is not None:
+                converted = self._convert(key, topic, message, stamp)
+                self._newest[type(converted)] = converted
+        except ClockJump as jump:
+            self._fault, self._odometry = str(jump), None
+        except (ValueError, TypeError, LookupError) as error:
+            if topic.name not in self._refused:
+                _log.warning("%s: messages are not used: %s", topic.name, error)
+            self._refused.add(topic.name)
+
+    def _host_stamp(self, key: str, topic: Topic, message: Any, arrival: float) -> float | None:
+        stamp = conversions.ros_stamp(message)
+        if key == "odometry" and stamp is not None:
+            return self.clock.odometry(topic.name, stamp, arrival)
+        if stamp is None:
+            return arrival if self.clock.ready else None
+        return self.clock.host(topic.name, stamp, arrival)
+
+    def _convert(self, key: str, topic: Topic, message: Any, stamp: float) -> Message:
+        if key == "odometry":
+            self._odometry = conversions.odometry(message, stamp, self._odometry)
+            return self._odometry
+        if key == "scan":
+            V_B = np.zeros(2) if self._odometry is None else self._odometry.V_B
+            return conversions.laser_scan(message, stamp, self._preset.scanner, V_B)
+        if key == "hazards":
+            self._hazards = conversions.hazards(topic.type, message, stamp, self._hazards)
+            return self._hazards
+        if topic.type == "sensor_msgs/msg/PointCloud2":
+            return conversions.plain_detections(message, stamp)
+        if self._camera_info is None:
+            raise ValueError("no camera_info yet")
+        return conversions.apriltag_detections(message, self._camera_info, stamp, self._preset.camera)
+
+    def take(self) -> list[Message]:
+        """The newest message of each kind since the last call."""
+        taken, self._newest = list(self._newest.values()), {}
+        return taken
+
+    def fault(self) -> str | None:
+        """Why the robot must stop, once."""
+        fault, self._fault = self._fault, None
+        return fault
+
+    def nobody(self, topic: Topic, graph: list[tuple[str, str]], verb: str) -> str:
+        """The complaint that a topic has no other end: nobody "publishes" or "listens to" it.
+
+        graph: (name, type) of every topic there is.
+        """
+        ours = {one.name for _, one in self.topics()} | {self._preset.topics.command.name}
+        others = [(name, kind) for name, kind in graph if name not in ours | {"/rosout", "/parameter_events"}]
+        alike = [name for name, kind in others if kind == topic.type]
+        seen = (alike or [name for name, _ in others])[:5]
+        instead = ", ".join(seen) or "no other topic (check ROS_DOMAIN_ID and the network)"
+        return f"nobody {verb} {topic.name} ({topic.type}); seen instead: {instead}"
+
+
+def mistyped(topic: Topic, types: list[str]) -> str | None:
+    """The complaint that the graph has the topic, but with other types only; None when it has it not, or rightly."""
+    if not types or topic.type in types:
+        return None
+    return f"{topic.name} is {types[0]}, the preset has {topic.type}: set its type"

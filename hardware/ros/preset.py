@@ -1,0 +1,162 @@
+"""What a TurtleBot's ROS graph looks like: topics, types, quality of service, limits and mounts, read from YAML."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tfg_drake.hardware.watchdog import Limits
+
+PRESETS = Path(__file__).parent / "presets"
+
+
+class PresetError(ValueError):
+    """A preset that cannot be used; the message is one line: file, key, what is wrong, how to mend it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Topic:
+    """A topic. type: package/msg/Name. qos: "sensor_data" (best effort) or "reliable"."""
+
+    name: str
+    type: str
+    qos: str = "sensor_data"
+
+
+@dataclasses.dataclass(frozen=True)
+class Topics:
+    """The topics of one robot; those of the tags and hazards may be absent. camera_info: needed by apriltag_msgs."""
+
+    odometry: Topic
+    scan: Topic
+    command: Topic
+    hazards: tuple[Topic, ...] = ()
+    detections: Topic | None = None
+    camera_info: Topic | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Scanner:
+    """X_BS, the pose of the scan's frame in base_link (m, rad), and the standard deviation of a range (m)."""
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    sigma: float = 0.015
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """The camera's pose in base_link (m, rad; pitch is downward) and its tags.
+
+    tag_size: side of a tag's black square, m. corner_sigma: standard deviation of a corner, pixels.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    pitch: float = 0.0
+    tag_size: float = 0.16
+    corner_sigma: float = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """One kind of robot."""
+
+    topics: Topics
+    limits: Limits = dataclasses.field(default_factory=Limits)
+    scanner: Scanner = dataclasses.field(default_factory=Scanner)
+    camera: Camera = dataclasses.field(default_factory=Camera)
+
+
+# The types that a topic may have, by its key in `topics`.
+TYPES = {
+    "odometry": ("nav_msgs/msg/Odometry",),
+    "scan": ("sensor_msgs/msg/LaserScan",),
+    "command": ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
+    "hazards": (
+        "irobot_create_msgs/msg/HazardDetectionVector",
+        "kobuki_ros_interfaces/msg/BumperEvent",
+        "kobuki_ros_interfaces/msg/CliffEvent",
+        "kobuki_ros_interfaces/msg/WheelDropEvent",
+        "turtlebot3_msgs/msg/SensorState",
+    ),
+    "detections": ("apriltag_msgs/msg/AprilTagDetectionArray", "sensor_msgs/msg/PointCloud2"),
+    "camera_info": ("sensor_msgs/msg/CameraInfo",),
+}
+QOS = ("sensor_data", "reliable")
+_POSITIVE = ("limits.", "scanner.sigma", "camera.tag_size", "camera.corner_sigma")
+
+
+def load_preset(name_or_path: str | Path) -> Preset:
+    """A shipped preset ("turtlebot4") or a YAML file of one's own; raises PresetError."""
+    path = PRESETS / f"{name_or_path}.yaml"
+    path = path if path.is_file() else Path(name_or_path)
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
+        raise PresetError(f"{name_or_path}: no such file or preset; name a YAML file or one of {names}")
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise PresetError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    try:
+        preset: Preset = _read(tree, Preset, "")
+        _check(preset.topics)
+    except PresetError as error:
+        raise PresetError(f"{path}: {error}") from None
+    return preset
+
+
+def _read(value: Any, schema: Any, place: str) -> Any:
+    """A value of YAML as the schema's type."""
+    if isinstance(schema, types.UnionType):
+        schema = schema.__args__[0]
+    if typing.get_origin(schema) is tuple:
+        if not isinstance(value, list):
+            raise PresetError(f"{place}: expected a list, found {value!r}")
+        return tuple(_read(item, schema.__args__[0], f"{place}[{i}]") for i, item in enumerate(value))
+    if dataclasses.is_dataclass(schema):
+        return _section(value, schema, place)
+    if schema is float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise PresetError(f"{place}: expected a number, found {value!r}")
+        if place.startswith(_POSITIVE) and value <= 0.0:
+            raise PresetError(f"{place}: expected a number above 0, found {value!r}")
+        return float(value)
+    if not isinstance(value, str) or not value:
+        raise PresetError(f"{place}: expected text, found {value!r}")
+    return value
+
+
+def _section(value: Any, schema: Any, place: str) -> Any:
+    hints = typing.get_type_hints(schema)
+    if not isinstance(value, dict):
+        raise PresetError(f"{place or 'preset'}: expected the keys {', '.join(hints)}, found {value!r}")
+    within = f"{place}." if place else ""
+    for key in value:
+        if key not in hints:
+            raise PresetError(f"{within}{key}: unknown key; the keys here are {', '.join(hints)}")
+    for one in dataclasses.fields(schema):
+        required = one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
+        if required and one.name not in value:
+            raise PresetError(f"{within}{one.name}: missing")
+    return schema(**{key: _read(item, hints[key], f"{within}{key}") for key, item in value.items()})
+
+
+def _check(topics: Topics) -> None:
+    for key, known in TYPES.items():
+        entry = getattr(topics, key)
+        for topic in entry if isinstance(entry, tuple) else (entry,) if entry is not None else ():
+            if topic.type not in known:
+                raise PresetError(f"topics.{key}: unknown type {topic.type}; known are {', '.join(known)}")
+            if topic.qos not in QOS:
+                raise PresetError(f"topics.{key}: unknown qos {topic.qos}; known are {', '.join(QOS)}")
+    if topics.detections is not None and topics.detections.type.startswith("apriltag") and topics.camera_info is None:
+        raise PresetError("topics.camera_info: missing; corners of tags say nothing without it")

@@ -1,0 +1,83 @@
+"""What stands between a command and the wheels: limits, and zero velocity when anything is not as it should be.
+
+It runs where the commands leave the machine, in a process of its own, by the host's monotonic clock (s).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+# Without a command younger than this the velocity is zero, s. With a tick and the way there the robot has it in 0.6 s.
+COMMAND_TIMEOUT = 0.5
+# Without odometry younger than this the velocity is zero until it is enabled anew, s.
+ODOMETRY_TIMEOUT = 0.5
+# The velocity is sent this often, s.
+TICK = 0.02
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Of the velocity that is sent: m/s, rad/s, m/s^2, rad/s^2."""
+
+    speed: float = 0.3
+    turn_rate: float = 1.5
+    acceleration: float = 0.5
+    turn_acceleration: float = 3.5
+
+
+class Watchdog:
+    """Holds the newest command and says what velocity to send; locked until enabled."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._locked: str | None = "not enabled yet"
+        self._command, self._sent = (0.0, 0.0), -math.inf
+        self._heard = -math.inf
+        self._velocity, self._when = (0.0, 0.0), -math.inf
+
+    @property
+    def locked(self) -> str | None:
+        """Why the robot may not move; None when it may."""
+        return self._locked
+
+    def hear(self, when: float) -> None:
+        """Odometry tells how the robot was at `when`."""
+        self._heard = when
+
+    def lock(self, reason: str) -> None:
+        """Zero velocity from now on, until `enable`."""
+        self._locked = self._locked or reason
+
+    def enable(self, now: float) -> None:
+        """Lets the next command through, unless odometry is stale; commands given before are forgotten."""
+        self._sent = -math.inf
+        self._locked = None
+        self._check(now)
+
+    def command(self, sent: float, speed: float, turn_rate: float) -> None:
+        """A command, m/s and rad/s, given at `sent`. One that is not finite is zero."""
+        finite = math.isfinite(speed) and math.isfinite(turn_rate)
+        self._command, self._sent = (speed, turn_rate) if finite else (0.0, 0.0), sent if finite else -math.inf
+
+    def velocity(self, now: float) -> tuple[float, float]:
+        """What to send, m/s and rad/s: within the limits of speed and acceleration, or zero at once."""
+        self._check(now)
+        dt, self._when = min(max(0.0, now - self._when), 2.0 * TICK), now
+        if self._locked is not None or not now - self._sent <= COMMAND_TIMEOUT:
+            self._velocity = (0.0, 0.0)
+        else:
+            (v, w), limits = self._velocity, self._limits
+            self._velocity = (
+                v + _bounded(_bounded(self._command[0], limits.speed) - v, limits.acceleration * dt),
+                w + _bounded(_bounded(self._command[1], limits.turn_rate) - w, limits.turn_acceleration * dt),
+            )
+        return self._velocity
+
+    def _check(self, now: float) -> None:
+        if not now - self._heard <= ODOMETRY_TIMEOUT:
+            self.lock(f"no odometry for more than {ODOMETRY_TIMEOUT} s")
+
+
+def _bounded(value: float, bound: float) -> float:
+    return min(bound, max(-bound, value))

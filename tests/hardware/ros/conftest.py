@@ -1,0 +1,150 @@
+"""Simulated TurtleBots in processes of their own, on each transport."""
+
+import functools
+import importlib
+import math
+import os
+import subprocess
+import sys
+import time
+from multiprocessing import Pipe
+from pathlib import Path
+
+import pytest
+
+from tfg_drake.hardware.ros.preset import load_preset
+from tfg_drake.messages import Odometry
+
+HERE = Path(__file__).parent
+
+
+class Transport:
+    """A simulated TurtleBot on one transport, and the ways to it. Times are the host's monotonic clock, s."""
+
+    preset = load_preset(HERE / "house.yaml")
+
+    def __init__(self, name):
+        self.name = name
+        self._connection, theirs = Pipe()
+        command = [sys.executable, str(HERE / f"{name}_turtlebot.py"), str(theirs.fileno())]
+        self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()])
+        theirs.close()
+        assert self._connection.poll(180.0), "the simulated robot did not begin"
+        self.port = self._connection.recv()
+
+    @functools.cached_property
+    def device(self):
+        """One to share."""
+        return self.connect()
+
+    def arguments(self):
+        """Of connect, besides the preset."""
+        return {} if self.port is None else {"port": self.port}
+
+    def connect(self, preset=None):
+        """A device for the robot."""
+        module = importlib.import_module(f"tfg_drake.hardware.ros.{self.name}")
+        return module.connect(preset or self.preset, **self.arguments())
+
+    def parent(self):
+        """Another process that drives the robot for ever, once it does."""
+        arguments = [str(value) for value in self.arguments().values()]
+        process = subprocess.Popen([sys.executable, str(HERE / "driving_parent.py"), self.name, *arguments])
+        began = time.monotonic()
+        self.wait_for(lambda: self.last_motion_told() > began, 60.0)
+        return process
+
+    def order(self, name, value=None):
+        """What SimulatedTurtlebot.order says."""
+        self._connection.send((name, value))
+        return self._connection.recv()
+
+    def last_motion_told(self):
+        """When the robot was last told to move."""
+        return max((t for t, v, w in self.order("report")["commands"] if v or w), default=-math.inf)
+
+    def stop_after(self, fault, settle=1.1):
+        """How long after the fault the robot was last told to move, having waited `settle` s."""
+        time.sleep(max(0.0, fault + settle - time.monotonic()))
+        last = self.last_motion_told()
+        assert last > fault - 0.3, "it did not move before the fault"
+        commands = [(v, w) for t, v, w in self.order("report")["commands"] if t > last]
+        assert (0.0, 0.0) in commands, "no zero was sent"
+        print(f"{self.name}: last motion {last - fault:.3f} s after the fault")
+        return last - fault
+
+    def close(self):
+        """Ends the robot, and the shared device if there is one."""
+        if "device" in self.__dict__:
+            self.device.close()
+        self._connection.close()
+        self._process.wait(10.0)
+
+    @staticmethod
+    def fresh(device):
+        """Whether odometry arrives."""
+        odometry = device.newest(Odometry)
+        return odometry is not None and time.monotonic() - odometry.stamp < 0.3
+
+    @staticmethod
+    def wait_for(condition, timeout=20.0):
+        """Waits until the condition holds."""
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, "in vain"
+            time.sleep(0.02)
+
+    @staticmethod
+    def drive(device, duration, speed, turn_rate):
+        """Commands at 50 Hz; when the last was given."""
+        end = last = time.monotonic()
+        end += duration
+        while time.monotonic() < end:
+            last = time.monotonic()
+            device.command(speed, turn_rate)
+            time.sleep(0.02)
+        return last
+
+
+@pytest.fixture(scope="session")
+def ros_domain():
+    """A graph of ROS 2 of our own, on this machine only."""
+    pytest.importorskip(
+        "rclpy", reason="rclpy is not installed: source ROS 2, or pip install -e .[test] on Linux, x86_64"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+        yield
+
+
+@pytest.fixture(scope="session")
+def ros2(ros_domain):
+    """A simulated TurtleBot on ROS 2."""
+    transport = Transport("ros2")
+    yield transport
+    transport.close()
+
+
+@pytest.fixture(scope="session")
+def rosbridge():
+    """A simulated TurtleBot behind rosbridge."""
+    pytest.importorskip("roslibpy", reason="roslibpy is not installed: pip install -e .[rosbridge]")
+    transport = Transport("rosbridge")
+    yield transport
+    transport.close()
+
+
+@pytest.fixture
+def device(transport):
+    """The device that the tests of a transport share."""
+    return transport.device
+
+
+@pytest.fixture
+def driving(device, transport):
+    """The device, the robot turning."""
+    transport.wait_for(lambda: transport.fresh(device))
+    device.enable()
+    transport.drive(device, 0.4, 0.0, 0.8)
+    return device

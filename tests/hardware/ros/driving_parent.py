@@ -1,0 +1,21 @@
+"""A program that drives the robot for ever, to be killed or frozen: `python driving_parent.py TRANSPORT [PORT]`."""
+
+import sys
+import time
+from pathlib import Path
+
+from tfg_drake.hardware.ros.preset import load_preset
+
+preset = load_preset(Path(__file__).with_name("house.yaml"))
+if sys.argv[1] == "ros2":
+    from tfg_drake.hardware.ros.ros2 import connect
+
+    device = connect(preset)
+else:
+    from tfg_drake.hardware.ros.rosbridge import connect
+
+    device = connect(preset, port=int(sys.argv[2]))
+device.enable()
+while True:
+    device.command(0.0, 0.5)
+    time.sleep(0.02)

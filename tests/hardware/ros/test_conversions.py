@@ -1,0 +1,295 @@
+"""ROS messages to ours, exactly: as dictionaries and as objects."""
+
+import base64
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tfg_drake.hardware.ros import conversions
+from tfg_drake.hardware.ros.preset import Camera, Scanner
+from tfg_drake.messages import Hazards
+
+STILL = np.zeros(2)
+NO_HAZARDS = Hazards(0.0, 0, 0, 0)
+
+
+def objects(value):
+    """A message of dictionaries as one of objects."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{key: objects(item) for key, item in value.items()})
+    return [objects(item) for item in value] if isinstance(value, list) else value
+
+
+transports = pytest.mark.parametrize("as_sent", [dict, objects], ids=["rosbridge", "rclpy"])
+
+
+def odometry_message(x=1.0, y=2.0, yaw=2.5, v=0.1, w=-0.3):
+    return {
+        "header": {"stamp": {"sec": 12, "nanosec": 250_000_000}, "frame_id": "odom"},
+        "child_frame_id": "base_link",
+        "pose": {
+            "pose": {
+                "position": {"x": x, "y": y, "z": 0.0},
+                "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)},
+            }
+        },
+        "twist": {"twist": {"linear": {"x": v}, "angular": {"z": w}}},
+    }
+
+
+@transports
+def test_odometry(as_sent):
+    odometry = conversions.odometry(as_sent(odometry_message()), 7.0)
+    assert odometry.stamp == 7.0
+    np.testing.assert_allclose(odometry.X_OB, [1.0, 2.0, 2.5], atol=1e-15)
+    assert odometry.V_B.tolist() == [0.1, -0.3]
+    assert not odometry.at_rest
+
+
+def test_a_robot_rests_when_neither_place_nor_velocity_says_otherwise():
+    still = odometry_message(v=0.0, w=0.0)
+    before = conversions.odometry(still, 1.0)
+    assert conversions.odometry(still, 2.0, before).at_rest
+    assert not conversions.odometry(odometry_message(x=1.01, v=0.0, w=0.0), 2.0, before).at_rest
+    assert not conversions.odometry(odometry_message(v=0.0, w=0.1), 2.0, before).at_rest
+
+
+@transports
+def test_the_stamp_of_a_header(as_sent):
+    assert conversions.ros_stamp(as_sent(odometry_message())) == 12.25
+    assert conversions.ros_stamp(as_sent({"state": 1})) is None
+
+
+def test_the_stamp_of_ros_1():
+    assert conversions.ros_stamp({"header": {"stamp": {"secs": 3, "nsecs": 500_000_000}}}) == 3.5
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"x": math.nan}, "odometry is not finite"),
+        ({"v": math.inf}, "odometry is not finite"),
+        ({"yaw": math.nan}, "odometry's orientation (0.0, 0.0, nan, nan) is no unit quaternion"),
+    ],
+)
+def test_odometry_that_is_refused(change, line):
+    with pytest.raises(ValueError, match="odometry") as error:
+        conversions.odometry(odometry_message(**change), 0.0)
+    assert str(error.value) == line
+
+
+def test_a_missing_field_is_named():
+    with pytest.raises(ValueError, match=r"^no field pose\.pose\.orientation\.x$"):
+        conversions.odometry({"pose": {"pose": {}}}, 0.0)
+
+
+def scan_message(ranges, first, step, **fields):
+    limits = {"range_min": 0.15, "range_max": 12.0, "time_increment": 0.0}
+    return {"angle_min": first, "angle_increment": step, "ranges": ranges, **limits, **fields}
+
+
+@transports
+def test_a_scan_keeps_its_rays(as_sent):
+    scan = conversions.laser_scan(as_sent(scan_message([1.0, 2.0, 3.0], -0.5, 0.5)), 4.0, Scanner(sigma=0.02), STILL)
+    np.testing.assert_allclose(scan.angles, [-0.5, 0.0, 0.5], atol=1e-15)
+    np.testing.assert_allclose(scan.ranges, [1.0, 2.0, 3.0], atol=1e-15)
+    assert (scan.stamp, scan.range_max, scan.sigma) == (4.0, 12.0, 0.02)
+
+
+def test_angles_increase_about_straight_ahead():
+    upside_down = scan_message([1.0, 2.0, 3.0], 0.5, -0.5)
+    assert conversions.laser_scan(upside_down, 0.0, Scanner(), STILL).ranges.tolist() == pytest.approx([3.0, 2.0, 1.0])
+    # A full circle from 0 to 2 pi, the last ray the first again.
+    circle = scan_message([1.0, 2.0, 3.0, 4.0, 1.0], 0.0, 0.5 * math.pi)
+    scan = conversions.laser_scan(circle, 0.0, Scanner(), STILL)
+    assert scan.angles.tolist() == pytest.approx([-0.5 * math.pi, 0.0, 0.5 * math.pi, math.pi])
+    assert scan.ranges.tolist() == pytest.approx([4.0, 1.0, 2.0, 3.0])
+
+
+def test_what_ranges_say():
+    nothing = [math.inf, 12.5, -math.inf, math.nan, None, 0.0, 0.1]
+    scan = conversions.laser_scan(scan_message(nothing, 0.0, 0.1), 0.0, Scanner(), STILL)
+    np.testing.assert_allclose(scan.ranges, [math.inf, math.inf, 0.15, *[math.nan] * 4])
+
+
+def test_a_scan_is_seen_from_the_body():
+    # Mounted 4 cm behind the centre, a quarter turn to the left: its x axis is the body's y axis.
+    scanner = Scanner(x=-0.04, yaw=0.5 * math.pi)
+    message = scan_message([1.04, 3.0, math.inf], -0.5 * math.pi, 0.5 * math.pi)
+    scan = conversions.laser_scan(message, 0.0, scanner, STILL)
+    ahead, left, behind = [1.0, 0.0], [-0.04, 3.0], [-12.04, 0.0]
+    np.testing.assert_allclose(scan.ranges, [1.0, math.hypot(*left), math.inf])
+    angles = [math.atan2(y, x) for x, y in (ahead, left, behind)]
+    np.testing.assert_allclose(scan.angles, angles, atol=1e-12)
+
+
+def test_a_sweep_is_told_as_of_its_middle():
+    # The robot turns at 1 rad/s and drives at 0.2 m/s; a wall point 2 m ahead of the middle pose, met 0.05 s before
+    # and after by rays that point elsewhere then.
+    V_B, point = np.array([0.2, 1.0]), np.array([2.0, 0.3])
+    rays = []
+    for t in (-0.05, 0.0, 0.05):
+        dx, dy = point - [0.2 * t, 0.0]
+        rays.append((math.hypot(dx, dy), math.atan2(dy, dx) - t))
+    step = -0.05
+    ranges = [r for r, _ in rays]
+    message = scan_message(ranges, rays[0][1], step, time_increment=0.05)
+    scan = conversions.laser_scan(message, 10.0, Scanner(), V_B)
+    assert scan.stamp == pytest.approx(10.05)
+    points = scan.ranges[:, None] * np.stack([np.cos(scan.angles), np.sin(scan.angles)], axis=1)
+    assert np.abs(points - point).max() < 0.01  # the rays' spacing is not quite even
+    still = conversions.laser_scan(message, 10.0, Scanner(), STILL)
+    assert np.abs(still.angles - np.arctan2(0.3, 2.0)).max() > 0.04
+
+
+@pytest.mark.parametrize("change", [{"angle_increment": 0.0}, {"range_max": math.nan}, {"range_min": 13.0}])
+def test_a_scan_without_sense_is_refused(change):
+    with pytest.raises(ValueError, match=r"^scan of angles"):
+        conversions.laser_scan(scan_message([1.0], 0.0, 0.1) | change, 0.0, Scanner(), STILL)
+
+
+CAMERA = Camera(x=0.1, y=0.02, yaw=0.3, pitch=-0.2, tag_size=0.2, corner_sigma=0.5)
+INFO = {"p": [600.0, 0.0, 320.0, 0.0, 0.0, 590.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]}
+
+
+def seen(p_BT, height, facing):
+    """Corners, in pixels, of an upright tag at p_BT (in the floor's plane) and a height above the camera."""
+    c, s = math.cos(CAMERA.yaw), math.sin(CAMERA.yaw)
+    cp, sp = math.cos(CAMERA.pitch), math.sin(CAMERA.pitch)
+    R_yaw = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    R_pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    across = np.array([-math.sin(facing), math.cos(facing), 0.0])
+    half = 0.5 * CAMERA.tag_size
+    center = np.array([*p_BT, height]) - [CAMERA.x, CAMERA.y, 0.0]
+    corners = []
+    for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+        x, y, z = (R_yaw @ R_pitch).T @ (center + half * (a * across + [0, 0, b]))
+        corners += [600.0 * -y / x + 320.0, 590.0 * -z / x + 240.0]
+    return corners
+
+
+@transports
+def test_tags_from_their_corners(as_sent):
+    places = np.array([[2.0, 1.0], [1.5, 0.4]])
+    detections = [
+        {"id": 7, "corners": seen(places[0], 0.3, 3.4)},
+        {"id": 3, "corners": seen(places[1], 0.2, 3.0)},
+    ]
+    found = conversions.apriltag_detections(as_sent({"detections": detections}), as_sent(INFO), 5.0, CAMERA)
+    assert found.ids.tolist() == [7, 3]
+    np.testing.assert_allclose(found.range, np.hypot(*places.T), atol=1e-8)
+    np.testing.assert_allclose(found.bearing, np.arctan2(places[:, 1], places[:, 0]), atol=1e-8)
+    assert (found.sigma_range > 0.001).all()
+    assert (found.sigma_range < 0.05).all()
+    assert (found.sigma_bearing < 0.003).all()
+
+
+def test_the_sigmas_of_tags_are_those_of_their_corners():
+    random = np.random.default_rng(0)
+    exact = np.array(seen([2.0, 1.0], 0.3, 3.4))
+    draws = [{"id": 0, "corners": (exact + 0.5 * random.normal(size=8)).tolist()} for _ in range(2000)]
+    found = conversions.apriltag_detections({"detections": draws}, INFO, 0.0, CAMERA)
+    assert found.range.std() == pytest.approx(found.sigma_range[0], rel=0.2)
+    assert found.bearing.std() == pytest.approx(found.sigma_bearing[0], rel=0.2)
+
+
+def test_no_tags():
+    assert len(conversions.apriltag_detections({"detections": []}, INFO, 0.0, CAMERA).ids) == 0
+
+
+def test_a_camera_without_calibration_is_refused():
+    with pytest.raises(ValueError, match="camera_info holds no calibration"):
+        conversions.apriltag_detections({"detections": []}, {"p": [0.0] * 12}, 0.0, CAMERA)
+
+
+def cloud(rows, order="<"):
+    layout = np.dtype([("id", f"{order}u4")] + [(name, f"{order}f8") for name in conversions.COLUMNS[1:]])
+    data = np.array(rows, dtype=layout)
+    fields = [
+        {"name": name, "offset": layout.fields[name][1], "datatype": 6 if name == "id" else 8, "count": 1}
+        for name in conversions.COLUMNS
+    ]
+    size = {"height": 1, "width": len(rows), "point_step": layout.itemsize, "is_bigendian": order == ">"}
+    return {"fields": fields, **size, "data": data.tobytes()}
+
+
+ROWS = [(12, 2.5, 0.3, 0.02, 0.01), (4, 1.25, -0.4, 0.03, 0.01)]
+
+
+@transports
+@pytest.mark.parametrize("order", "<>")
+def test_plain_detections(as_sent, order):
+    found = conversions.plain_detections(as_sent(cloud(ROWS, order)), 3.0)
+    rows = zip(found.ids, found.range, found.bearing, found.sigma_range, found.sigma_bearing, strict=True)
+    np.testing.assert_allclose(np.array(list(rows)), ROWS, atol=1e-15)
+    assert found.stamp == 3.0
+
+
+def test_plain_detections_over_rosbridge():
+    message = cloud(ROWS)
+    message["data"] = base64.b64encode(message["data"]).decode()
+    assert conversions.plain_detections(message, 0.0).ids.tolist() == [12, 4]
+
+
+def test_plain_detections_that_are_refused():
+    with pytest.raises(ValueError, match="not finite"):
+        conversions.plain_detections(cloud([(1, math.nan, 0.0, 0.1, 0.1)]), 0.0)
+    with pytest.raises(ValueError, match="above 0"):
+        conversions.plain_detections(cloud([(1, 1.0, 0.0, 0.0, 0.1)]), 0.0)
+    with pytest.raises(ValueError, match="without the field id; they need id, range"):
+        conversions.plain_detections(cloud([]) | {"fields": []}, 0.0)
+
+
+def bits(hazards):
+    return hazards.bumper, hazards.cliff, hazards.wheel_drop
+
+
+@transports
+def test_kobuki_events(as_sent):
+    package = "kobuki_ros_interfaces/msg"
+    hazards = NO_HAZARDS
+    for kind, message, expected in [
+        ("BumperEvent", {"bumper": 0, "state": 1}, (4, 0, 0)),
+        ("BumperEvent", {"bumper": 1, "state": 1}, (6, 0, 0)),
+        ("BumperEvent", {"bumper": 0, "state": 0}, (2, 0, 0)),
+        ("CliffEvent", {"sensor": 2, "state": 1, "bottom": 9}, (2, 1, 0)),
+        ("WheelDropEvent", {"wheel": 0, "state": 1}, (2, 1, 4)),
+        ("WheelDropEvent", {"wheel": 1, "state": 1}, (2, 1, 5)),
+        ("WheelDropEvent", {"wheel": 0, "state": 0}, (2, 1, 1)),
+    ]:
+        hazards = conversions.hazards(f"{package}/{kind}", as_sent(message), 3.0, hazards)
+        assert bits(hazards) == expected
+        assert hazards.stamp == 3.0
+
+
+@transports
+def test_turtlebot3_sensor_state(as_sent):
+    kind = "turtlebot3_msgs/msg/SensorState"
+    assert bits(conversions.hazards(kind, as_sent({"bumper": 5, "cliff": 2}), 1.0, NO_HAZARDS)) == (5, 2, 0)
+
+
+@transports
+def test_create3_hazards(as_sent):
+    kind = "irobot_create_msgs/msg/HazardDetectionVector"
+    found = [
+        (0, "base_link"),  # the backup limit is no hazard of ours
+        (1, "bump_front_left"),
+        (1, "bump_front_center"),
+        (2, "cliff_side_right"),
+        (4, "wheel_drop_left"),
+        (5, "base_link"),
+    ]
+    message = {"detections": [{"type": t, "header": {"frame_id": frame}} for t, frame in found]}
+    hazards = conversions.hazards(kind, as_sent(message), 1.0, NO_HAZARDS)
+    assert bits(hazards) == (6, 1, 4)
+    assert bits(conversions.hazards(kind, as_sent({"detections": []}), 2.0, hazards)) == (0, 0, 0)
+
+
+def test_commands():
+    twist = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": -0.5}}
+    assert conversions.velocity("geometry_msgs/msg/Twist", 0.2, -0.5, 3.5) == twist
+    header = {"stamp": {"sec": 3, "nanosec": 500_000_000}, "frame_id": "base_link"}
+    stamped = conversions.velocity("geometry_msgs/msg/TwistStamped", 0.2, -0.5, 3.5)
+    assert stamped == {"header": header, "twist": twist}

@@ -1,0 +1,97 @@
+"""A simulated TurtleBot: what arrives agrees with the simulation, and every fault stops the wheels."""
+
+import time
+
+import numpy as np
+import pytest
+
+from tfg_drake.config import TagSensorConfig
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
+from tfg_drake.geometry import se2
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
+
+# The robot is told to stop within 0.6 s; the rest is for a loaded machine.
+STOP, MARGIN = 0.6, 0.4
+
+
+@pytest.fixture(scope="module", params=["ros2", "rosbridge"])
+def transport(request):
+    return request.getfixturevalue(request.param)
+
+
+def true_pose(transport, stamp):
+    """X_WB of the robot at a stamp."""
+    poses = transport.order("report")["poses"]
+    return min(poses, key=lambda pose: abs(pose[0] - stamp))[1]
+
+
+def test_it_stands_until_it_is_enabled(device, transport):
+    assert device.locked == "not enabled yet"
+    began = time.monotonic()
+    transport.drive(device, 0.5, 0.3, 0.0)
+    assert transport.last_motion_told() < began
+
+
+def test_what_the_robot_sees(device, transport):
+    """It stands: odometry is where it is; every ray ends on a wall; the tags are those of the sensor's model."""
+    transport.wait_for(lambda: all(device.newest(kind) for kind in (Odometry, LaserScan, TagDetections)))
+    transport.wait_for(lambda: device.newest(Odometry).at_rest)
+    odometry, scan, tags = (device.newest(kind) for kind in (Odometry, LaserScan, TagDetections))
+    assert device.newest(Hazards) is None
+    X_WB = true_pose(transport, odometry.stamp)
+    np.testing.assert_allclose(odometry.X_OB, se2.between(transport.order("report")["poses"][0][1], X_WB), atol=1e-9)
+    for message in (odometry, scan, tags):
+        assert abs(time.monotonic() - message.stamp) < 1.0
+    world = MakeWorld(LoadScenario("house").world)
+    hit = np.isfinite(scan.ranges)
+    assert hit.sum() > 300
+    assert (np.diff(scan.angles) > 0.0).all()
+    points = scan.ranges[hit, None] * np.stack([np.cos(scan.angles[hit]), np.sin(scan.angles[hit])], axis=1)
+    points = X_WB[:2] + points @ se2.rotation(X_WB[2]).T
+    assert max(distance_to_walls(world.walls, point) for point in points) < 1e-4
+    zeros = np.zeros((len(world.tag_ids), NOISE_PER_TAG))
+    expected = detect(world, X_WB, 0.0, zeros, TagSensorConfig(range=5.0))
+    assert tags.ids.tolist() == expected.ids.tolist()
+    for name in ("range", "bearing", "sigma_range", "sigma_bearing"):
+        np.testing.assert_allclose(getattr(tags, name), getattr(expected, name), atol=1e-12)
+    with pytest.raises(ValueError, match="read-only"):
+        scan.ranges[0] = 0.0
+
+
+def distance_to_walls(walls, point):
+    along = walls[:, 2:] - walls[:, :2]
+    share = np.clip(((point - walls[:, :2]) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    return np.hypot(*(point - walls[:, :2] - share[:, None] * along).T).min()
+
+
+def test_commands_move_it(driving, transport):
+    """Odometry at a stamp is the true pose at that stamp; the limits hold."""
+    before = len(transport.order("report")["commands"])
+    transport.drive(driving, 1.0, 9.0, 9.0)
+    commands = np.array(transport.order("report")["commands"][before:])
+    assert commands[:, 1].max() <= 0.3 + 1e-12
+    assert commands[:, 2].max() <= 1.5 + 1e-12
+    assert commands[-1, 2] > 1.4
+    odometry = driving.newest(Odometry)
+    X_WB, start = true_pose(transport, odometry.stamp), transport.order("report")["poses"][0][1]
+    expected = se2.between(start, X_WB)
+    assert np.hypot(*(odometry.X_OB[:2] - expected[:2])) < 0.05
+    assert abs(se2.wrap_angle(odometry.X_OB[2] - expected[2])) < 0.2
+    assert odometry.V_B[1] > 1.0
+
+
+def test_odometry_that_falls_silent(driving, transport):
+    silent = transport.order("silent", True)
+    transport.drive(driving, 1.0, 0.0, 0.8)
+    stopped = transport.stop_after(silent)
+    transport.order("silent", False)
+    assert stopped < STOP + MARGIN
+    assert driving.locked == "no odometry for more than 0.5 s"
+    transport.wait_for(lambda: transport.fresh(driving))
+    back = time.monotonic()
+    transport.drive(driving, 0.3, 0.0, 0.8)
+    assert transport.last_motion_told() < back
+    driving.enable()
+    transport.drive(driving, 0.3, 0.0, 0.8)
+    assert transport.last_motion_told() > back

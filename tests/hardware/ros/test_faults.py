@@ -1,0 +1,78 @@
+"""Every fault stops the wheels of a simulated TurtleBot: those that both transports meet, on one of them."""
+
+import math
+import os
+import signal
+import time
+
+import pytest
+
+from tfg_drake.hardware.device import DeviceError
+
+# The robot is told to stop within 0.6 s; the rest is for a loaded machine.
+STOP, MARGIN = 0.6, 0.4
+
+
+@pytest.fixture(scope="module")
+def transport(ros2):
+    return ros2
+
+
+def test_commands_that_stop(driving, transport):
+    last = transport.drive(driving, 0.2, 0.0, 0.8)
+    assert transport.stop_after(last) < STOP + MARGIN
+    assert driving.locked is None
+    transport.drive(driving, 0.3, 0.0, -0.8)
+    assert transport.last_motion_told() > last + 0.8
+
+
+def test_a_command_that_is_not_a_number(driving, transport):
+    last = time.monotonic()
+    transport.drive(driving, 1.0, 0.1, math.nan)
+    assert transport.stop_after(last) < STOP + MARGIN
+
+
+def test_a_clock_that_jumps(driving, transport):
+    jumped = transport.order("jump", -5.0)
+    transport.drive(driving, 1.0, 0.0, 0.8)
+    assert transport.stop_after(jumped) < STOP + MARGIN
+    assert "has jumped" in driving.locked
+    transport.wait_for(lambda: transport.fresh(driving))
+    driving.enable()
+    transport.drive(driving, 0.3, 0.0, 0.8)
+    assert transport.last_motion_told() > jumped + 0.8
+    transport.order("jump", 5.0)
+
+
+def test_enabling_is_refused_without_odometry(device, transport):
+    transport.order("silent", True)
+    transport.wait_for(lambda: not transport.fresh(device))
+    time.sleep(0.5)
+    with pytest.raises(DeviceError, match=r"^the robot is not enabled: no odometry for more than 0\.5 s$"):
+        device.enable()
+    transport.order("silent", False)
+
+
+def test_a_parent_that_freezes_or_is_killed(transport):
+    parent = transport.parent()
+    try:
+        frozen = time.monotonic()
+        os.kill(parent.pid, signal.SIGSTOP)
+        assert transport.stop_after(frozen) < STOP + MARGIN
+        os.kill(parent.pid, signal.SIGCONT)
+        transport.wait_for(lambda: transport.last_motion_told() > frozen + 0.8)
+    finally:
+        killed = time.monotonic()
+        parent.kill()
+        parent.wait()
+    assert transport.stop_after(killed) < STOP + MARGIN
+
+
+def test_close_stops_the_robot(transport):
+    with transport.connect() as device:
+        device.enable()
+        closed = transport.drive(device, 0.5, 0.0, 0.8)
+    assert transport.stop_after(closed) < STOP + MARGIN
+    assert device.locked == "closed"
+    with pytest.raises(DeviceError, match=r"^closed$"):
+        device.command(0.0, 0.0)

@@ -1,0 +1,103 @@
+"""Presets: those shipped are whole, and every mistake in one is one line."""
+
+import pytest
+import yaml
+
+from tfg_drake.hardware.ros import conversions, preset
+from tfg_drake.hardware.ros.preset import PRESETS, PresetError, Topic, load_preset
+
+NAMES = sorted(path.stem for path in PRESETS.glob("*.yaml"))
+
+
+def test_three_are_shipped():
+    assert NAMES == ["turtlebot2", "turtlebot3", "turtlebot4"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_presets(name):
+    robot = load_preset(name)
+    assert 0.0 < robot.limits.speed <= 0.3
+    assert robot.topics.odometry == Topic("/odom", "nav_msgs/msg/Odometry")
+    assert robot.topics.hazards
+    assert robot.topics.detections is not None
+
+
+def test_commands_of_the_three():
+    commands = {name: load_preset(name).topics.command for name in NAMES}
+    assert [commands[name].type.split("/")[-1] for name in NAMES] == ["Twist", "TwistStamped", "TwistStamped"]
+    assert commands["turtlebot2"].name == "/commands/velocity"
+
+
+def test_every_type_of_hazards_has_a_conversion():
+    assert set(preset.TYPES["hazards"]) == set(conversions.HAZARDS)
+
+
+def changed(tmp_path, *keys, value=None, drop=False):
+    tree = yaml.safe_load((PRESETS / "turtlebot4.yaml").read_text(encoding="utf-8"))
+    place = tree
+    for key in keys[:-1]:
+        place = place[key]
+    if drop:
+        del place[keys[-1]]
+    else:
+        place[keys[-1]] = value
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    return path
+
+
+def test_a_file_of_ones_own(tmp_path):
+    path = changed(tmp_path, "topics", "odometry", "name", value="/robot7/odom")
+    assert load_preset(path).topics.odometry.name == "/robot7/odom"
+    assert load_preset(changed(tmp_path, "topics", "hazards", drop=True)).topics.hazards == ()
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "line"),
+    [
+        (("speeed",), 1, "speeed: unknown key; the keys here are topics, limits, scanner, camera"),
+        (("limits", "speed"), "fast", "limits.speed: expected a number, found 'fast'"),
+        (("limits", "speed"), -0.1, "limits.speed: expected a number above 0, found -0.1"),
+        (("scanner", "yaw"), float("nan"), "scanner.yaw: expected a number, found nan"),
+        (("limits",), 3, "limits: expected the keys speed, turn_rate, acceleration, turn_acceleration, found 3"),
+        (("topics", "odometry", "name"), 4, "topics.odometry.name: expected text, found 4"),
+        (("topics", "hazards"), "none", "topics.hazards: expected a list, found 'none'"),
+        (("topics", "scan", "qos"), "best", "topics.scan: unknown qos best; known are sensor_data, reliable"),
+        (
+            ("topics", "command", "type"),
+            "geometry_msgs/Twist",
+            "topics.command: unknown type geometry_msgs/Twist; "
+            "known are geometry_msgs/msg/Twist, geometry_msgs/msg/TwistStamped",
+        ),
+    ],
+)
+def test_mistakes_are_named(tmp_path, keys, value, line):
+    path = changed(tmp_path, *keys, value=value)
+    with pytest.raises(PresetError) as error:
+        load_preset(path)
+    assert str(error.value) == f"{path}: {line}"
+
+
+def test_what_is_missing_is_named(tmp_path):
+    for keys, line in [
+        (("topics", "scan"), "topics.scan: missing"),
+        (("topics", "camera_info"), "topics.camera_info: missing; corners of tags say nothing without it"),
+    ]:
+        path = changed(tmp_path, *keys, drop=True)
+        with pytest.raises(PresetError) as error:
+            load_preset(path)
+        assert str(error.value) == f"{path}: {line}"
+
+
+def test_no_such_preset():
+    with pytest.raises(PresetError) as error:
+        load_preset("turtlebot5")
+    names = "turtlebot2, turtlebot3, turtlebot4"
+    assert str(error.value) == f"turtlebot5: no such file or preset; name a YAML file or one of {names}"
+
+
+def test_broken_yaml(tmp_path):
+    path = tmp_path / "broken.yaml"
+    path.write_text("topics: [", encoding="utf-8")
+    with pytest.raises(PresetError, match=r"broken\.yaml: cannot be read: while parsing"):
+        load_preset(path)

@@ -1,0 +1,77 @@
+"""What ROS 2 lacks is said in one line, from a real graph with the simulated robot in it."""
+
+import dataclasses
+import sys
+
+import pytest
+
+from tfg_drake.hardware.device import Device, DeviceError
+from tfg_drake.hardware.ros import ros2 as transport
+from tfg_drake.hardware.ros import stamps
+from tfg_drake.hardware.ros.preset import Topic, load_preset
+
+
+def complaint(preset):
+    """What opening a preset's driver in this process says."""
+    with pytest.raises(DeviceError) as error:
+        transport.Ros2Config(preset).open()
+    return str(error.value)
+
+
+def changed(preset, **topics):
+    return dataclasses.replace(preset, topics=dataclasses.replace(preset.topics, **topics))
+
+
+def test_without_ros(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    line = complaint(load_preset("turtlebot4"))
+    assert line.startswith(f"ros2: rclpy cannot be imported by {sys.executable} (")
+    assert line.endswith(
+        "): run `source /opt/ros/jazzy/setup.bash` first and use the Python of that ROS, or connect through rosbridge"
+    )
+
+
+def test_a_package_that_is_not_there(ros_domain):
+    assert complaint(load_preset("turtlebot3")) == (
+        "ros2: /detections needs the package apriltag_msgs, which this ROS lacks: install "
+        "ros-$ROS_DISTRO-apriltag-msgs and source ROS again, or take the topic out of the preset"
+    )
+
+
+def test_the_line_comes_through_the_process(ros_domain):
+    with pytest.raises(DeviceError, match=r"^ros2: /detections needs the package apriltag_msgs"):
+        Device(transport.Ros2Config(load_preset("turtlebot4")))
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr(transport, "PATIENCE", 3.0)
+
+
+@pytest.mark.usefixtures("impatient")
+class TestTheGraph:
+    def test_nobody_publishes(self, ros2):
+        elsewhere = Topic("/robot7/odom", "nav_msgs/msg/Odometry")
+        assert complaint(changed(ros2.preset, odometry=elsewhere)) == (
+            "ros2: nobody publishes /robot7/odom (nav_msgs/msg/Odometry); seen instead: /odom"
+        )
+
+    def test_another_type(self, ros2):
+        unstamped = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "reliable")
+        assert complaint(changed(ros2.preset, command=unstamped)) == (
+            "ros2: /cmd_vel is geometry_msgs/msg/TwistStamped, the preset has geometry_msgs/msg/Twist: set its type"
+        )
+
+    def test_another_quality_of_service(self, ros2):
+        reliable = dataclasses.replace(ros2.preset.topics.scan, qos="reliable")
+        assert complaint(changed(ros2.preset, scan=reliable)) == (
+            "ros2: nothing arrives on /scan in 3 s: it has 1 publisher(s), offering best_effort; "
+            "set its qos to sensor_data, or start its driver"
+        )
+
+    def test_another_clock(self, ros2, monkeypatch):
+        monkeypatch.setattr(transport, "PATIENCE", 20.0)
+        monkeypatch.setattr(stamps, "MAX_SKEW", -1.0)
+        line = complaint(ros2.preset)
+        assert line.startswith("ros2: /odom is stamped 0.0")
+        assert line.endswith("synchronise both, with chrony for example")

@@ -1,0 +1,129 @@
+"""The watchdog on a clock of the test's own."""
+
+import math
+
+import pytest
+
+from tfg_drake.hardware.watchdog import COMMAND_TIMEOUT, ODOMETRY_TIMEOUT, TICK, Limits, Watchdog
+
+LIMITS = Limits(speed=0.3, turn_rate=1.5, acceleration=0.5, turn_acceleration=3.5)
+
+
+class Robot:
+    """A watchdog that ticks, odometry and commands coming until told otherwise."""
+
+    def __init__(self):
+        self.watchdog, self.now = Watchdog(LIMITS), 100.0
+        self.odometry = True
+        self.command = (0.3, 0.0)
+
+    def run(self, duration):
+        """The velocities sent, tick by tick."""
+        sent = []
+        for _ in range(round(duration / TICK)):
+            self.now += TICK
+            if self.odometry:
+                self.watchdog.hear(self.now)
+            if self.command:
+                self.watchdog.command(self.now, *self.command)
+            sent.append(self.watchdog.velocity(self.now))
+        return sent
+
+
+@pytest.fixture
+def driving():
+    robot = Robot()
+    robot.run(TICK)
+    robot.watchdog.enable(robot.now)
+    assert robot.run(1.0)[-1] == pytest.approx((0.3, 0.0))
+    return robot
+
+
+def still(sent):
+    return all(velocity == (0.0, 0.0) for velocity in sent)
+
+
+def test_nothing_moves_before_enable():
+    robot = Robot()
+    assert still(robot.run(2.0))
+    assert robot.watchdog.locked == "not enabled yet"
+
+
+def test_a_command_from_before_enable_is_forgotten():
+    robot = Robot()
+    robot.run(0.1)
+    robot.command = None
+    robot.watchdog.enable(robot.now)
+    assert robot.watchdog.locked is None
+    assert still(robot.run(0.2))
+
+
+def test_it_cannot_be_enabled_without_odometry():
+    watchdog = Watchdog(LIMITS)
+    watchdog.enable(5.0)
+    assert watchdog.locked == "no odometry for more than 0.5 s"
+
+
+def test_limits():
+    robot = Robot()
+    robot.command = (-9.0, 9.0)
+    robot.run(TICK)
+    robot.watchdog.enable(robot.now)
+    sent = robot.run(1.0)
+    assert sent[0] == pytest.approx((-0.5 * TICK, 3.5 * TICK))
+    assert sent[9] == pytest.approx((-0.1, 0.7))
+    assert sent[-1] == pytest.approx((-0.3, 1.5))
+    robot.command = (9.0, 0.0)
+    assert robot.run(TICK)[0] == pytest.approx((-0.3 + 0.5 * TICK, 1.5 - 3.5 * TICK))
+
+
+def test_a_late_tick_does_not_jump():
+    robot = Robot()
+    robot.run(TICK)
+    robot.watchdog.enable(robot.now)
+    robot.run(TICK)
+    robot.now += 0.4
+    assert robot.run(TICK)[0][0] <= 0.5 * 3.0 * TICK + 1e-12
+
+
+def test_commands_stop(driving):
+    driving.command = None
+    sent = driving.run(1.0)
+    last = max(i for i, velocity in enumerate(sent) if velocity != (0.0, 0.0))
+    assert (last + 1) * TICK <= COMMAND_TIMEOUT + 1e-9
+    assert driving.watchdog.locked is None
+    driving.command = (0.3, 0.0)
+    assert driving.run(TICK)[0] == pytest.approx((0.5 * TICK, 0.0))  # from rest
+
+
+def test_odometry_stops(driving):
+    driving.odometry = False
+    sent = driving.run(1.0)
+    last = max(i for i, velocity in enumerate(sent) if velocity != (0.0, 0.0))
+    assert (last + 1) * TICK <= ODOMETRY_TIMEOUT + 1e-9
+    driving.odometry = True
+    assert still(driving.run(1.0))
+    assert driving.watchdog.locked == "no odometry for more than 0.5 s"
+    driving.watchdog.enable(driving.now)
+    assert driving.run(1.0)[-1] == pytest.approx((0.3, 0.0))
+
+
+@pytest.mark.parametrize("bad", [(math.nan, 0.0), (0.1, math.nan), (math.inf, 0.0), (0.0, -math.inf)])
+def test_a_command_that_is_not_finite(driving, bad):
+    driving.command = bad
+    assert still(driving.run(1.0))
+
+
+def test_odometry_that_is_not_a_number(driving):
+    driving.odometry = False
+    driving.watchdog.hear(math.nan)
+    assert still(driving.run(1.0))
+
+
+def test_a_lock_lasts(driving):
+    driving.watchdog.lock("the clock of /odom has jumped")
+    driving.watchdog.lock("something later")
+    assert still(driving.run(1.0))
+    assert driving.watchdog.locked == "the clock of /odom has jumped"
+    driving.watchdog.enable(driving.now)
+    assert not still(driving.run(1.0))
