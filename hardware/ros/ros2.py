@@ -103,6 +103,8 @@ class Ros2Driver:
             for topic, types, _ in ends:
                 if line := mistyped(topic, types):
                     raise DeviceError(f"ros2: {line}")
+            if line := self._unreliable():
+                raise DeviceError(f"ros2: {line}")
             if self._intake.clock.ready and needed <= self._intake.arrived and all(types for _, types, _ in ends):
                 break
         for topic, types, verb in self._ends():
@@ -110,7 +112,7 @@ class Ros2Driver:
                 graph = [(name, kind) for name, kinds in self._node.get_topic_names_and_types() for kind in kinds]
                 raise DeviceError(f"ros2: {self._intake.nobody(topic, graph, verb)}")
         if silent := sorted(needed - self._intake.arrived):
-            raise DeviceError(f"ros2: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: {self._quality(silent[0])}")
+            raise DeviceError(f"ros2: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: start its driver")
         if not self._intake.clock.ready:
             raise DeviceError(
                 f"ros2: {self._preset.topics.odometry.name} falls silent for more than {SILENCE} s at times"
@@ -125,10 +127,16 @@ class Ros2Driver:
         outputs = [(command, node.get_subscriptions_info_by_topic(command.name), "listens to")]
         return [(topic, sorted({end.topic_type for end in ends}), verb) for topic, ends, verb in inputs + outputs]
 
-    def _quality(self, name: str) -> str:
-        ends = self._node.get_publishers_info_by_topic(name)
-        offered = ", ".join(sorted({end.qos_profile.reliability.name.lower() for end in ends}))
-        return f"it has {len(ends)} publisher(s), offering {offered}; set its qos to sensor_data, or start its driver"
+    def _unreliable(self) -> str | None:
+        """The complaint that a topic is asked for as reliable and published best effort only: nothing would arrive."""
+        from rclpy.qos import ReliabilityPolicy
+
+        for topic in self._topics():
+            ends = self._node.get_publishers_info_by_topic(topic.name)
+            best_effort = [end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for end in ends]
+            if topic.qos == "reliable" and ends and all(best_effort):
+                return f"{topic.name} is published best effort, the preset has reliable: set its qos to sensor_data"
+        return None
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
