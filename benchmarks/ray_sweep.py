@@ -9,12 +9,14 @@ a quarter of the runs is done. Prints how many runs there are, and which differ 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 METHODS = "tfg,tfg-nearest"
@@ -42,17 +44,15 @@ def sweep(arguments: list[str], out: Path, kill: int) -> dict[tuple[str, str], d
 
 
 def kill_worker() -> str:
-    """Kills a process that runs a mission for Ray; its name, "" where there is none."""
-    for folder in Path("/proc").iterdir():
-        if not folder.name.isdigit():
-            continue
-        try:
-            name = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
-        except OSError:
-            continue
-        if name.startswith("ray::_mission"):
-            os.kill(int(folder.name), signal.SIGKILL)
-            return name
+    """Kills a process that runs a mission for Ray, as soon as there is one; its name, "" where none comes in 10 s."""
+    for _ in range(200):
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                name = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
+                if name.startswith("ray::_mission"):
+                    os.kill(int(folder.name), signal.SIGKILL)
+                    return name
+        time.sleep(0.05)
     return ""
 
 
