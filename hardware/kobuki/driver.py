@@ -12,12 +12,12 @@ from types import TracebackType
 
 from tfg_drake.hardware.kobuki.link import (
     KobukiError,
-    Limits,
     Report,
     Request,
     decode_report,
     encode_request,
 )
+from tfg_drake.hardware.watchdog import Limits
 
 # How long the process may take to end before it is killed, s.
 _END_WITHIN = 2.0

@@ -18,9 +18,10 @@ import time
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.connection import Connection
-from tfg_drake.hardware.kobuki.link import KobukiError, Limits, Report, Request, decode_request, encode_report
+from tfg_drake.hardware.kobuki.link import KobukiError, Report, Request, decode_request, encode_report
 from tfg_drake.hardware.kobuki.serial_port import open_port
 from tfg_drake.hardware.kobuki.watchdog import allowed_velocity
+from tfg_drake.hardware.watchdog import Limits
 
 # Time between two commands to the base, s: it says as many frames, and the vendor's driver answers each.
 PERIOD = 0.02

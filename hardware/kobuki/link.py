@@ -16,16 +16,6 @@ class KobukiError(Exception):
 
 
 @dataclasses.dataclass(frozen=True)
-class Limits:
-    """What no command exceeds: m/s, rad/s, m/s^2, rad/s^2. A stop for safety's sake is not slowed down by them."""
-
-    speed: float = 0.3
-    turn_rate: float = 1.5
-    acceleration: float = 0.5
-    turn_acceleration: float = 3.5
-
-
-@dataclasses.dataclass(frozen=True)
 class Report:
     """How the base is, as of its newest frame.
 

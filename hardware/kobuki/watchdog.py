@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 
-from tfg_drake.hardware.kobuki.link import Limits, Request
+from tfg_drake.hardware.kobuki.link import Request
 from tfg_drake.hardware.kobuki.payloads import CoreSensors
+from tfg_drake.hardware.watchdog import Limits
 
 # The wheels have been told to stop 0.6 s after the last command; the loop and the wire need their part of that, s.
 COMMAND_TIMEOUT = 0.55

@@ -6,8 +6,9 @@ import math
 import pytest
 
 from tfg_drake.hardware.kobuki import payloads as p
-from tfg_drake.hardware.kobuki.link import Limits, Request
+from tfg_drake.hardware.kobuki.link import Request
 from tfg_drake.hardware.kobuki.watchdog import COMMAND_TIMEOUT, FEEDBACK_TIMEOUT, allowed_velocity
+from tfg_drake.hardware.watchdog import Limits
 
 CORE = p.CoreSensors(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 165, 0)
 NOW = 100.0
