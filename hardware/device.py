@@ -6,6 +6,7 @@ while it solves, and a stop must not wait for that. All stamps are the host's mo
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import select
 import subprocess
@@ -26,6 +27,8 @@ T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections)
 # How long to wait for the process to find its robot, and to answer, s.
 START_TIMEOUT = 60.0
 ANSWER_TIMEOUT = 5.0
+# Messages of a kind that wait to be taken, at most: half a minute of the fastest.
+WAITING = 2000
 
 
 class DeviceError(RuntimeError):
@@ -41,7 +44,7 @@ class Driver(Protocol):
         """Takes in what arrives, for `duration` s."""
 
     def take(self) -> list[Message]:
-        """The newest message of each kind since the last call."""
+        """The messages since the last call, those of a kind in the order they arrived."""
 
     def fault(self) -> str | None:
         """Why the robot must stop until it is enabled anew, once; None when all is well."""
@@ -61,7 +64,7 @@ class DriverConfig(Protocol):
 
 
 class Device:
-    """A robot: its newest messages, and a velocity that lasts half a second.
+    """A robot: its messages, and a velocity that lasts half a second.
 
     Nothing moves before `enable`. Without a new command the velocity is zero after COMMAND_TIMEOUT. After a clock's
     jump or when odometry was silent the robot stands until `enable` is called again; `locked` says why.
@@ -81,6 +84,7 @@ class Device:
         theirs.close()
         self._changed = threading.Condition()
         self._newest: dict[type, Message] = {}
+        self._waiting: dict[type, collections.deque[Message]] = {}
         self._locked: str | None = "not enabled yet"
         self._answers = 0
         self._ended: str | None = None
@@ -99,6 +103,17 @@ class Device:
         """The newest message of a kind, such as Odometry; None where none has arrived yet."""
         message = self._newest.get(kind)
         return message if isinstance(message, kind) else None
+
+    def take(self, kind: type[T], until: float) -> list[T]:
+        """The messages of a kind that are stamped `until` (s) or before and were not taken yet, in order."""
+        taken: list[T] = []
+        with self._changed:
+            waiting = self._waiting.get(kind, collections.deque())
+            while waiting and waiting[0].stamp <= until:
+                message = waiting.popleft()
+                assert isinstance(message, kind)
+                taken.append(message)
+        return taken
 
     @property
     def locked(self) -> str | None:
@@ -159,6 +174,7 @@ class Device:
                         if isinstance(value, np.ndarray):
                             value.setflags(write=False)
                     self._newest[type(content)] = content
+                    self._waiting.setdefault(type(content), collections.deque(maxlen=WAITING)).append(content)
                 elif kind == "locked":
                     self._locked = content
                 elif kind == "answer":

@@ -7,6 +7,7 @@ enable, and ("ended", line). When the other end is gone the robot stands and the
 
 from __future__ import annotations
 
+import collections
 import os
 import signal
 import sys
@@ -15,7 +16,7 @@ import time
 from multiprocessing.connection import Connection
 from typing import Any
 
-from tfg_drake.hardware.device import DeviceError, Driver
+from tfg_drake.hardware.device import WAITING, DeviceError, Driver
 from tfg_drake.hardware.watchdog import TICK, Watchdog
 from tfg_drake.messages import Odometry
 
@@ -24,24 +25,25 @@ _LAST_ZEROS = 5
 
 
 class _Outbox:
-    """Sends from a thread of its own, the newest of each kind: a parent that does not read holds nothing up."""
+    """Sends from a thread of its own: a parent that does not read holds nothing up, but misses the oldest."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._waiting: dict[Any, tuple[str, Any]] = {}
+        self._waiting: collections.deque[tuple[str, Any]] = collections.deque(maxlen=WAITING)
         self._changed = threading.Condition()
         threading.Thread(target=self._run, daemon=True).start()
 
     def put(self, kind: str, content: Any) -> None:
         with self._changed:
-            self._waiting[kind, type(content) if kind == "message" else None] = (kind, content)
+            self._waiting.append((kind, content))
             self._changed.notify()
 
     def _run(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting)
-                waiting, self._waiting = list(self._waiting.values()), {}
+                waiting = list(self._waiting)
+                self._waiting.clear()
             try:
                 for one in waiting:
                     self._connection.send(one)

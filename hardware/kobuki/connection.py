@@ -38,7 +38,8 @@ class Connection:
 
     def fileno(self) -> int:
         """The port's file descriptor, ready when there is something to read."""
-        return self._port.fileno()
+        descriptor: int = self._port.fileno()
+        return descriptor
 
     def read(self, now: float) -> bool:
         """Takes in what has come by now, s; False where the port is gone, which a ready port without bytes is."""

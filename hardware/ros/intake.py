@@ -1,4 +1,4 @@
-"""What both transports do with what they receive: stamps, conversion, the newest message of each kind."""
+"""What both transports do with what they receive: stamps and conversion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Intake:
     def __init__(self, preset: Preset) -> None:
         self.clock = StampClock()
         self._preset = preset
-        self._newest: dict[type, Message] = {}
+        self._messages: list[Message] = []
         self._odometry: Odometry | None = None
         self._hazards = Hazards(-math.inf, 0, 0, 0)
         self._camera_info: Any = None
@@ -45,8 +45,7 @@ class Intake:
             return
         try:
             if (stamp := self._host_stamp(key, topic, message, arrival)) is not None:
-                converted = self._convert(key, topic, message, stamp)
-                self._newest[type(converted)] = converted
+                self._messages.append(self._convert(key, topic, message, stamp))
         except ClockJump as jump:
             self._fault, self._odometry = str(jump), None
         except (ValueError, TypeError, LookupError) as error:
@@ -79,8 +78,8 @@ class Intake:
         return conversions.apriltag_detections(message, self._camera_info, stamp, self._preset.camera)
 
     def take(self) -> list[Message]:
-        """The newest message of each kind since the last call."""
-        taken, self._newest = list(self._newest.values()), {}
+        """The messages since the last call."""
+        taken, self._messages = self._messages, []
         return taken
 
     def fault(self) -> str | None:

@@ -145,7 +145,7 @@ class Ros2Driver:
             self._executor.spin_once(timeout_sec=left)
 
     def take(self) -> list[Message]:
-        """The newest message of each kind since the last call."""
+        """The messages since the last call."""
         return self._intake.take()
 
     def fault(self) -> str | None:

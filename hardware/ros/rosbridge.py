@@ -117,7 +117,7 @@ class RosbridgeDriver:
                 self._intake.receive(*self._arrived.get(timeout=left))
 
     def take(self) -> list[Message]:
-        """The newest message of each kind since the last call."""
+        """The messages since the last call."""
         return self._intake.take()
 
     def fault(self) -> str | None:

@@ -1,5 +1,6 @@
 """A simulated TurtleBot: what arrives agrees with the simulation, and every fault stops the wheels."""
 
+import math
 import time
 
 import numpy as np
@@ -57,6 +58,21 @@ def test_what_the_robot_sees(device, transport):
         np.testing.assert_allclose(getattr(tags, name), getattr(expected, name), atol=1e-12)
     with pytest.raises(ValueError, match="read-only"):
         scan.ranges[0] = 0.0
+
+
+def test_messages_wait_until_they_are_taken(device, transport):
+    """None is lost while nobody reads, none comes before its time, none twice."""
+    first = device.take(Odometry, math.inf)[-1].stamp
+    time.sleep(0.6)
+    middle = first + 0.3
+    early, late = device.take(Odometry, middle), device.take(Odometry, math.inf)
+    stamps = [one.stamp for one in (*early, *late)]
+    assert all(first < stamp <= middle for stamp in stamps[: len(early)])
+    assert all(stamp > middle for stamp in stamps[len(early) :])
+    assert (np.diff(stamps) > 0.0).all()
+    assert np.diff(stamps).max() < 0.2
+    assert len(early) > 2
+    assert len(late) > 2
 
 
 def distance_to_walls(walls, point):
