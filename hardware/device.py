@@ -120,9 +120,16 @@ class Device:
         """Why the robot may not move; None when it may."""
         return self._ended or self._locked
 
-    def command(self, speed: float, turn_rate: float) -> None:
-        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError."""
-        self._put(("command", time.monotonic(), float(speed), float(turn_rate)))
+    def command(self, speed: float, turn_rate: float, due: float | None = None) -> None:
+        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError.
+
+        due: when it was to be given, s, by default now: one that is late is not obeyed for longer.
+        """
+        self._put(("command", time.monotonic() if due is None else due, float(speed), float(turn_rate)))
+
+    def lock(self, reason: str) -> None:
+        """Stops the robot at once, until `enable`; raises DeviceError."""
+        self._put(("lock", reason))
 
     def enable(self) -> None:
         """Lets the commands that follow move the robot; raises DeviceError where it may not."""

@@ -1,6 +1,7 @@
 """The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... FILE_DESCRIPTOR`.
 
-What arrives for it: the driver's configuration, then ("command", sent, speed, turn_rate), ("enable",) and ("close",).
+What arrives for it: the driver's configuration, then ("command", sent, speed, turn_rate), ("enable",),
+("lock", reason) and ("close",).
 What it says: ("ready", None), ("message", message), ("locked", reason or None), ("answer", reason or None) to an
 enable, and ("ended", line). When the other end is gone the robot stands and the process ends.
 """
@@ -74,6 +75,8 @@ def serve(driver: Driver, connection: Connection) -> None:
                     moved = True
                     told = watchdog.locked
                     outbox.put("answer", told)
+                elif order[0] == "lock":
+                    watchdog.lock(order[1])
                 else:
                     watchdog.command(*order[1:])
             velocity = watchdog.velocity(time.monotonic())
