@@ -35,7 +35,6 @@ from tfg_drake.diagrams.report import write_report
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.run_folder import logging_to, make_run_folder
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
-from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.diagrams.truth import Truth
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose
@@ -45,6 +44,7 @@ from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
+from tfg_drake.systems.operator import Operator
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
@@ -67,8 +67,9 @@ STAGE_FIELDS = (
     "entropy_nats",
     "landmarks",
 )
-# Simulated time between two looks at the mission, s; a stage takes several times as long.
+# Time between two looks at the mission, s, simulated or real; a stage takes several times as long.
 STEP = 1.0
+REAL_STEP = 0.25
 
 _log = logging.getLogger("tfg_drake.run")
 
@@ -198,11 +199,12 @@ class Mission:
         wall_start = time.monotonic()
         try:
             self._build()
-            self._simulator.set_target_realtime_rate(realtime_rate)
+            self._simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
             self._simulator.Initialize()
             self._observe(write, on_progress is not None)
             while not self._ended(interrupted, max_time):
-                boundary = STEP * (math.floor(self.time / STEP) + 1.0)
+                step = REAL_STEP if self.robot.real else STEP
+                boundary = step * (math.floor(self.time / step) + 1.0)
                 self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
                 self._observe(write, on_progress is not None)
                 if on_progress is not None:
@@ -212,6 +214,8 @@ class Mission:
             first_line = next(iter(str(error).strip().splitlines()), "no message")
             self.reason = f"{type(error).__name__} at {self.time:.2f} s: {first_line}"
             _log.exception("the mission failed at %.3f s", self.time)
+        finally:
+            self.robot.close()
         self.wall_time = time.monotonic() - wall_start
         self.cpu_time = time.process_time() - self._cpu_start
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
@@ -248,7 +252,7 @@ class Mission:
 
     def _build(self) -> None:
         diagram, truth_log, self._pose_log = MakeMissionDiagram(
-            self._scenario, self.world, self._meshcat, self._title, self.method.MakeExplorer, self.robot.MakeStation
+            self._scenario, self.world, self._meshcat, self._title, self.method.MakeExplorer, self.robot
         )
         self._simulator = Simulator(diagram)
         if truth_log is not None:
@@ -359,15 +363,16 @@ def MakeMissionDiagram(
     meshcat: Meshcat | None,
     title: str,
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
-    MakeStation: Callable[[Scenario], Diagram] = MakeTurtlebotStation,
+    robot: Robot = SIMULATED,
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
-    """Station and explorer connected by port name, with the picture if there is a meshcat.
+    """Station and explorer connected by port name, with the picture if there is a meshcat and the operator of a real
+    robot.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
     it, and of the estimated one (PoseVector).
     """
     builder = DiagramBuilder()
-    station = builder.AddNamedSystem("station", MakeStation(scenario))
+    station = builder.AddNamedSystem("station", robot.MakeStation(scenario))
     explorer = builder.AddNamedSystem("explorer", MakeExplorer(scenario))
 
     for output, name in (
@@ -375,10 +380,19 @@ def MakeMissionDiagram(
         ("base.hazards", "hazards"),
         ("tags.detections", "detections"),
         ("scan.ranges", "scan"),
+        ("base.enabled", "enable"),
     ):
         if explorer.HasInputPort(name):
             builder.Connect(station.GetOutputPort(output), explorer.GetInputPort(name))
     builder.Connect(explorer.GetOutputPort("velocity_commanded"), station.GetInputPort("base.velocity_commanded"))
+
+    if robot.real:
+        operator = builder.AddNamedSystem("operator", Operator(robot.operated))
+        builder.Connect(station.GetOutputPort("base.enabled"), operator.GetInputPort("enabled"))
+        builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
+        for name in ("pause", "stop"):
+            if explorer.HasInputPort(name):
+                builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
 
     pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
     builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
