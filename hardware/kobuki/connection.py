@@ -104,7 +104,8 @@ class Connection:
         if before is None or self.reckoning.stamp > before.stamp:
             self._messages.append(odometry.odometry_message(self.reckoning))
         self._messages.append(odometry.hazards_message(core, self.reckoning.stamp))
-        self._say_state(core, self.reckoning.stamp)
+        if self.firmware:
+            self._say_state(core, self.reckoning.stamp)
 
     def _say_state(self, core: p.CoreSensors, stamp: float) -> None:
         state = BaseState(
@@ -117,11 +118,8 @@ class Connection:
             unique_id=self.unique_id,
             bad_frames=self._deframer.bad,
         )
-        if (
-            (before := self._state) is None
-            or _lasting(state) != _lasting(before)
-            or stamp - before.stamp >= _STATE_EVERY
-        ):
+        before = self._state
+        if before is None or _lasting(state) != _lasting(before) or stamp - before.stamp >= _STATE_EVERY:
             self._messages.append(state)
             self._state = state
 

@@ -35,10 +35,10 @@ def empty_plane() -> World:
 class Emulator:
     """The base behind a pseudo-terminal, from `with` or start() until close().
 
-    device: the path that a driver opens; it is there while the cable is plugged in, as udev's are. sensors: address (host, port) of the socket with tags and scans. base: the
-    base itself, with the truth. commands: what a driver told the wheels, newest last: (time, BaseControl), the time
-    when it was read, s of time.monotonic(). corrupt: share of frames that leave with a byte changed. silent: it says
-    nothing, but obeys.
+    device: the path that a driver opens; it is there while the cable is plugged in, as udev's are. sensors: address
+    (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands: what a driver told
+    the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic(). corrupt: share of
+    frames that leave with a byte changed. silent: it says nothing, but obeys.
 
     Stamps of tags and scans are s of time.monotonic(), too. There are no stamps of frames but the base's own.
     """
@@ -93,13 +93,12 @@ class Emulator:
             self._line = None
 
     def report(self) -> dict[str, object]:
-        """The truth: stamp (s of time.monotonic()), pose X_WB (m, m, rad), contacts so far, distance gone so far (m)."""
+        """The truth: stamp (s of time.monotonic()), pose X_WB (m, rad), contacts so far, distance gone so far (m)."""
         with self._lock:
-            stamp, contacts = self._begin + self.base.time, int(self.base.state[CONTACTS])
             return {
-                "stamp": stamp,
+                "stamp": self._begin + self.base.time,
                 "pose": self.base.pose.tolist(),
-                "contacts": contacts,
+                "contacts": int(self.base.state[CONTACTS]),
                 "distance": self.base.distance,
             }
 

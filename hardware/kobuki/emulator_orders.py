@@ -42,7 +42,7 @@ def order(emulator: Emulator, line: str) -> str | None:
             case _:
                 raise ValueError
     except (KeyError, ValueError):
-        raise ValueError(f"the emulator knows no {line.strip()!r}; docs/kobuki_emulator.md lists what it knows") from None
+        raise ValueError(f"no order {line.strip()!r}; docs/kobuki_emulator.md lists those that there are") from None
     return None
 
 
