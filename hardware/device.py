@@ -19,10 +19,30 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from tfg_drake.hardware.watchdog import Limits
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message
 
-Message = Odometry | LaserScan | Hazards | TagDetections
-T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections)
+
+@message
+class BaseState:
+    """How a base is, where it says so: about every second, and whenever its buttons change.
+
+    stamp: s. battery: V. charging: by dock or adapter. buttons: bits of those that are pressed (Kobuki: B0 1, B1 2,
+    B2 4). firmware, hardware: versions such as "1.1.4". unique_id: in hexadecimal. bad_frames: beginnings of frames
+    that were garbled on the way, since the connection began.
+    """
+
+    stamp: float
+    battery: float
+    charging: bool
+    buttons: int
+    firmware: str
+    hardware: str
+    unique_id: str
+    bad_frames: int
+
+
+Message = Odometry | LaserScan | Hazards | TagDetections | BaseState
+T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections, BaseState)
 
 # How long to wait for the process to find its robot, and to answer, s.
 START_TIMEOUT = 60.0
@@ -47,10 +67,13 @@ class Driver(Protocol):
         """The messages since the last call, those of a kind in the order they arrived."""
 
     def fault(self) -> str | None:
-        """Why the robot must stop until it is enabled anew, once; None when all is well."""
+        """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""
+
+    def show(self, enabled: bool) -> None:
+        """Shows on the robot, if it can, whether it may move; said every tick."""
 
     def close(self) -> None:
         """Lets go of the robot."""
@@ -114,6 +137,11 @@ class Device:
                 assert isinstance(message, kind)
                 taken.append(message)
         return taken
+
+    @property
+    def process_id(self) -> int:
+        """Of the robot's process."""
+        return self._process.pid
 
     @property
     def locked(self) -> str | None:

@@ -158,6 +158,9 @@ class Ros2Driver:
         command = conversions.velocity(kind, speed, turn_rate, self._intake.clock.robot(time.monotonic()))
         self._publisher.publish(_filled(self._command_type(), command))
 
+    def show(self, enabled: bool) -> None:
+        """These robots have nothing to show it with."""
+
     def close(self) -> None:
         """Leaves the graph."""
         with contextlib.suppress(Exception):

@@ -133,6 +133,9 @@ class RosbridgeDriver:
             conversions.velocity(kind, speed, turn_rate, self._intake.clock.robot(time.monotonic()))
         )
 
+    def show(self, enabled: bool) -> None:
+        """These robots have nothing to show it with."""
+
     def close(self) -> None:
         """Leaves the server."""
         with contextlib.suppress(Exception):
