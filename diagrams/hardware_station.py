@@ -6,7 +6,6 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.hardware.base import HardwareBase
-from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.sensor import HardwareSensor
 from tfg_drake.simulation.laser_scanner import no_scan
@@ -19,7 +18,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
 
     Whoever opened them closes them, when the simulation is over.
     """
-    builder, clock = DiagramBuilder(), HostClock()
+    builder, clock = DiagramBuilder(), devices.clock
     safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety))
     wheels = builder.AddNamedSystem("base", HardwareBase(devices.base, clock))
     tags = HardwareSensor("detections", devices.tags, no_detections(), clock)

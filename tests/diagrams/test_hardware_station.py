@@ -12,6 +12,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
 
@@ -27,7 +28,7 @@ class Station:
 
     def __init__(self, velocity=(0.2, 0.5), enable=1.0):
         self.device = FakeDevice()
-        self.diagram = MakeHardwareStation(Scenario(), RobotDevices(self.device, self.device, self.device))
+        self.diagram = MakeHardwareStation(Scenario(), RobotDevices(self.device, self.device, self.device, Limits()))
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()
         self.diagram.GetInputPort("base.velocity_commanded").FixValue(self.context, list(velocity))
