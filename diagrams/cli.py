@@ -417,9 +417,10 @@ def _progress_display() -> _ProgressDisplay:
 def progress_line(progress: Progress) -> str:
     """How far the mission has come, on one line of a terminal of 80 columns."""
     speed = progress.time / max(progress.wall_time, 1e-9)
+    error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
     return (
         f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
-        f" {progress.area:5.0f} m2  error {100.0 * progress.position_error:5.1f} cm  {speed:4.1f} x real time"
+        f" {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
     )
 
 
@@ -435,30 +436,37 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         return "-" if value is None else form.format(factor * value)
 
     position, heading = summary["position_error_m"] or {}, summary["heading_error_rad"] or {}
-    return [
-        ("outcome", f"{summary['outcome']}: {summary['reason']}"),
-        ("simulated", f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time"),
-        ("driven", f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages"),
-        (
-            "landmarks",
-            "-"
-            if summary["landmarks_mapped"] is None
-            else f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} reachable,"
-            f" RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
-            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)",
-        ),
-        (
-            "pose error",
-            f"{number(position.get('mean'), '{:.3f}')} m mean, {number(position.get('max'), '{:.3f}')} m max;"
-            f" {number(heading.get('mean'), '{:.4f}')} rad mean",
-        ),
-        (
-            "coverage",
+    mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    rows = {
+        "outcome": f"{summary['outcome']}: {summary['reason']}",
+        "simulated": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
+        "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
+        "landmarks": "-",
+        "pose error": "-",
+        "coverage": "-",
+        "safety": "-",
+    }
+    if mapped is not None:
+        rows["landmarks"] = f"{mapped}"
+    if mapped is not None and present is not None:
+        rows["landmarks"] += (
+            f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
+        )
+    if position.get("mean") is not None:
+        rows["pose error"] = (
+            f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"
+            f" {number(heading.get('mean'), '{:.4f}')} rad mean"
+        )
+    if summary["surface_coverage"] is not None:
+        rows["coverage"] = (
             f"{number(summary['area_coverage'], '{:.1f}', 100.0)} % of the area,"
-            f" {number(summary['surface_coverage'], '{:.1f}', 100.0)} % of the surface",
-        ),
-        ("safety", f"{summary['contacts']} contacts, least clearance {number(summary['min_clearance_m'], '{:.2f}')} m"),
-    ]
+            f" {number(summary['surface_coverage'], '{:.1f}', 100.0)} % of the surface"
+        )
+    if summary["contacts"] is not None:
+        clearance = number(summary["min_clearance_m"], "{:.2f}")
+        rows["safety"] = f"{summary['contacts']} contacts, least clearance {clearance} m"
+    return list(rows.items())
 
 
 if __name__ == "__main__":

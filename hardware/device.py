@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import pickle
 import select
 import subprocess
 import sys
 import threading
 import time
+import zlib
 from multiprocessing import Pipe
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -77,6 +79,14 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Lets go of the robot."""
+
+
+@runtime_checkable
+class Publisher(Protocol):
+    """A driver that can tell others what the explorer knows, too."""
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message as a dictionary of its fields; a header's stamp is the host's time, s."""
 
 
 class DriverConfig(Protocol):
@@ -148,9 +158,21 @@ class Device:
         """Why the robot may not move; None when it may."""
         return self._ended or self._locked
 
-    def command(self, speed: float, turn_rate: float) -> None:
-        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError."""
-        self._put(("command", time.monotonic(), float(speed), float(turn_rate)))
+    def command(self, speed: float, turn_rate: float, due: float | None = None) -> None:
+        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError.
+
+        due: when it was to be given, s, by default now: one that is late is not obeyed for longer.
+        """
+        self._put(("command", time.monotonic() if due is None else due, float(speed), float(turn_rate)))
+
+    def lock(self, reason: str) -> None:
+        """Stops the robot at once, until `enable`; raises DeviceError."""
+        self._put(("lock", reason))
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message, as Publisher has it, where the driver is one; raises DeviceError."""
+        # A map of a large building is mostly the same cell: so small that sending it never waits.
+        self._put(("publish", zlib.compress(pickle.dumps((key, message)), 1)))
 
     def enable(self) -> None:
         """Lets the commands that follow move the robot; raises DeviceError where it may not."""

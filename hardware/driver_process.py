@@ -1,6 +1,7 @@
 """The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... FILE_DESCRIPTOR`.
 
-What arrives for it: the driver's configuration, then ("command", sent, speed, turn_rate), ("enable",) and ("close",).
+What arrives for it: the driver's configuration, then ("command", sent, speed, turn_rate), ("enable",),
+("lock", reason), ("publish", compressed key and message) and ("close",).
 What it says: ("ready", None), ("message", message), ("locked", reason or None), ("answer", reason or None) to an
 enable, and ("ended", line). When the other end is gone the robot stands and the process ends.
 """
@@ -9,14 +10,16 @@ from __future__ import annotations
 
 import collections
 import os
+import pickle
 import signal
 import sys
 import threading
 import time
+import zlib
 from multiprocessing.connection import Connection
 from typing import Any
 
-from tfg_drake.hardware.device import WAITING, DeviceError, Driver
+from tfg_drake.hardware.device import WAITING, DeviceError, Driver, Publisher
 from tfg_drake.hardware.watchdog import TICK, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
@@ -81,6 +84,11 @@ def serve(driver: Driver, connection: Connection) -> None:
                     moved = True
                     told = watchdog.locked
                     outbox.put("answer", told)
+                elif order[0] == "lock":
+                    watchdog.lock(order[1])
+                elif order[0] == "publish":
+                    if isinstance(driver, Publisher):
+                        driver.publish(*pickle.loads(zlib.decompress(order[1])))
                 else:
                     watchdog.command(*order[1:])
             velocity = watchdog.velocity(time.monotonic())

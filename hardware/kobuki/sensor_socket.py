@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import math
 import socket
+from typing import Any
 
-from tfg_drake.messages import LaserScan, TagDetections
+import numpy as np
+
+from tfg_drake.messages import FloatArray, LaserScan, TagDetections
 
 # A client this far behind misses whole lines, bytes.
 _BACKLOG = 200_000
@@ -34,6 +37,67 @@ def sensor_line(message: TagDetections | LaserScan) -> bytes:
             "sigma": message.sigma,
         }
     return json.dumps(fields, allow_nan=False).encode() + b"\n"
+
+
+def message_of(line: bytes) -> TagDetections | LaserScan | None:
+    """The message that a line says, None of a type that is not known. Raises ValueError where it says none rightly."""
+    try:
+        fields = json.loads(line)
+    except (ValueError, RecursionError):
+        raise ValueError("no JSON") from None
+    if not isinstance(fields, dict) or not isinstance(fields.get("type"), str):
+        raise ValueError("no object with a type")
+    if fields["type"] == "detections":
+        return _detections(fields)
+    return _scan(fields) if fields["type"] == "scan" else None
+
+
+def _detections(fields: dict[str, Any]) -> TagDetections:
+    ids = fields.get("ids")
+    if not isinstance(ids, list) or not all(isinstance(one, int) and 0 <= one < 2**63 for one in ids):
+        raise ValueError("detections: ids is no list of whole numbers")
+    bearing = _numbers(fields, "bearing", len(ids))
+    distance, sigma_range, sigma_bearing = (
+        _numbers(fields, key, len(ids), positive=True) for key in ("range", "sigma_range", "sigma_bearing")
+    )
+    return TagDetections(
+        _number(fields, "stamp"), np.array(ids, dtype=np.int64), distance, bearing, sigma_range, sigma_bearing
+    )
+
+
+def _scan(fields: dict[str, Any]) -> LaserScan:
+    ranges = fields.get("ranges")
+    if not isinstance(ranges, list):
+        raise ValueError("scan: ranges is no list of numbers")
+    angles = _numbers(fields, "angles", len(ranges))
+    if (np.diff(angles) <= 0.0).any():
+        raise ValueError("scan: angles do not increase")
+    hit = np.array([one is not None for one in ranges], dtype=bool)
+    distances = np.full(len(ranges), math.inf)
+    met = [one for one in ranges if one is not None]
+    distances[hit] = _numbers(fields | {"ranges": met}, "ranges", len(met), positive=True)
+    range_max, sigma = _number(fields, "range_max"), _number(fields, "sigma")
+    if range_max <= 0.0 or sigma <= 0.0:
+        raise ValueError("scan: range_max and sigma must be above 0")
+    return LaserScan(_number(fields, "stamp"), angles, distances, range_max, sigma)
+
+
+def _number(fields: dict[str, Any], key: str) -> float:
+    value = fields.get(key)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise ValueError(f"{fields['type']}: {key} is no number")
+    return float(value)
+
+
+def _numbers(fields: dict[str, Any], key: str, count: int, positive: bool = False) -> FloatArray:
+    values = fields.get(key)
+    if not isinstance(values, list) or not all(type(one) in (int, float) for one in values):
+        raise ValueError(f"{fields['type']}: {key} is no list of numbers")
+    array = np.array(values, dtype=float)
+    if len(array) != count or not np.isfinite(array).all() or (positive and (array <= 0.0).any()):
+        sign = " above 0" if positive else ""
+        raise ValueError(f"{fields['type']}: {key} must hold {count} finite numbers{sign}")
+    return array
 
 
 class SensorSocket:

@@ -244,14 +244,18 @@ def twist(speed: float, turn_rate: float) -> dict[str, dict[str, float]]:
     }
 
 
-def velocity(kind: str, speed: float, turn_rate: float, stamp: float) -> dict[str, Any]:
-    """The command as a dictionary of the type `kind`, geometry_msgs/msg/Twist or TwistStamped in base_link.
+def velocity(kind: str, speed: float, turn_rate: float, stamp: float, frame: str = "base_link") -> dict[str, Any]:
+    """The command as a dictionary of the type `kind`, geometry_msgs/msg/Twist or TwistStamped in a frame of the body.
 
     stamp: s of the robot's ROS clock.
     """
     command = twist(speed, turn_rate)
     if kind == "geometry_msgs/msg/Twist":
         return command
+    return {"header": {"stamp": ros_time(stamp), "frame_id": frame}, "twist": command}
+
+
+def ros_time(stamp: float) -> dict[str, int]:
+    """builtin_interfaces/Time of s since the ROS clock's epoch."""
     seconds = math.floor(stamp)
-    header = {"stamp": {"sec": seconds, "nanosec": int(1e9 * (stamp - seconds))}, "frame_id": "base_link"}
-    return {"header": header, "twist": command}
+    return {"sec": seconds, "nanosec": int(1e9 * (stamp - seconds))}

@@ -11,7 +11,7 @@ import numpy as np
 from tfg_drake.hardware.device import Message
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import Preset, Topic
-from tfg_drake.hardware.ros.stamps import ClockJump, StampClock
+from tfg_drake.hardware.ros.stamps import SENSOR_SILENCE, ClockJump, StampClock
 from tfg_drake.messages import Hazards, Odometry
 
 _log = logging.getLogger(__name__)
@@ -20,9 +20,11 @@ _log = logging.getLogger(__name__)
 class Intake:
     """Converts ROS messages of either transport; one thread may use it."""
 
-    def __init__(self, preset: Preset) -> None:
-        self.clock = StampClock()
-        self._preset = preset
+    def __init__(self, preset: Preset, sensors: list[tuple[str, Topic]] | None = None) -> None:
+        """sensors: topics by key, "scan", "detections" or "camera_info", of a robot whose base is elsewhere: the clock
+        is learned from them all, there being no odometry. None for all of the preset's."""
+        self.clock = StampClock() if sensors is None else StampClock(SENSOR_SILENCE)
+        self._preset, self._sensors = preset, sensors
         self._messages: list[Message] = []
         self._odometry: Odometry | None = None
         self._hazards = Hazards(-math.inf, 0, 0, 0)
@@ -33,6 +35,8 @@ class Intake:
 
     def topics(self) -> list[tuple[str, Topic]]:
         """What to subscribe to: (key for `receive`, topic)."""
+        if self._sensors is not None:
+            return self._sensors
         topics = self._preset.topics
         one_each = [(key, getattr(topics, key)) for key in ("odometry", "scan", "detections", "camera_info")]
         return [(key, t) for key, t in one_each if t is not None] + [("hazards", topic) for topic in topics.hazards]
@@ -57,6 +61,8 @@ class Intake:
         stamp = conversions.ros_stamp(message)
         if key == "odometry" and stamp is not None:
             return self.clock.odometry(topic.name, stamp, arrival)
+        if self._sensors is not None and stamp is not None:
+            return self.clock.learn(topic.name, stamp, arrival)
         if stamp is None:
             return arrival if self.clock.ready else None
         return self.clock.host(topic.name, stamp, arrival)
@@ -93,11 +99,18 @@ class Intake:
         graph: (name, type) of every topic there is.
         """
         ours = {one.name for _, one in self.topics()} | {self._preset.topics.command.name}
-        others = [(name, kind) for name, kind in graph if name not in ours | {"/rosout", "/parameter_events"}]
-        alike = [name for name, kind in others if kind == topic.type]
-        seen = (alike or [name for name, _ in others])[:5]
-        instead = ", ".join(seen) or "no other topic (check ROS_DOMAIN_ID and the network)"
-        return f"nobody {verb} {topic.name} ({topic.type}); seen instead: {instead}"
+        return f"nobody {verb} {topic.name} ({topic.type}); {seen_instead((topic.type,), graph, ours)}"
+
+
+def seen_instead(kinds: tuple[str, ...], graph: list[tuple[str, str]], ours: set[str]) -> str:
+    """Topics of a graph (name, type) to name to who asked for one that is not there: of its kinds if there are some.
+
+    ours: names that are there only because we asked for them.
+    """
+    others = [(name, kind) for name, kind in graph if name not in ours | {"/rosout", "/parameter_events"}]
+    alike = [name for name, kind in others if kind in kinds]
+    seen = (alike or [name for name, _ in others])[:5]
+    return f"seen instead: {', '.join(seen) or 'no other topic (check ROS_DOMAIN_ID and the network)'}"
 
 
 def mistyped(topic: Topic, types: list[str]) -> str | None:

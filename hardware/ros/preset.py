@@ -67,6 +67,36 @@ class Camera:
 
 
 @dataclasses.dataclass(frozen=True)
+class Frames:
+    """Names of frames (REP 105): the map's, that of the base's odometry, the base's body."""
+
+    map: str = "map"
+    odom: str = "odom"
+    base: str = "base_link"
+
+
+@dataclasses.dataclass(frozen=True)
+class Publish:
+    """Names of the topics on which the explorer says what it knows; PUBLISHED has their types."""
+
+    map: str = "/map"
+    markers: str = "/tfg/markers"
+    path: str = "/tfg/path"
+    pose: str = "/tfg/pose"
+    tf: str = "/tf"
+
+
+# By the key in `publish`: the type, and whether a late listener gets the newest message.
+PUBLISHED = {
+    "map": ("nav_msgs/msg/OccupancyGrid", True),
+    "markers": ("visualization_msgs/msg/MarkerArray", True),
+    "path": ("nav_msgs/msg/Path", True),
+    "pose": ("geometry_msgs/msg/PoseWithCovarianceStamped", False),
+    "tf": ("tf2_msgs/msg/TFMessage", False),
+}
+
+
+@dataclasses.dataclass(frozen=True)
 class Preset:
     """One kind of robot."""
 
@@ -74,6 +104,8 @@ class Preset:
     limits: Limits = dataclasses.field(default_factory=Limits)
     scanner: Scanner = dataclasses.field(default_factory=Scanner)
     camera: Camera = dataclasses.field(default_factory=Camera)
+    frames: Frames = dataclasses.field(default_factory=Frames)
+    publish: Publish = dataclasses.field(default_factory=Publish)
 
 
 # The types that a topic may have, by its key in `topics`.

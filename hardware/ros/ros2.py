@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from tfg_drake.hardware.device import Device, DeviceError, Message
 from tfg_drake.hardware.ros import conversions
+from tfg_drake.hardware.ros.announcer import Announcer
 from tfg_drake.hardware.ros.intake import Intake, mistyped
 from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.hardware.ros.ros2_messages import filled, message_type
 from tfg_drake.hardware.ros.stamps import SILENCE
 from tfg_drake.hardware.watchdog import TICK
 
@@ -37,11 +39,76 @@ class Ros2Config:
         return Ros2Driver(self.preset)
 
 
+class Ros2Graph:
+    """A node of our own on the graph, used by one thread: what driving a base and listening to a sensor share."""
+
+    label = "ros2"
+
+    def __init__(self) -> None:
+        """Joins the graph; raises DeviceError without rclpy."""
+        try:
+            import rclpy
+            from rclpy.context import Context
+            from rclpy.executors import SingleThreadedExecutor
+            from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+            from rclpy.signals import SignalHandlerOptions
+        except ImportError as error:
+            raise DeviceError(
+                f"ros2: rclpy cannot be imported by {sys.executable} ({error}): run `source /opt/ros/jazzy/setup.bash` "
+                "first and use the Python of that ROS, or connect through rosbridge"
+            ) from None
+        reliable = ReliabilityPolicy.RELIABLE
+        self._qos = {
+            "sensor_data": qos_profile_sensor_data,
+            "reliable": QoSProfile(depth=5, reliability=reliable),
+            "latched": QoSProfile(depth=1, reliability=reliable, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        }
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self.node = rclpy.create_node("tfg_drake", context=self._context)
+        self._executor.add_node(self.node)
+
+    def subscribe(self, topic: Topic, receive: Callable[[Any, float], None]) -> None:
+        """receive(message, arrival), arrival s of the host's clock; raises DeviceError without the type's package."""
+        kind = _message_type(topic)
+        self.node.create_subscription(
+            kind, topic.name, lambda message: receive(message, time.monotonic()), self._qos[topic.qos]
+        )
+
+    def publisher(self, topic: Topic) -> Callable[[dict[str, Any]], None]:
+        """Publishes a dictionary of fields; qos may be "latched". Raises DeviceError without the type's package."""
+        kind = _message_type(topic)
+        publisher = self.node.create_publisher(kind, topic.name, self._qos[topic.qos])
+        return lambda values: publisher.publish(filled(kind(), values))
+
+    def types(self, name: str) -> list[str]:
+        """The types that a topic is published with; none when nobody publishes it."""
+        return sorted({end.topic_type for end in self.node.get_publishers_info_by_topic(name)})
+
+    def names(self) -> list[tuple[str, str]]:
+        """(name, type) of every topic."""
+        return [(name, kind) for name, kinds in self.node.get_topic_names_and_types() for kind in kinds]
+
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s."""
+        end = time.monotonic() + duration
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def close(self) -> None:
+        """Leaves the graph."""
+        with contextlib.suppress(Exception):
+            self._executor.shutdown()
+            self.node.destroy_node()
+        self._context.try_shutdown()
+
+
 def _message_type(topic: Topic) -> Any:
-    package, _, name = topic.type.partition("/msg/")
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
+        return message_type(topic.type)
     except ImportError:
+        package = topic.type.partition("/")[0]
         raise DeviceError(
             f"ros2: {topic.name} needs the package {package}, which this ROS lacks: install "
             f"ros-$ROS_DISTRO-{package.replace('_', '-')} and source ROS again, or take the topic out of the preset"
@@ -49,50 +116,28 @@ def _message_type(topic: Topic) -> Any:
 
 
 class Ros2Driver:
-    """A node that subscribes to a preset's topics and publishes its command; see tfg_drake.hardware.device.Driver."""
+    """A node that subscribes to a preset's topics and publishes its command; see tfg_drake.hardware.device.Driver.
+
+    It publishes what the explorer knows, too: see tfg_drake.hardware.device.Publisher.
+    """
 
     def __init__(self, preset: Preset) -> None:
         """Waits until odometry and scan arrive; raises DeviceError."""
-        try:
-            import rclpy
-            from rclpy.context import Context
-            from rclpy.executors import SingleThreadedExecutor
-            from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-            from rclpy.signals import SignalHandlerOptions
-        except ImportError as error:
-            raise DeviceError(
-                f"ros2: rclpy cannot be imported by {sys.executable} ({error}): run `source /opt/ros/jazzy/setup.bash` "
-                "first and use the Python of that ROS, or connect through rosbridge"
-            ) from None
         self.limits = preset.limits
         self._preset, self._intake = preset, Intake(preset)
-        qos = {
-            "sensor_data": qos_profile_sensor_data,
-            "reliable": QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE),
-        }
-        topics = preset.topics
-        types = {topic.name: _message_type(topic) for topic in (topics.command, *self._topics())}
-        self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._node = rclpy.create_node("tfg_drake", context=self._context)
-        self._executor.add_node(self._node)
-        for key, topic in self._intake.topics():
-            callback = partial(self._receive, key, topic)
-            self._node.create_subscription(types[topic.name], topic.name, callback, qos[topic.qos])
-        self._command_type = types[topics.command.name]
-        self._publisher = self._node.create_publisher(self._command_type, topics.command.name, qos[topics.command.qos])
+        self._graph = Ros2Graph()
         try:
+            self._send = self._graph.publisher(preset.topics.command)
+            for key, topic in self._intake.topics():
+                self._graph.subscribe(topic, partial(self._intake.receive, key, topic))
             self._wait()
         except DeviceError:
             self.close()
             raise
+        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
 
     def _topics(self) -> list[Topic]:
         return [topic for _, topic in self._intake.topics()]
-
-    def _receive(self, key: str, topic: Topic, message: Any) -> None:
-        self._intake.receive(key, topic, message, time.monotonic())
 
     def _wait(self) -> None:
         needed = {self._preset.topics.odometry.name, self._preset.topics.scan.name}
@@ -109,8 +154,7 @@ class Ros2Driver:
                 break
         for topic, types, verb in self._ends():
             if not types:
-                graph = [(name, kind) for name, kinds in self._node.get_topic_names_and_types() for kind in kinds]
-                raise DeviceError(f"ros2: {self._intake.nobody(topic, graph, verb)}")
+                raise DeviceError(f"ros2: {self._intake.nobody(topic, self._graph.names(), verb)}")
         if silent := sorted(needed - self._intake.arrived):
             raise DeviceError(f"ros2: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: start its driver")
         if not self._intake.clock.ready:
@@ -122,17 +166,17 @@ class Ros2Driver:
 
     def _ends(self) -> list[tuple[Topic, list[str], str]]:
         """Every topic, the types that its other end has, and what that does."""
-        node, command = self._node, self._preset.topics.command
-        inputs = [(topic, node.get_publishers_info_by_topic(topic.name), "publishes") for topic in self._topics()]
-        outputs = [(command, node.get_subscriptions_info_by_topic(command.name), "listens to")]
-        return [(topic, sorted({end.topic_type for end in ends}), verb) for topic, ends, verb in inputs + outputs]
+        command = self._preset.topics.command
+        listeners = self._graph.node.get_subscriptions_info_by_topic(command.name)
+        inputs = [(topic, self._graph.types(topic.name), "publishes") for topic in self._topics()]
+        return [*inputs, (command, sorted({end.topic_type for end in listeners}), "listens to")]
 
     def _unreliable(self) -> str | None:
         """The complaint that a topic is asked for as reliable and published best effort only: nothing would arrive."""
         from rclpy.qos import ReliabilityPolicy
 
         for topic in self._topics():
-            ends = self._node.get_publishers_info_by_topic(topic.name)
+            ends = self._graph.node.get_publishers_info_by_topic(topic.name)
             best_effort = [end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for end in ends]
             if topic.qos == "reliable" and ends and all(best_effort):
                 return f"{topic.name} is published best effort, the preset has reliable: set its qos to sensor_data"
@@ -140,9 +184,7 @@ class Ros2Driver:
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
-        end = time.monotonic() + duration
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
+        self._graph.spin(duration)
 
     def take(self) -> list[Message]:
         """The messages since the last call."""
@@ -154,25 +196,16 @@ class Ros2Driver:
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Publishes a velocity, m/s and rad/s."""
-        kind = self._preset.topics.command.type
-        command = conversions.velocity(kind, speed, turn_rate, self._intake.clock.robot(time.monotonic()))
-        self._publisher.publish(_filled(self._command_type(), command))
+        kind, now = self._preset.topics.command.type, self._intake.clock.robot(time.monotonic())
+        self._send(conversions.velocity(kind, speed, turn_rate, now, self._preset.frames.base))
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message on the preset's topic for it."""
+        self._announcer.publish(key, message)
 
     def show(self, enabled: bool) -> None:
         """These robots have nothing to show it with."""
 
     def close(self) -> None:
         """Leaves the graph."""
-        with contextlib.suppress(Exception):
-            self._executor.shutdown()
-            self._node.destroy_node()
-        self._context.try_shutdown()
-
-
-def _filled(message: Any, values: dict[str, Any]) -> Any:
-    for name, value in values.items():
-        if isinstance(value, dict):
-            _filled(getattr(message, name), value)
-        else:
-            setattr(message, name, value)
-    return message
+        self._graph.close()

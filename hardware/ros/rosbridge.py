@@ -6,15 +6,18 @@ The connection is opened again with growing delays, and the robot stands until i
 
 from __future__ import annotations
 
+import array
 import contextlib
 import dataclasses
 import queue
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from tfg_drake.hardware.device import Device, DeviceError, Message
 from tfg_drake.hardware.ros import conversions
+from tfg_drake.hardware.ros.announcer import Announcer
 from tfg_drake.hardware.ros.intake import Intake, mistyped
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.stamps import SILENCE
@@ -23,6 +26,8 @@ from tfg_drake.hardware.watchdog import TICK
 # How long to look for the robot, s, and for the node rosapi, which lists its topics.
 PATIENCE = 10.0
 ROSAPI_PATIENCE = 3.0
+
+Receive = Callable[[Any, float], None]
 
 
 def connect(preset: Preset, host: str = "localhost", port: int = 9090) -> Device:
@@ -43,18 +48,19 @@ class RosbridgeConfig:
         return RosbridgeDriver(self.preset, self.host, self.port)
 
 
-class RosbridgeDriver:
-    """A client that subscribes to a preset's topics and publishes its command; see tfg_drake.hardware.device.Driver."""
+class RosbridgeGraph:
+    """A client of a rosbridge server, used by one thread: what driving a base and listening to a sensor share."""
 
-    def __init__(self, preset: Preset, host: str, port: int) -> None:
-        """Waits until odometry and scan arrive; raises DeviceError."""
+    label = "rosbridge"
+
+    def __init__(self, host: str, port: int) -> None:
+        """Connects; raises DeviceError without roslibpy or a server."""
         try:
             import roslibpy
         except ImportError:
             raise DeviceError("rosbridge: roslibpy is not installed: pip install 'tfg-drake[rosbridge]'") from None
-        self.limits = preset.limits
-        self._preset, self._intake = preset, Intake(preset)
-        self._arrived: queue.SimpleQueue[tuple[str, Topic, Any, float]] = queue.SimpleQueue()
+        self._roslibpy = roslibpy
+        self._arrived: queue.SimpleQueue[tuple[Receive, Any, float]] = queue.SimpleQueue()
         self._ros = roslibpy.Ros(host, port, transport="asyncio")
         try:
             self._ros.run(PATIENCE)
@@ -64,30 +70,88 @@ class RosbridgeDriver:
                 f"rosbridge: no server answers at ws://{host}:{port}: start it on the robot with "
                 "`ros2 launch rosbridge_server rosbridge_websocket_launch.xml`, or give its host and port"
             ) from None
+
+    @property
+    def connected(self) -> bool:
+        """Whether the server is there."""
+        return bool(self._ros.is_connected)
+
+    def subscribe(self, topic: Topic, receive: Receive) -> None:
+        """receive(message, arrival), by `spin`; arrival s of the host's clock."""
+        # The bridge keeps the newest message of a client that is slow.
+        subscriber = self._roslibpy.Topic(self._ros, topic.name, topic.type, queue_length=1)
+        subscriber.subscribe(lambda message: self._arrived.put((receive, message, time.monotonic())))
+
+    def publisher(self, topic: Topic) -> Callable[[dict[str, Any]], None]:
+        """Publishes a dictionary of fields; qos may be "latched"."""
+        publisher = self._roslibpy.Topic(self._ros, topic.name, topic.type, queue_size=1, latch=topic.qos == "latched")
+        publisher.advertise()
+
+        def publish(values: dict[str, Any]) -> None:
+            if self.connected:  # roslibpy would keep it, and send it when it is old
+                publisher.publish(_in_json(values))
+
+        return publish
+
+    def names(self) -> list[tuple[str, str]] | None:
+        """(name, type) of every topic; None where the node rosapi, which knows them, does not run."""
+        topics = self._roslibpy.Service(self._ros, "/rosapi/topics", "rosapi/Topics")
         try:
-            # Before we subscribe, because a subscription is a topic too.
-            self._check_graph(roslibpy.Service(self._ros, "/rosapi/topics", "rosapi/Topics"), roslibpy.ServiceRequest())
+            answer = topics.call(self._roslibpy.ServiceRequest(), timeout=ROSAPI_PATIENCE)
+        except Exception:  # roslibpy raises its own kinds
+            return None
+        return list(zip(answer["topics"], answer["types"], strict=True))
+
+    def types(self, name: str) -> list[str] | None:
+        """The types that a topic has; None where rosapi does not run."""
+        graph = self.names()
+        return None if graph is None else [kind for one, kind in graph if one == name]
+
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s."""
+        end = time.monotonic() + duration
+        with contextlib.suppress(queue.Empty):
+            while (left := end - time.monotonic()) > 0.0:
+                receive, message, arrival = self._arrived.get(timeout=left)
+                receive(message, arrival)
+
+    def close(self) -> None:
+        """Leaves the server."""
+        with contextlib.suppress(Exception):
+            self._ros.close()
+        self._ros.terminate()
+
+
+def _in_json(message: dict[str, Any]) -> dict[str, Any]:
+    """Fields with lists for arrays, which JSON does not have."""
+    return {key: value.tolist() if isinstance(value, array.array) else value for key, value in message.items()}
+
+
+class RosbridgeDriver:
+    """A client that subscribes to a preset's topics and publishes its command; see tfg_drake.hardware.device.Driver.
+
+    It publishes what the explorer knows, too: see tfg_drake.hardware.device.Publisher.
+    """
+
+    def __init__(self, preset: Preset, host: str, port: int) -> None:
+        """Waits until odometry and scan arrive; raises DeviceError."""
+        self.limits = preset.limits
+        self._preset, self._intake = preset, Intake(preset)
+        self._graph = RosbridgeGraph(host, port)
+        try:
+            self._check_graph()  # before we subscribe, because a subscription is a topic too
             for key, topic in self._intake.topics():
-                # The bridge keeps the newest message of a client that is slow.
-                subscriber = roslibpy.Topic(self._ros, topic.name, topic.type, queue_length=1)
-                subscriber.subscribe(partial(self._receive, key, topic))
-            command = preset.topics.command
-            self._publisher = roslibpy.Topic(self._ros, command.name, command.type, queue_size=1)
-            self._publisher.advertise()
+                self._graph.subscribe(topic, partial(self._intake.receive, key, topic))
+            self._send = self._graph.publisher(preset.topics.command)
             self._wait()
         except DeviceError:
             self.close()
             raise
+        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
 
-    def _receive(self, key: str, topic: Topic, message: Any) -> None:
-        self._arrived.put((key, topic, message, time.monotonic()))
-
-    def _check_graph(self, topics: Any, request: Any) -> None:
-        try:
-            answer = topics.call(request, timeout=ROSAPI_PATIENCE)
-        except Exception:  # roslibpy raises its own kinds; without rosapi there is nothing to check
+    def _check_graph(self) -> None:
+        if (graph := self._graph.names()) is None:
             return
-        graph = list(zip(answer["topics"], answer["types"], strict=True))
         ours = [(topic, "publishes") for _, topic in self._intake.topics()]
         for topic, verb in [*ours, (self._preset.topics.command, "listens to")]:
             types = [kind for name, kind in graph if name == topic.name]
@@ -111,10 +175,7 @@ class RosbridgeDriver:
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
-        end = time.monotonic() + duration
-        with contextlib.suppress(queue.Empty):
-            while (left := end - time.monotonic()) > 0.0:
-                self._intake.receive(*self._arrived.get(timeout=left))
+        self._graph.spin(duration)
 
     def take(self) -> list[Message]:
         """The messages since the last call."""
@@ -126,18 +187,16 @@ class RosbridgeDriver:
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Publishes a velocity, m/s and rad/s."""
-        if not self._ros.is_connected:
-            return  # roslibpy would keep it, and send it when it is old
-        kind = self._preset.topics.command.type
-        self._publisher.publish(
-            conversions.velocity(kind, speed, turn_rate, self._intake.clock.robot(time.monotonic()))
-        )
+        kind, now = self._preset.topics.command.type, self._intake.clock.robot(time.monotonic())
+        self._send(conversions.velocity(kind, speed, turn_rate, now, self._preset.frames.base))
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message on the preset's topic for it."""
+        self._announcer.publish(key, message)
 
     def show(self, enabled: bool) -> None:
         """These robots have nothing to show it with."""
 
     def close(self) -> None:
         """Leaves the server."""
-        with contextlib.suppress(Exception):
-            self._ros.close()
-        self._ros.terminate()
+        self._graph.close()

@@ -1,7 +1,8 @@
 """The robot's ROS clock against the host's monotonic clock.
 
 ROS stamps serve for order and age only. The offset is the least of host's arrival minus stamp, of the odometry (the
-shortest way there is), tracked slowly because two quartzes drift apart.
+shortest way there is), tracked slowly because two quartzes drift apart. Where only sensors are heard it is theirs:
+their stamps are then late by the least delay with which any of them arrives.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ SLEW = 1e-3
 JUMP = 0.25
 # Odometry silent for longer is a new connection: the clock is learned anew, s.
 SILENCE = 0.5
+# The same of sensors alone, which may be slow, s.
+SENSOR_SILENCE = 2.0
 # The robot's clock may differ from the host's by this, s; what a camera sees may be this old when it arrives.
 MAX_SKEW = 0.25
 MAX_AGE = 1.0
@@ -31,8 +34,9 @@ class ClockJump(Exception):
 class StampClock:
     """Brings ROS stamps to the host's monotonic clock."""
 
-    def __init__(self) -> None:
-        self._offset, self._source = 0.0, ""
+    def __init__(self, silence: float = SILENCE) -> None:
+        """silence: s without a message to learn from, after which the clock is learned anew."""
+        self._offset, self._source, self._silence = 0.0, "", silence
         self._reset()
 
     def _reset(self) -> None:
@@ -47,9 +51,13 @@ class StampClock:
         return self._heard - self._began >= LEARN
 
     def odometry(self, topic: str, stamp: float, arrival: float) -> float | None:
-        """As `host`, for the topic that the clock is learned from."""
+        """As `learn`, for the topic whose messages arrive at once."""
         self._source = topic
-        if arrival - self._heard > SILENCE:
+        return self.learn(topic, stamp, arrival)
+
+    def learn(self, topic: str, stamp: float, arrival: float) -> float | None:
+        """As `host`, for a topic that the clock is learned from."""
+        if arrival - self._heard > self._silence:
             self._reset()
         dt = arrival - self._heard
         if not math.isfinite(self._began):

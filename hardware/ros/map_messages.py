@@ -1,0 +1,212 @@
+"""What the explorer knows as ROS messages: pure functions whose results are dictionaries of ROS fields.
+
+Metres and radians; the frames' names are the preset's. A header's stamp is the host's time (s) here, because only the
+process that drives the robot knows the robot's ROS clock: see announcer.py.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.caption import Colour, gain_colours
+from tfg_drake.drawing import ellipses, outline_segments
+from tfg_drake.geometry.se2 import compose, inverse
+from tfg_drake.grid.frontier import FREE as FREE_CELL
+from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
+from tfg_drake.grid.frontier import classify
+from tfg_drake.hardware.ros.preset import Frames
+from tfg_drake.messages import (
+    FloatArray,
+    GoalChoice,
+    GridMap,
+    MapEstimate,
+    Odometry,
+    Path,
+    PoseEstimate,
+    Roadmap,
+    TfgMap,
+)
+from tfg_drake.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END
+from tfg_drake.pose_prediction import pose_at
+
+Fields = dict[str, Any]
+Cells = NDArray[np.int8]
+
+# Side of a cell of /map, m.
+CELL = 0.05
+# nav_msgs/OccupancyGrid.
+UNKNOWN, FREE, OCCUPIED = -1, 0, 100
+# visualization_msgs/Marker: its types, and the action that clears a display.
+CYLINDER, LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 3, 5, 7, 9, 3
+
+GOAL: Colour = (0.84, 0.15, 0.16)
+# The surfaces' names and colours, by TfgMap.segment_kind.
+_SURFACES = (("edges", EDGE), ("wall ends", WALL_END), ("surfaces without tag", BARE_SURFACE))
+
+
+def tfg_grid(tfg: TfgMap, stamp: float, frames: Frames, cell: float = CELL) -> Fields:
+    """nav_msgs/OccupancyGrid of the TFG: free where a cell's centre is in a star polygon, occupied along surfaces.
+
+    cell: side of a cell, m. The grid's corner is a multiple of it, so that cells keep their place as the map grows.
+    """
+    points = np.vstack([tfg.star_vertices, tfg.segments.reshape(-1, 2)])
+    if not len(points):
+        return _grid(np.zeros((0, 0), dtype=np.int8), cell, np.zeros(2), stamp, frames)
+    low = np.floor(points.min(axis=0) / cell) - 1.0
+    width, height = (np.floor(points.max(axis=0) / cell) - low + 2.0).astype(int)
+    cells = np.full((height, width), UNKNOWN, dtype=np.int8)
+    for j in range(len(tfg.star_centers)):
+        star = tfg.star_vertices[tfg.star_offsets[j] : tfg.star_offsets[j + 1]]
+        _fill_polygon(cells, star / cell - low)
+    _draw_segments(cells, tfg.segments / cell - np.tile(low, 2))
+    return _grid(cells, cell, low * cell, stamp, frames)
+
+
+def _fill_polygon(cells: Cells, corners: FloatArray) -> None:
+    """Makes the cells free whose centres are in the polygon (n, 2), in cells: an odd number of its sides is to their
+    left."""
+    if len(corners) < 3:
+        return
+    low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
+    (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
+    rows = np.arange(low[1], high[1])
+    y = rows[:, None] + 0.5
+    row, side = np.nonzero((y0 > y) != (y1 > y))
+    x = x0[side] + (y[row, 0] - y0[side]) / (y1 - y0)[side] * (x1 - x0)[side]
+    # The first cell whose centre is to the right of the side.
+    column = np.ceil(x - 0.5).astype(int) - low[0]
+    sides = np.zeros((len(rows), high[0] - low[0] + 1), dtype=np.int64)
+    np.add.at(sides, (row, np.clip(column, 0, sides.shape[1] - 1)), 1)
+    inside = np.cumsum(sides, axis=1)[:, :-1] % 2 == 1
+    cells[low[1] : high[1], low[0] : high[0]][inside] = FREE
+
+
+def _draw_segments(cells: Cells, segments: FloatArray) -> None:
+    """Makes the cells occupied that the segments (m, 4), in cells, run through."""
+    start, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    # Four points a cell: what a segment only clips at a corner may be left out.
+    n = np.ceil(4.0 * np.hypot(*along.T)).astype(int) + 1
+    owner = np.repeat(np.arange(len(segments)), n)
+    share = (np.arange(len(owner)) - np.repeat(np.cumsum(n) - n, n)) / np.maximum(n - 1, 1)[owner]
+    column, row = np.floor(start[owner] + share[:, None] * along[owner]).astype(int).T
+    cells[row, column] = OCCUPIED
+
+
+def grid_of_cells(grid: GridMap, stamp: float, frames: Frames) -> Fields:
+    """nav_msgs/OccupancyGrid of a grid that is kept as one, its cells decided."""
+    kinds = classify(grid)
+    cells = np.full(kinds.shape, UNKNOWN, dtype=np.int8)
+    cells[kinds == FREE_CELL], cells[kinds == OCCUPIED_CELL] = FREE, OCCUPIED
+    return _grid(cells, grid.resolution, grid.origin, stamp, frames)
+
+
+def _grid(cells: Cells, cell: float, corner: FloatArray, stamp: float, frames: Frames) -> Fields:
+    height, width = cells.shape
+    return {
+        "header": _header(stamp, frames.map),
+        "info": {
+            "resolution": float(cell),
+            "width": width,
+            "height": height,
+            "origin": _pose(np.array([*corner, 0.0])),
+        },
+        "data": array.array("b", cells.tobytes()),
+    }
+
+
+def markers(
+    stamp: float,
+    frames: Frames,
+    estimate: MapEstimate | None = None,
+    tfg: TfgMap | None = None,
+    goal: GoalChoice | None = None,
+    roadmap: Roadmap | None = None,
+) -> Fields:
+    """visualization_msgs/MarkerArray of what there is: landmarks with ids and ellipses of three standard deviations,
+    surfaces, frontiers, candidate goals coloured by their gain, and the goal.
+
+    It begins with the order to forget what was shown before: every array is the whole picture.
+    """
+    header = _header(stamp, frames.map)
+    found: list[Fields] = [{"header": header, "action": DELETE_ALL}]
+
+    def add(ns: str, kind: int, size: float, colour: Colour, **fields: Any) -> None:
+        marker = {"ns": ns, "id": len(found), "type": kind, "pose": _pose(np.zeros(3)), "color": _colour(colour)}
+        # Lines have no height and no thickness but x; letters only a height, z.
+        scale = {"x": size, "y": 0.0 if kind == LINE_LIST else size, "z": 0.0 if kind == LINE_LIST else size}
+        found.append({"header": header, "action": 0, **marker, "scale": scale, **fields})
+
+    if tfg is not None:
+        for kind, (name, colour) in enumerate(_SURFACES):
+            segments = tfg.segments[tfg.segment_kind == kind]
+            if len(segments):
+                add(name, LINE_LIST, 0.03, colour, points=_points(segments.reshape(-1, 2)))
+        if len(tfg.frontiers):
+            add("frontiers", SPHERE_LIST, 0.08, FRONTIER, points=_points(tfg.frontiers))
+    if estimate is not None and len(estimate.ids):
+        add("landmarks", SPHERE_LIST, 0.1, LANDMARK, points=_points(estimate.p_ML))
+        outlines = outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance))
+        add("ellipses", LINE_LIST, 0.01, LANDMARK, points=_points(outlines.reshape(-1, 2)))
+        for name, place in zip(estimate.ids.tolist(), estimate.p_ML, strict=True):
+            add("ids", TEXT, 0.2, LANDMARK, text=str(name), pose=_pose(np.array([*place, 0.0]), height=0.2))
+    if goal is not None and roadmap is not None and goal.stage == roadmap.stage and len(goal.candidates):
+        share = np.clip(goal.gain / max(float(goal.gain.max()), 1e-9), 0.0, 1.0)
+        colours = [_colour(colour) for colour in gain_colours(share)]
+        places = _points(roadmap.points[goal.candidates])
+        add("candidates", SPHERE_LIST, 0.12, FRONTIER, points=places, colors=colours)
+    if goal is not None and goal.node >= 0:
+        add("goal", CYLINDER, 0.25, GOAL, pose=_pose(np.array([*goal.p_MG, 0.0])))
+    return {"markers": found}
+
+
+def path(message: Path, stamp: float, frames: Frames) -> Fields:
+    """nav_msgs/Path; every pose looks to the next point."""
+    along = np.diff(message.points, axis=0)
+    yaw = np.arctan2(along[:, 1], along[:, 0])
+    header = _header(stamp, frames.map)
+    poses = np.column_stack([message.points, np.append(yaw, yaw[-1:]) if len(yaw) else np.zeros(len(message.points))])
+    return {"header": header, "poses": [{"header": header, "pose": _pose(pose)} for pose in poses]}
+
+
+def pose(message: PoseEstimate, frames: Frames) -> Fields:
+    """geometry_msgs/PoseWithCovarianceStamped: X_MB, and its covariance over x, y and the turn round z."""
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_((0, 1, 5), (0, 1, 5))] = message.covariance
+    return {
+        "header": _header(message.stamp, frames.map),
+        "pose": {"pose": _pose(message.X_MB), "covariance": covariance.ravel().tolist()},
+    }
+
+
+def map_to_odom(message: PoseEstimate, odometry: Odometry, frames: Frames) -> Fields:
+    """tf2_msgs/TFMessage with X_MO = X_MB X_BO at the odometry's stamp (REP 105): with odom -> base_link, which the
+    base publishes, it makes the estimate."""
+    X_MO = compose(pose_at(message, odometry.stamp), inverse(odometry.X_OB))
+    at = _pose(X_MO)
+    transform = {"translation": at["position"], "rotation": at["orientation"]}
+    header = _header(odometry.stamp, frames.map)
+    return {"transforms": [{"header": header, "child_frame_id": frames.odom, "transform": transform}]}
+
+
+def _header(stamp: float, frame: str) -> Fields:
+    return {"stamp": float(stamp), "frame_id": frame}
+
+
+def _pose(X: FloatArray, height: float = 0.0) -> Fields:
+    x, y, theta = (float(value) for value in X)
+    orientation = {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}
+    return {"position": {"x": x, "y": y, "z": height}, "orientation": orientation}
+
+
+def _points(points: FloatArray) -> list[Fields]:
+    return [{"x": x, "y": y, "z": 0.0} for x, y in points.tolist()]
+
+
+def _colour(colour: Colour | FloatArray) -> Fields:
+    r, g, b = (float(value) for value in colour)
+    return {"r": r, "g": g, "b": b, "a": 1.0}

@@ -1,0 +1,122 @@
+"""The system that tells ROS what the explorer knows: RViz shows it, Nav2 drives by it."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeVar
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
+
+from tfg_drake.hardware.ros import map_messages
+from tfg_drake.hardware.ros.preset import Frames
+from tfg_drake.messages import GoalChoice, GridMap, MapEstimate, Odometry, Path, PoseEstimate, Roadmap, TfgMap
+from tfg_drake.systems.ports import declare_message_input, eval_message
+
+T = TypeVar("T")
+
+# Between two poses, s.
+PERIOD = 1.0 / 16.0
+
+_KINDS = {
+    "map": MapEstimate,
+    "tfg": TfgMap,
+    "roadmap": Roadmap,
+    "goal": GoalChoice,
+    "path": Path,
+    "grid": GridMap,
+}
+
+
+class PublishingDevice(Protocol):
+    """A tfg_drake.hardware.device.Device whose driver publishes."""
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message by its key in the preset's `publish`."""
+
+
+class MapPublisher(LeafSystem):
+    """Publishes through a device.
+
+    .. pydrake_system::
+
+        name: MapPublisher
+        input_ports:
+        - pose
+        - odometry
+        - map
+        - tfg
+        - roadmap
+        - goal
+        - path
+        - grid
+
+    Every port is optional and has its own part: pose and tf go out at every period, /map and the markers when the stage
+    has changed, the markers with a new choice of goal too, the path with every new one. The state holds the messages
+    that were published. Simulator publishes before it updates, so the unrestricted update at the same instant sees
+    exactly what was published. Stamps of what has none are those of the pose.
+    """
+
+    def __init__(self, device: PublishingDevice, frames: Frames, cell: float = map_messages.CELL) -> None:
+        """cell: side of a cell of /map, m; a grid that is kept as one keeps its own."""
+        super().__init__()
+        self.set_name("map_publisher")
+        self._device, self._frames, self._cell = device, frames, cell
+        self._inputs = {name: declare_message_input(self, name) for name in ("pose", "odometry", *_KINDS)}
+        self._published = self.DeclareAbstractState(AbstractValue.Make(object()))
+        self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Publish)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Remember)
+
+    @staticmethod
+    def AddToBuilder(
+        builder: DiagramBuilder,
+        station: System,
+        explorer: System,
+        device: PublishingDevice,
+        frames: Frames,
+        cell: float = map_messages.CELL,
+    ) -> MapPublisher:
+        """Adds one, connected to a station and an explorer by port name."""
+        publisher = builder.AddNamedSystem("map_publisher", MapPublisher(device, frames, cell))
+        for name in ("pose", *_KINDS):
+            if explorer.HasOutputPort(name):
+                builder.Connect(explorer.GetOutputPort(name), publisher.GetInputPort(name))
+        builder.Connect(station.GetOutputPort("base.odometry"), publisher.GetInputPort("odometry"))
+        return publisher
+
+    def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
+        port = self._inputs[name]
+        return eval_message(port, context, kind) if port.HasValue(context) else None
+
+    def _Publish(self, context: Context) -> EventStatus:
+        pose = self._Get(context, "pose", PoseEstimate)
+        if pose is None:
+            return EventStatus.DidNothing()
+        self._device.publish("pose", map_messages.pose(pose, self._frames))
+        if (odometry := self._Get(context, "odometry", Odometry)) is not None:
+            self._device.publish("tf", map_messages.map_to_odom(pose, odometry, self._frames))
+        self._PublishMap(context, pose.stamp)
+        return EventStatus.Succeeded()
+
+    def _PublishMap(self, context: Context, stamp: float) -> None:
+        now: dict[str, Any] = {name: self._Get(context, name, kind) for name, kind in _KINDS.items()}
+        before = context.get_abstract_state(int(self._published)).get_value()
+        before = before if isinstance(before, dict) else dict.fromkeys(_KINDS)
+        changed = {name for name, message in now.items() if message is not before[name]}
+        frames, publish = self._frames, self._device.publish
+        if "tfg" in changed:
+            publish("map", map_messages.tfg_grid(now["tfg"], stamp, frames, self._cell))
+        # A grid changes with every scan: once a stage is enough.
+        if "grid" in changed and (before["grid"] is None or before["grid"].stage != now["grid"].stage):
+            publish("map", map_messages.grid_of_cells(now["grid"], stamp, frames))
+        if changed & {"map", "tfg", "goal"}:
+            publish(
+                "markers",
+                map_messages.markers(stamp, frames, now["map"], now["tfg"], now["goal"], now["roadmap"]),
+            )
+        if "path" in changed:
+            publish("path", map_messages.path(now["path"], stamp, frames))
+
+    def _Remember(self, context: Context, state: State) -> None:
+        # Copying the context costs nothing, since a message's deep copy is itself.
+        published = {name: self._Get(context, name, kind) for name, kind in _KINDS.items()}
+        state.get_mutable_abstract_state(int(self._published)).set_value(published)
