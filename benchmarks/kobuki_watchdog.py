@@ -3,7 +3,8 @@
 python benchmarks/kobuki_watchdog.py
 python benchmarks/kobuki_watchdog.py --trials 50
 
-The time from what went wrong to the last command that was not a stop, as the emulator read it, every 20 ms.
+The time from what went wrong to the first stop that only stops follow, as the emulator read it, every 20 ms: until then
+the base drives on.
 """
 
 from __future__ import annotations
@@ -33,17 +34,19 @@ while True:
     device.command(0.2, 0.0)
     time.sleep(0.02)
 """
-# Motion this long after what went wrong has no end, and one that ended for so long has, s.
+# Motion this long after what went wrong has no end, and a stop that has lasted so long is one, s.
 _AT_MOST, _AFTERWARDS = 3.0, 0.4
 
 
 def stopped_after(emulator: Emulator, begin: float) -> float:
-    """Time from begin to the last command that was not a stop, s; inf where motion does not end."""
-    last = math.inf
-    while time.monotonic() < min(last, begin + _AT_MOST) + _AFTERWARDS:
+    """Time from begin to the first stop after which nothing else is said, s; inf where motion does not end."""
+    stopped = math.inf
+    while time.monotonic() < min(stopped, begin + _AT_MOST) + _AFTERWARDS:
         time.sleep(0.02)
-        last = max((when for when, what in list(emulator.commands) if what != _STOP and when > begin), default=begin)
-    return last - begin if last < begin + _AT_MOST else math.inf
+        stopped = math.inf
+        for when, what in list(emulator.commands):
+            stopped = min(stopped, when) if what == _STOP else math.inf
+    return max(0.0, stopped - begin)
 
 
 def of_parent(how: signal.Signals) -> float:

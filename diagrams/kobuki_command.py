@@ -132,7 +132,7 @@ def emulate(
             print(emulator.device, flush=True)
             print("{}:{}".format(*emulator.sensors), flush=True)
             with contextlib.suppress(OSError):
-                for line in sys.stdin:
+                for line in sys.stdin or ():
                     try:
                         if answer := order(emulator, line):
                             print(answer, flush=True)
