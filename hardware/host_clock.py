@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import time
+
+_log = logging.getLogger("tfg_drake.host_clock")
 
 
 class HostClock:
@@ -22,4 +25,5 @@ class HostClock:
     def _started(self, station_time: float) -> float:
         if self._origin is None:
             self._origin = time.monotonic() - station_time
+            _log.info("the station's time 0 is %.6f s of the host's monotonic clock", self._origin)
         return self._origin
