@@ -55,7 +55,7 @@ def test_a_file_of_ones_own(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "value", "line"),
     [
-        (("speeed",), 1, "speeed: unknown key; the keys here are topics, limits, scanner, camera"),
+        (("speeed",), 1, "speeed: unknown key; the keys here are topics, limits, scanner, camera, frames, publish"),
         (("limits", "speed"), "fast", "limits.speed: expected a number, found 'fast'"),
         (("limits", "speed"), -0.1, "limits.speed: expected a number above 0, found -0.1"),
         (("scanner", "yaw"), float("nan"), "scanner.yaw: expected a number, found nan"),
