@@ -66,6 +66,7 @@ def real(world: str, max_time: float, out: Path) -> dict[str, Any]:
     emulator = Emulator(world)
     source = f"socket:{emulator.sensors}"
     arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--max-time", f"{max_time:g}"]
+    arguments += ["--set", "hardware.max_speed=1"]  # the simulated robot's own limit holds
     command = [*CLI, "explore", "--robot", "kobuki", *arguments, "--headless", "--out", str(out)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None

@@ -43,7 +43,8 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
 
     robot: its limits bound what is sent to the base, as those of a preset do.
     """
-    limits = Limits(robot.max_speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
+    speed = min(robot.max_speed, config.max_speed)
+    limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
     try:
         preset = load_preset(config.preset)
     except PresetError as error:

@@ -116,6 +116,8 @@ class HardwareConfig:
 
     # How the base is reached, one of ROBOTS.
     robot: str = "kobuki"
+    # Speed limit of a real robot, m/s, if no other is lower.
+    max_speed: float = 0.3
     # kobuki: the serial port.
     port: str = "/dev/kobuki"
     # ros2, rosbridge: a shipped preset or a YAML file that says what the robot's topics are.
