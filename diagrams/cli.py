@@ -20,6 +20,7 @@ from tfg_drake.diagrams.command_line import BadInput, wait_for_enter
 from tfg_drake.diagrams.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.kobuki_command import kobuki_app
 from tfg_drake.diagrams.map_command import map_app
+from tfg_drake.diagrams.ros_command import ros2_app
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
@@ -39,6 +40,7 @@ _UsageError: Any = typer.BadParameter.__base__
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 app.add_typer(map_app, name="map")
 app.add_typer(kobuki_app, name="kobuki")
+app.add_typer(ros2_app, name="ros2")
 
 
 @app.callback()

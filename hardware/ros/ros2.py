@@ -44,8 +44,8 @@ class Ros2Graph:
 
     label = "ros2"
 
-    def __init__(self) -> None:
-        """Joins the graph; raises DeviceError without rclpy."""
+    def __init__(self, name: str = "tfg_drake") -> None:
+        """Joins the graph as the node `name`; raises DeviceError without rclpy."""
         try:
             import rclpy
             from rclpy.context import Context
@@ -66,7 +66,7 @@ class Ros2Graph:
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor(context=self._context)
-        self.node = rclpy.create_node("tfg_drake", context=self._context)
+        self.node = rclpy.create_node(name, context=self._context)
         self._executor.add_node(self.node)
 
     def subscribe(self, topic: Topic, receive: Callable[[Any, float], None]) -> None:
