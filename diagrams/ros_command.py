@@ -22,7 +22,7 @@ def _commands() -> None:
 @ros2_app.command()
 def emulate(
     scenario: Annotated[str, typer.Argument(help="Where it stands: a shipped scenario or a YAML file.")] = "house",
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Of its sensors' noise [default: the scenario's].")] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Of its noise [default: the scenario's].")] = None,
 ) -> None:
     """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON.
 

@@ -4,11 +4,13 @@ import functools
 import importlib
 import math
 import os
+import runpy
 import subprocess
 import sys
 import time
 from multiprocessing import Pipe
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -133,6 +135,12 @@ def rosbridge():
     transport = Transport("rosbridge")
     yield transport
     transport.close()
+
+
+@pytest.fixture(scope="session")
+def room():
+    """The functions of room.py: messages of an explorer."""
+    return SimpleNamespace(**runpy.run_path(str(HERE / "room.py")))
 
 
 @pytest.fixture
