@@ -126,6 +126,7 @@ class Ros2Driver:
         self.limits = preset.limits
         self._preset, self._intake = preset, Intake(preset)
         self._graph = Ros2Graph()
+        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
         try:
             self._send = self._graph.publisher(preset.topics.command)
             for key, topic in self._intake.topics():
@@ -134,7 +135,6 @@ class Ros2Driver:
         except DeviceError:
             self.close()
             raise
-        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
 
     def _topics(self) -> list[Topic]:
         return [topic for _, topic in self._intake.topics()]
@@ -205,4 +205,5 @@ class Ros2Driver:
 
     def close(self) -> None:
         """Leaves the graph."""
+        self._announcer.close()
         self._graph.close()

@@ -100,7 +100,7 @@ def test_markers(room):
     by_name = {one["ns"]: one for one in found[1:]}
     assert by_name["landmarks"]["points"] == [{"x": -1.0, "y": -1.52, "z": 0.0}, {"x": -2.02, "y": 0.5, "z": 0.0}]
     assert [one["text"] for one in found[1:] if one["ns"] == "ids"] == ["7", "12"]
-    x = [one["x"] for one in by_name["ellipses"]["points"][:64]]
+    x = [one["x"] for one in by_name["ellipses"]["points"][:32]]
     assert (min(x), max(x)) == pytest.approx((-1.06, -0.94), abs=1e-9)
     assert by_name["edges"]["points"] == [{"x": -2.02, "y": -1.52, "z": 0.0}, {"x": 0.5, "y": -1.52, "z": 0.0}]
     assert {"wall ends", "surfaces without tag"} < set(by_name)
