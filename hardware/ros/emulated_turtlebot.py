@@ -57,7 +57,7 @@ class EmulatedTurtlebot:
         self._run_errors = odometry.run_errors(self._noise(3), wheels)
         self._base = differential_drive.initial_state(world.start, world.walls, self._robot)
         self._odometry = odometry.initial_state(world.start)
-        self._steps = 0
+        self._steps, self._distance = 0, 0.0
         self._command = (0.0, 0.0)
         self.silent: set[str] = set()
         self.clock = time.time() - time.monotonic()
@@ -75,12 +75,14 @@ class EmulatedTurtlebot:
     def step(self) -> dict[str, Fields]:
         """One period on; the messages to publish, by their key in the preset's topics, and "tf"."""
         now = time.monotonic()
+        before = self._base[differential_drive.X : differential_drive.Y + 1]
         self._base = differential_drive.step(
             self._base, np.array(self._command), self._world.walls, self._robot, PERIOD
         )
         self._steps += 1
         pose = self._base[differential_drive.X : differential_drive.TURN_RATE + 1]
         X_WB = pose[:3].copy()
+        self._distance += float(np.hypot(*(X_WB[:2] - before)))
         self.poses.append((now, X_WB))
         self._odometry = odometry.integrate(
             self._odometry, self._steps * PERIOD, pose, self._run_errors, self._noise(2), self._wheels
@@ -115,14 +117,15 @@ class EmulatedTurtlebot:
             spin(max(0.0, due - time.monotonic()))
 
     def truth(self) -> dict[str, Any]:
-        """How it fared: pose X_WB (m, rad), contacts with walls, least clearance (m), distance (m) and time (s)."""
+        """How it fared: pose X_WB (m, rad), contacts with walls, least clearance (m; None without walls), distance (m)
+        and time (s)."""
         base = self._base
-        places = np.array([pose[:2] for _, pose in self.poses]).reshape(-1, 2)
+        clearance = float(base[differential_drive.CLEARANCE])
         return {
             "pose": base[differential_drive.X : differential_drive.THETA + 1].tolist(),
             "contacts": int(base[differential_drive.CONTACTS]),
-            "min_clearance_m": float(base[differential_drive.CLEARANCE]),
-            "distance_m": float(np.hypot(*np.diff(places, axis=0).T).sum()),
+            "min_clearance_m": clearance if math.isfinite(clearance) else None,
+            "distance_m": self._distance,
             "time_s": self._steps * PERIOD,
         }
 

@@ -20,9 +20,7 @@ def test_emulate_prints_its_topics_and_the_truth_at_its_end():
     pytest.importorskip("rclpy", reason="rclpy is not installed")
     command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "ros2", "emulate", "corridor", "--seed", "3"]
     own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | own
-    )
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | own)
     try:
         lines = ""
         while not lines.endswith(TOPICS.splitlines(keepends=True)[-1]):
