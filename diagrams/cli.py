@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import math
 import os
@@ -23,6 +22,7 @@ from tfg_drake.diagrams.command_line import BadInput, wait_for_enter
 from tfg_drake.diagrams.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.kobuki_command import kobuki_app
 from tfg_drake.diagrams.map_command import map_app
+from tfg_drake.diagrams.ros_command import ros2_app
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
@@ -43,6 +43,7 @@ _UsageError: Any = typer.BadParameter.__base__
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 app.add_typer(map_app, name="map")
 app.add_typer(kobuki_app, name="kobuki")
+app.add_typer(ros2_app, name="ros2")
 
 
 @app.callback()
@@ -104,9 +105,10 @@ def explore(
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
     _check_robot(robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate)
     if robot != "sim":
-        loaded.hardware = dataclasses.replace(
-            loaded.hardware, robot=robot, **{link: value for link, value in links.items() if value is not None}
-        )
+        loaded.hardware.robot = robot
+        for link, value in links.items():
+            if value is not None:
+                setattr(loaded.hardware, link, value)
     if out is not None:
         _make_writable(out)
     explorer = _find_method(method, loaded)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import copy
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.methods import Method
@@ -16,7 +17,8 @@ from tfg_drake.diagrams.run import Mission
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.keyboard import Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
-from tfg_drake.hardware.robot_devices import open_devices
+from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
+from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.systems.meshcat_buttons import MeshcatButtons
 
 # Of the simulated mission that is run before a real one, s: two stages.
@@ -44,9 +46,19 @@ def OpenRobot(scenario: Scenario, meshcat: Meshcat | None) -> Iterator[tuple[Rob
             world_known=False,
             real=True,
             operated=operated,
+            Announce=_Announcer(devices),
             close=devices.close,
         )
         yield robot, bounded
+
+
+def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diagram], object] | None:
+    frames = devices.frames
+    if frames is None:
+        return None
+    return lambda builder, station, explorer: MapPublisher.AddToBuilder(
+        builder, station, explorer, devices.base, frames, devices.clock
+    )
 
 
 def Rehearse(scenario: Scenario, method: Method) -> None:

@@ -394,6 +394,9 @@ def MakeMissionDiagram(
             if explorer.HasInputPort(name):
                 builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
 
+    if robot.Announce is not None:
+        robot.Announce(builder, station, explorer)
+
     pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
     builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
     pose_log = LogVectorOutput(pose_vector.get_output_port(), builder, ODOMETRY_PERIOD)

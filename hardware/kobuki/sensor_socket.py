@@ -47,14 +47,17 @@ def message_of(line: bytes) -> TagDetections | LaserScan | None:
         raise ValueError("no JSON") from None
     if not isinstance(fields, dict) or not isinstance(fields.get("type"), str):
         raise ValueError("no object with a type")
-    if fields["type"] == "detections":
-        return _detections(fields)
-    return _scan(fields) if fields["type"] == "scan" else None
+    try:
+        if fields["type"] == "detections":
+            return _detections(fields)
+        return _scan(fields) if fields["type"] == "scan" else None
+    except OverflowError:
+        raise ValueError(f"{fields['type']}: a number is too large") from None
 
 
 def _detections(fields: dict[str, Any]) -> TagDetections:
     ids = fields.get("ids")
-    if not isinstance(ids, list) or not all(isinstance(one, int) and 0 <= one < 2**63 for one in ids):
+    if not isinstance(ids, list) or not all(type(one) is int and 0 <= one < 2**63 for one in ids):
         raise ValueError("detections: ids is no list of whole numbers")
     bearing = _numbers(fields, "bearing", len(ids))
     distance, sigma_range, sigma_bearing = (

@@ -69,6 +69,8 @@ class Intake:
 
     def _convert(self, key: str, topic: Topic, message: Any, stamp: float) -> Message:
         if key == "odometry":
+            if self._odometry is None:
+                self._check_frame(topic, message)
             self._odometry = conversions.odometry(message, stamp, self._odometry)
             return self._odometry
         if key == "scan":
@@ -82,6 +84,12 @@ class Intake:
         if self._camera_info is None:
             raise ValueError("no camera_info yet")
         return conversions.apriltag_detections(message, self._camera_info, stamp, self._preset.camera)
+
+    def _check_frame(self, topic: Topic, message: Any) -> None:
+        """Where the odometry is in another frame than the preset says, our map -> odom would join nothing."""
+        frame, expected = str(conversions.field(message, "header.frame_id")), self._preset.frames.odom
+        if frame.lstrip("/") != expected:
+            _log.warning("%s is in the frame %s, the preset has %s: set its frames.odom", topic.name, frame, expected)
 
     def take(self) -> list[Message]:
         """The messages since the last call."""

@@ -43,6 +43,8 @@ CELL = 0.05
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 # visualization_msgs/Marker: its types, and the action that clears a display.
 CYLINDER, LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 3, 5, 7, 9, 3
+# Few, because every point is an object of its own to ROS.
+ELLIPSE_CORNERS = 16
 
 GOAL: Colour = (0.84, 0.15, 0.16)
 # The surfaces' names and colours, by TfgMap.segment_kind.
@@ -150,7 +152,7 @@ def markers(
             add("frontiers", SPHERE_LIST, 0.08, FRONTIER, points=_points(tfg.frontiers))
     if estimate is not None and len(estimate.ids):
         add("landmarks", SPHERE_LIST, 0.1, LANDMARK, points=_points(estimate.p_ML))
-        outlines = outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance))
+        outlines = outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance, corners=ELLIPSE_CORNERS))
         add("ellipses", LINE_LIST, 0.01, LANDMARK, points=_points(outlines.reshape(-1, 2)))
         for name, place in zip(estimate.ids.tolist(), estimate.p_ML, strict=True):
             add("ids", TEXT, 0.2, LANDMARK, text=str(name), pose=_pose(np.array([*place, 0.0]), height=0.2))

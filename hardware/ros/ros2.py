@@ -44,8 +44,8 @@ class Ros2Graph:
 
     label = "ros2"
 
-    def __init__(self) -> None:
-        """Joins the graph; raises DeviceError without rclpy."""
+    def __init__(self, name: str = "tfg_drake") -> None:
+        """Joins the graph as the node `name`; raises DeviceError without rclpy."""
         try:
             import rclpy
             from rclpy.context import Context
@@ -66,7 +66,7 @@ class Ros2Graph:
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor(context=self._context)
-        self.node = rclpy.create_node("tfg_drake", context=self._context)
+        self.node = rclpy.create_node(name, context=self._context)
         self._executor.add_node(self.node)
 
     def subscribe(self, topic: Topic, receive: Callable[[Any, float], None]) -> None:
@@ -126,6 +126,7 @@ class Ros2Driver:
         self.limits = preset.limits
         self._preset, self._intake = preset, Intake(preset)
         self._graph = Ros2Graph()
+        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
         try:
             self._send = self._graph.publisher(preset.topics.command)
             for key, topic in self._intake.topics():
@@ -134,7 +135,6 @@ class Ros2Driver:
         except DeviceError:
             self.close()
             raise
-        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
 
     def _topics(self) -> list[Topic]:
         return [topic for _, topic in self._intake.topics()]
@@ -208,4 +208,5 @@ class Ros2Driver:
 
     def close(self) -> None:
         """Leaves the graph."""
+        self._announcer.close()
         self._graph.close()

@@ -138,6 +138,7 @@ class RosbridgeDriver:
         self.limits = preset.limits
         self._preset, self._intake = preset, Intake(preset)
         self._graph = RosbridgeGraph(host, port)
+        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
         try:
             self._check_graph()  # before we subscribe, because a subscription is a topic too
             for key, topic in self._intake.topics():
@@ -147,7 +148,6 @@ class RosbridgeDriver:
         except DeviceError:
             self.close()
             raise
-        self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
 
     def _check_graph(self) -> None:
         if (graph := self._graph.names()) is None:
@@ -199,4 +199,5 @@ class RosbridgeDriver:
 
     def close(self) -> None:
         """Leaves the server."""
+        self._announcer.close()
         self._graph.close()

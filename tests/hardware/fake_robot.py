@@ -63,3 +63,10 @@ class FakeDevice:
         if self.dead:
             raise DeviceError("the robot's process has ended")
         self.commands.append((due - self.begin if self.begin is not None else 0.0, speed, turn_rate))
+
+
+class SameClock:
+    """A host clock whose station began with the host."""
+
+    def host(self, station_time):
+        return station_time

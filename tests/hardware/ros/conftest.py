@@ -1,14 +1,16 @@
-"""Simulated TurtleBots in processes of their own, on each transport."""
+"""Emulated TurtleBots in processes of their own, on each transport."""
 
 import functools
 import importlib
 import math
 import os
+import runpy
 import subprocess
 import sys
 import time
 from multiprocessing import Pipe
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -19,9 +21,9 @@ HERE = Path(__file__).parent
 
 
 class Transport:
-    """A simulated TurtleBot on one transport, and the ways to it. Times are the host's monotonic clock, s."""
+    """An emulated TurtleBot on one transport, and the ways to it. Times are the host's monotonic clock, s."""
 
-    preset = load_preset(HERE / "house.yaml")
+    preset = load_preset("emulated")
 
     def __init__(self, name):
         self.name = name
@@ -29,7 +31,7 @@ class Transport:
         command = [sys.executable, str(HERE / f"{name}_turtlebot.py"), str(theirs.fileno())]
         self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()])
         theirs.close()
-        assert self._connection.poll(180.0), "the simulated robot did not begin"
+        assert self._connection.poll(180.0), "the emulated robot did not begin"
         self.port = self._connection.recv()
 
     @functools.cached_property
@@ -55,7 +57,7 @@ class Transport:
         return process
 
     def order(self, name, value=None):
-        """What SimulatedTurtlebot.order says."""
+        """What the robot answers, see emulated.orders."""
         self._connection.send((name, value))
         return self._connection.recv()
 
@@ -120,7 +122,7 @@ def ros_domain():
 
 @pytest.fixture(scope="session")
 def ros2(ros_domain):
-    """A simulated TurtleBot on ROS 2."""
+    """An emulated TurtleBot on ROS 2."""
     transport = Transport("ros2")
     yield transport
     transport.close()
@@ -128,11 +130,17 @@ def ros2(ros_domain):
 
 @pytest.fixture(scope="session")
 def rosbridge():
-    """A simulated TurtleBot behind rosbridge."""
+    """An emulated TurtleBot behind rosbridge."""
     pytest.importorskip("roslibpy", reason="roslibpy is not installed: pip install -e .[rosbridge]")
     transport = Transport("rosbridge")
     yield transport
     transport.close()
+
+
+@pytest.fixture(scope="session")
+def room():
+    """The functions of room.py: messages of an explorer."""
+    return SimpleNamespace(**runpy.run_path(str(HERE / "room.py")))
 
 
 @pytest.fixture

@@ -2,11 +2,10 @@
 
 import sys
 import time
-from pathlib import Path
 
 from tfg_drake.hardware.ros.preset import load_preset
 
-preset = load_preset(Path(__file__).with_name("house.yaml"))
+preset = load_preset("emulated")
 if sys.argv[1] == "ros2":
     from tfg_drake.hardware.ros.ros2 import connect
 

@@ -1,4 +1,4 @@
-"""The simulated TurtleBot behind a small rosbridge server of ours: `python rosbridge_turtlebot.py FILE_DESCRIPTOR`.
+"""The emulated TurtleBot behind a small rosbridge server of ours: `python rosbridge_turtlebot.py FILE_DESCRIPTOR`.
 
 It speaks what is needed of rosbridge's protocol 2.0: subscribe, advertise, publish, and the service /rosapi/topics.
 """
@@ -11,7 +11,7 @@ import sys
 from multiprocessing.connection import Connection
 
 from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol
-from simulated_turtlebot import serve
+from emulated import make_robot, orders
 
 TOPICS = {
     "/odom": "nav_msgs/msg/Odometry",
@@ -20,7 +20,9 @@ TOPICS = {
     "/cmd_vel": "geometry_msgs/msg/TwistStamped",
 }
 KEYS = {"odometry": "/odom", "scan": "/scan", "detections": "/detections"}
-clients, twists = set(), []
+# By topic, how a client advertised it, and its newest message as `msg`.
+heard = {}
+clients, robot = set(), make_robot()
 
 
 class Client(WebSocketServerProtocol):
@@ -36,10 +38,12 @@ class Client(WebSocketServerProtocol):
             assert TOPICS[message["topic"]] == message["type"]
             self.subscribed.add(message["topic"])
         elif message["op"] == "advertise":
-            assert TOPICS[message["topic"]] == message["type"]
+            assert TOPICS.get(message["topic"], message["type"]) == message["type"]
+            heard[message["topic"]] = message
+        elif message["op"] == "publish" and message["topic"] == "/cmd_vel":
+            robot.drive(message["msg"])
         elif message["op"] == "publish":
-            assert message["topic"] == "/cmd_vel"
-            twists.append(message["msg"])
+            heard[message["topic"]] |= {"msg": message["msg"]}
         elif message["op"] == "call_service":
             values = {"topics": list(TOPICS), "types": list(TOPICS.values())}
             answer = {"op": "service_response", "id": message["id"], "service": message["service"]}
@@ -73,20 +77,19 @@ def main():
 
     def publish(key, message):
         for client in clients:
-            if KEYS[key] in client.subscribed:
+            if KEYS.get(key) in client.subscribed:
                 client.say({"op": "publish", "topic": KEYS[key], "msg": in_json(message)})
 
     def spin(duration):
         loop.run_until_complete(asyncio.sleep(duration))
-        received = twists.copy()
-        twists.clear()
-        return received
 
     def cut():
         for client in clients:
             client.transport.abort()
 
-    serve(Connection(int(sys.argv[1])), publish, spin, server.sockets[0].getsockname()[1], cut)
+    connection = Connection(int(sys.argv[1]))
+    connection.send(server.sockets[0].getsockname()[1])
+    robot.run(publish, spin, orders(robot, connection, {"cut": cut, "heard": lambda: heard}))
 
 
 main()

@@ -1,4 +1,4 @@
-"""A simulated TurtleBot: what arrives agrees with the simulation, and every fault stops the wheels."""
+"""An emulated TurtleBot: what arrives agrees with the simulation, and every fault stops the wheels."""
 
 import math
 import time
@@ -98,10 +98,10 @@ def test_commands_move_it(driving, transport):
 
 
 def test_odometry_that_falls_silent(driving, transport):
-    silent = transport.order("silent", True)
+    silent = transport.order("silent", ["odometry"])
     transport.drive(driving, 1.0, 0.0, 0.8)
     stopped = transport.stop_after(silent)
-    transport.order("silent", False)
+    transport.order("silent", [])
     assert stopped < STOP + MARGIN
     assert driving.locked == "no odometry for more than 0.5 s"
     transport.wait_for(lambda: transport.fresh(driving))
@@ -111,3 +111,30 @@ def test_odometry_that_falls_silent(driving, transport):
     driving.enable()
     transport.drive(driving, 0.3, 0.0, 0.8)
     assert transport.last_motion_told() > back
+
+
+def test_a_scan_that_falls_silent(driving, transport):
+    """No message is made up meanwhile; the robot goes on, for the explorer's safety filter is what minds."""
+    transport.order("silent", ["scan", "detections"])
+    time.sleep(0.3)
+    silent = driving.newest(LaserScan).stamp
+    transport.drive(driving, 0.7, 0.0, 0.8)
+    assert driving.newest(LaserScan).stamp == silent
+    assert driving.locked is None
+    assert transport.fresh(driving)
+    transport.order("silent", [])
+    transport.wait_for(lambda: driving.newest(LaserScan).stamp > silent + 0.7)
+    driving.take(LaserScan, silent)
+    assert driving.take(LaserScan, math.inf)[0].stamp > silent + 0.7
+
+
+def test_a_clock_that_jumps(driving, transport):
+    jumped = transport.order("jump", -5.0)
+    transport.drive(driving, 1.0, 0.0, 0.8)
+    assert transport.stop_after(jumped) < STOP + MARGIN
+    assert "has jumped" in driving.locked
+    transport.wait_for(lambda: transport.fresh(driving))
+    driving.enable()
+    transport.drive(driving, 0.3, 0.0, 0.8)
+    assert transport.last_motion_told() > jumped + 0.8
+    transport.order("jump", 5.0)

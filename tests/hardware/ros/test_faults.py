@@ -1,4 +1,4 @@
-"""Every fault stops the wheels of a simulated TurtleBot: those that both transports meet, on one of them."""
+"""Every fault stops the wheels of an emulated TurtleBot: those that both transports meet, on one of them."""
 
 import math
 import os
@@ -32,25 +32,13 @@ def test_a_command_that_is_not_a_number(driving, transport):
     assert transport.stop_after(last) < STOP + MARGIN
 
 
-def test_a_clock_that_jumps(driving, transport):
-    jumped = transport.order("jump", -5.0)
-    transport.drive(driving, 1.0, 0.0, 0.8)
-    assert transport.stop_after(jumped) < STOP + MARGIN
-    assert "has jumped" in driving.locked
-    transport.wait_for(lambda: transport.fresh(driving))
-    driving.enable()
-    transport.drive(driving, 0.3, 0.0, 0.8)
-    assert transport.last_motion_told() > jumped + 0.8
-    transport.order("jump", 5.0)
-
-
 def test_enabling_is_refused_without_odometry(device, transport):
-    transport.order("silent", True)
+    transport.order("silent", ["odometry"])
     transport.wait_for(lambda: not transport.fresh(device))
     time.sleep(0.5)
     with pytest.raises(DeviceError, match=r"^the robot is not enabled: no odometry for more than 0\.5 s$"):
         device.enable()
-    transport.order("silent", False)
+    transport.order("silent", [])
 
 
 def test_a_parent_that_freezes_or_is_killed(transport):

@@ -9,8 +9,8 @@ from tfg_drake.hardware.ros.preset import PRESETS, PresetError, Topic, load_pres
 NAMES = sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
 
-def test_three_are_shipped():
-    assert NAMES == ["turtlebot2", "turtlebot3", "turtlebot4"]
+def test_what_is_shipped():
+    assert NAMES == ["emulated", "turtlebot2", "turtlebot3", "turtlebot4"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -18,13 +18,14 @@ def test_shipped_presets(name):
     robot = load_preset(name)
     assert 0.0 < robot.limits.speed <= 0.3
     assert robot.topics.odometry == Topic("/odom", "nav_msgs/msg/Odometry")
-    assert robot.topics.hazards
+    assert robot.topics.hazards or name == "emulated"
     assert robot.topics.detections is not None
 
 
-def test_commands_of_the_three():
+def test_commands_of_the_robots():
     commands = {name: load_preset(name).topics.command for name in NAMES}
-    assert [commands[name].type.split("/")[-1] for name in NAMES] == ["Twist", "TwistStamped", "TwistStamped"]
+    types = [commands[name].type.split("/")[-1] for name in NAMES]
+    assert types == ["TwistStamped", "Twist", "TwistStamped", "TwistStamped"]
     assert commands["turtlebot2"].name == "/commands/velocity"
 
 
@@ -56,6 +57,8 @@ def test_a_file_of_ones_own(tmp_path):
     ("keys", "value", "line"),
     [
         (("speeed",), 1, "speeed: unknown key; the keys here are topics, limits, scanner, camera, frames, publish"),
+        (("publish",), {"map": 3}, "publish.map: expected text, found 3"),
+        (("frames",), {"base": ""}, "frames.base: expected text, found ''"),
         (("limits", "speed"), "fast", "limits.speed: expected a number, found 'fast'"),
         (("limits", "speed"), -0.1, "limits.speed: expected a number above 0, found -0.1"),
         (("scanner", "yaw"), float("nan"), "scanner.yaw: expected a number, found nan"),
@@ -92,7 +95,7 @@ def test_what_is_missing_is_named(tmp_path):
 def test_no_such_preset():
     with pytest.raises(PresetError) as error:
         load_preset("turtlebot5")
-    names = "turtlebot2, turtlebot3, turtlebot4"
+    names = "emulated, turtlebot2, turtlebot3, turtlebot4"
     assert str(error.value) == f"turtlebot5: no such file or preset; name a YAML file or one of {names}"
 
 

@@ -1,4 +1,4 @@
-"""What ROS 2 lacks is said in one line, from a real graph with the simulated robot in it."""
+"""What ROS 2 lacks is said in one line, from a real graph with the emulated robot in it."""
 
 import dataclasses
 import sys

@@ -1,0 +1,260 @@
+"""Tags and scans without a base: how sources are named, and what a sensor socket may do to them."""
+
+import json
+import logging
+import math
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from tfg_drake.hardware import socket_sensors
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.kobuki.sensor_socket import SensorSocket, message_of, sensor_line
+from tfg_drake.hardware.ros.preset import load_preset
+from tfg_drake.hardware.sensor_source import SourceSpec, open_sources, parse_source
+from tfg_drake.hardware.socket_sensors import SocketDriver
+from tfg_drake.messages import LaserScan, TagDetections
+
+PRESET = load_preset("turtlebot2")
+
+
+@pytest.mark.parametrize(
+    ("text", "spec"),
+    [
+        ("ros2:/detections", SourceSpec("ros2", topic="/detections")),
+        ("ros2:camera/tags", SourceSpec("ros2", topic="/camera/tags")),
+        ("rosbridge:robot.local:9091/scan", SourceSpec("rosbridge", "robot.local", 9091, "/scan")),
+        ("rosbridge:10.0.0.7/front/scan", SourceSpec("rosbridge", "10.0.0.7", 9090, "/front/scan")),
+        ("rosbridge:/scan", SourceSpec("rosbridge", "localhost", 9090, "/scan")),
+        ("rosbridge:[::1]:9090/scan", SourceSpec("rosbridge", "::1", 9090, "/scan")),
+        ("socket:127.0.0.1:5000", SourceSpec("socket", "127.0.0.1", 5000)),
+    ],
+)
+def test_sources(text, spec):
+    assert parse_source(text) == spec
+
+
+FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("/scan", f"/scan: is no source; name one as {FORMS}"),
+        ("mqtt:/scan", f"mqtt:/scan: is no source; name one as {FORMS}"),
+        ("ros2:", f"ros2:: is no source; name one as {FORMS}"),
+        ("ros2:/", f"ros2:/: names no topic; name the source as {FORMS}"),
+        ("rosbridge:host:9090", f"rosbridge:host:9090: names no topic; name the source as {FORMS}"),
+        (
+            "rosbridge:host:port/scan",
+            f"rosbridge:host:port/scan: host:port is no HOST:PORT; name the source as {FORMS}",
+        ),
+        ("socket:5000", "socket:5000: 5000 is no HOST:PORT; name the source as socket:HOST:PORT"),
+        ("socket:host:99999", f"socket:host:99999: host:99999 is no HOST:PORT; name the source as {FORMS}"),
+        ("socket:h:5/scan", "socket:h:5/scan: h:5/scan is no HOST:PORT; name the source as socket:HOST:PORT"),
+    ],
+)
+def test_sources_that_are_none(text, line):
+    with pytest.raises(DeviceError) as error:
+        parse_source(text)
+    assert str(error.value) == line
+
+
+def tags(stamp):
+    return TagDetections(stamp, np.array([7]), np.array([2.5]), np.array([-0.5]), np.array([0.04]), np.array([0.01]))
+
+
+def scan(stamp):
+    return LaserScan(stamp, np.array([-0.5, 0.0, 0.5]), np.array([1.0, math.inf, 2.0]), 10.0, 0.015)
+
+
+@pytest.mark.parametrize("message", [tags(3.25), scan(3.25)])
+def test_lines_there_and_back(message):
+    again = message_of(sensor_line(message))
+    assert type(again) is type(message)
+    for name, value in vars(message).items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+
+
+def changed(message, **fields):
+    return json.dumps(json.loads(sensor_line(message)) | fields).encode()
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        (b"{", "no JSON"),
+        (b"\xff\xfe", "no JSON"),
+        (b"[" * 100_000, "no JSON"),
+        (b"3", "no object with a type"),
+        (b'{"type": 3}', "no object with a type"),
+        (changed(tags(1.0), stamp=None), "detections: stamp is no number"),
+        (changed(tags(1.0), stamp=math.nan), "detections: stamp is no number"),
+        (changed(tags(1.0), ids=[1.5]), "detections: ids is no list of whole numbers"),
+        (changed(tags(1.0), ids=[7, 8]), "detections: bearing must hold 2 finite numbers"),
+        (changed(tags(1.0), range=["2"]), "detections: range is no list of numbers"),
+        (changed(tags(1.0), range=[-2.0]), "detections: range must hold 1 finite numbers above 0"),
+        (changed(tags(1.0), sigma_bearing=[0.0]), "detections: sigma_bearing must hold 1 finite numbers above 0"),
+        (changed(tags(1.0), range=[10**400]), "detections: a number is too large"),
+        (changed(scan(1.0), ranges=None), "scan: ranges is no list of numbers"),
+        (changed(scan(1.0), angles=[0.0, 0.0, 0.5]), "scan: angles do not increase"),
+        (changed(scan(1.0), ranges=[1.0, None]), "scan: angles must hold 2 finite numbers"),
+        (changed(scan(1.0), ranges=[0.0, None, 1.0]), "scan: ranges must hold 2 finite numbers above 0"),
+        (changed(scan(1.0), range_max=0.0), "scan: range_max and sigma must be above 0"),
+    ],
+)
+def test_lines_that_are_refused(line, why):
+    with pytest.raises(ValueError, match=r".") as error:
+        message_of(line)
+    assert str(error.value) == why
+
+
+def test_types_and_keys_that_are_not_known():
+    assert message_of(b'{"type": "battery", "volts": 16}') is None
+    assert message_of(changed(tags(1.0), colour="red")).ids.tolist() == [7]
+
+
+class Server:
+    """A sensor socket that sends tags and scans at 50 Hz, from a thread; and whatever lines a test adds."""
+
+    def __init__(self):
+        self._socket = SensorSocket()
+        self.address = self._socket.address
+        self.sent, self.extra, self._stop = [], [], threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self):
+        while not self._stop.wait(0.02):
+            now = time.monotonic()
+            while self.extra:
+                self._socket.send(self.extra.pop(0))
+            self._socket.send(sensor_line(tags(now)))
+            self._socket.send(sensor_line(scan(now)))
+            self.sent.append(now)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+
+
+@pytest.fixture
+def server():
+    with Server() as server:
+        yield server
+
+
+def until(condition, driver=None):
+    end = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < end, "in vain"
+        if driver is None:
+            time.sleep(0.02)
+        else:
+            driver.spin(0.02)
+
+
+def test_tags_and_scans_of_one_socket(server):
+    """One connection, in a process of its own: nothing is lost while this one holds the interpreter."""
+    name = "socket:{}:{}".format(*server.address)
+    sources = open_sources({"tags": name, "scan": name}, PRESET)
+    source = sources["tags"]
+    try:
+        assert sources["scan"] is source
+        source.take(TagDetections, math.inf)
+        source.take(LaserScan, math.inf)
+        began = time.monotonic()
+        time.sleep(0.2)
+        sum(range(60_000_000))  # a builtin lets no other thread run
+        until(lambda: source.newest(TagDetections).stamp > began + 0.3)
+        middle = began + 0.1
+        early, late = source.take(TagDetections, middle), source.take(TagDetections, math.inf)
+        assert early[-1].stamp <= middle < late[0].stamp
+        stamps = [one.stamp for one in (*early, *late) if one.stamp > began]
+        assert stamps == [stamp for stamp in server.sent if began < stamp <= stamps[-1]]
+        seen = source.newest(LaserScan)
+        np.testing.assert_array_equal(seen.ranges, [1.0, math.inf, 2.0])
+        assert not seen.ranges.flags.writeable
+    finally:
+        source.close()
+        source.close()
+
+
+def test_only_what_is_wanted(server):
+    driver = SocketDriver(*server.address, (LaserScan,))
+    driver.spin(0.2)
+    taken = driver.take()
+    driver.close()
+    assert len(taken) > 3
+    assert {type(one) for one in taken} == {LaserScan}
+
+
+def test_malformed_lines_are_counted_and_said_once(server, caplog):
+    driver = SocketDriver(*server.address, (TagDetections,))
+    driver.take()
+    tomorrow = sensor_line(tags(time.monotonic() + 86400.0))
+    server.extra += [b"nonsense\n", b'{"type": "detections"}\n', tomorrow, b'{"type": "odd"}\n']
+    until(lambda: driver.malformed >= 3, driver)
+    driver.take()
+    driver.spin(0.2)
+    assert driver.take()
+    assert driver.malformed == 3
+    address = "{}:{}".format(*server.address)
+    assert caplog.messages == [f"socket:{address}: lines are not used: no JSON"]
+    driver.close()
+
+
+def test_a_line_without_end(server, monkeypatch, caplog):
+    monkeypatch.setattr(socket_sensors, "LONGEST_LINE", 5000)
+    driver = SocketDriver(*server.address, (TagDetections,))
+    server.extra.append(b"x" * 20_000)
+    until(lambda: driver.malformed > 0, driver)
+    driver.take()
+    driver.spin(0.2)
+    assert driver.take()
+    driver.close()
+
+
+def test_nobody_listens():
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+    with pytest.raises(DeviceError) as error:
+        open_sources({"tags": f"socket:127.0.0.1:{port}"}, PRESET)
+    assert str(error.value) == (
+        f"socket:127.0.0.1:{port}: Connection refused: start what serves tags and scans there, or name the "
+        "HOST:PORT that it prints"
+    )
+
+
+def test_a_server_of_something_else(monkeypatch):
+    monkeypatch.setattr(socket_sensors, "PATIENCE", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        host, port = listener.getsockname()
+        with pytest.raises(DeviceError) as error:
+            SocketDriver(host, port, (TagDetections,))
+    assert str(error.value) == f"socket:{host}:{port}: no detections in 1 s: name what serves them"
+
+
+def test_a_connection_that_is_lost_comes_back(server, caplog):
+    caplog.set_level(logging.WARNING)
+    driver = SocketDriver(*server.address, (TagDetections,))
+    for client in list(server._socket._clients):
+        client.shutdown(socket.SHUT_RDWR)
+    until(lambda: len(caplog.messages) == 2, driver)
+    driver.take()
+    driver.spin(0.3)
+    assert driver.take()
+    driver.close()
+    name = "socket:{}:{}".format(*server.address)
+    assert caplog.messages == [
+        f"{name}: the connection is lost; start what serves it again, it is looked for",
+        f"{name}: connected again",
+    ]
