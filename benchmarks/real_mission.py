@@ -1,9 +1,10 @@
 """A whole mission of a real robot's explorer against an emulated robot in real time, beside simulated missions.
 
-    python benchmarks/real_mission.py --world house --simulated 3
+    python benchmarks/real_mission.py kobuki --world house --simulated 3
+    python benchmarks/real_mission.py ros2 --world house --simulated 3
 
-Starts `tfg-drake kobuki emulate`, then `tfg-drake explore --robot kobuki` on its device and socket, enables the wheels
-and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by it as a
+Starts `tfg-drake kobuki emulate` or `tfg-drake ros2 emulate`, then `tfg-drake explore --robot` for that robot, enables
+the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by it as a
 simulated one is by its own truth: the explorer does not know it. Prints a line a run.
 """
 
@@ -35,12 +36,20 @@ FIELDS = ("outcome", "time", "distance", "mapped", "position", "heading", "landm
 class Emulator:
     """The emulated robot; truth: what it said of itself, a dictionary a report."""
 
-    def __init__(self, world: str) -> None:
+    def __init__(self, robot: str, world: str) -> None:
+        place = ["--world", world] if robot == "kobuki" else [world]
         self._process = subprocess.Popen(
-            [*CLI, "kobuki", "emulate", "--world", world], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [*CLI, robot, "emulate", *place], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         assert self._process.stdout is not None
-        self.device, self.sensors = (self._process.stdout.readline().strip() for _ in range(2))
+        lines = [self._process.stdout.readline().strip()]
+        while len(lines) < 2 or (robot == "ros2" and not lines[-1].startswith("/cmd_vel")):
+            lines.append(self._process.stdout.readline().strip())
+        # What explore is told to find it.
+        self.arguments = ["--preset", "emulated"]
+        if robot == "kobuki":
+            source = f"socket:{lines[1]}"
+            self.arguments = ["--port", lines[0], "--tags", source, "--scan", source]
         self.truth: list[dict[str, Any]] = []
         for target in (self._listen, self._ask):
             threading.Thread(target=target, daemon=True).start()
@@ -61,13 +70,11 @@ class Emulator:
         self._process.wait()
 
 
-def real(world: str, max_time: float, out: Path) -> dict[str, Any]:
+def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> dict[str, Any]:
     """The figures of one mission in real time."""
-    emulator = Emulator(world)
-    source = f"socket:{emulator.sensors}"
-    arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--max-time", f"{max_time:g}"]
-    arguments += ["--set", "hardware.max_speed=1"]  # the simulated robot's own limit holds
-    command = [*CLI, "explore", "--robot", "kobuki", *arguments, "--headless", "--out", str(out)]
+    emulator = Emulator(robot, world)
+    arguments = [*emulator.arguments, "--max-time", f"{max_time:g}", "--set", f"hardware.max_speed={speed}"]
+    command = [*CLI, "explore", "--robot", robot, *arguments, "--headless", "--out", str(out)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None
@@ -103,10 +110,10 @@ def real(world: str, max_time: float, out: Path) -> dict[str, Any]:
     }
 
 
-def simulated(world: str, seed: int, max_time: float, out: Path) -> dict[str, Any]:
+def simulated(world: str, speed: float, seed: int, max_time: float, out: Path) -> dict[str, Any]:
     """The same figures of a simulated mission."""
-    limit = f"{max_time:g}"
-    command = [*CLI, "explore", world, "--headless", "--seed", str(seed), "--max-time", limit, "--out", str(out)]
+    arguments = ["--seed", str(seed), "--max-time", f"{max_time:g}", "--set", f"robot.max_speed={speed}"]
+    command = [*CLI, "explore", world, *arguments, "--headless", "--out", str(out)]
     subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
     summary = json.loads((out / "summary.json").read_text())
     return {
@@ -131,6 +138,8 @@ def line(name: str, figures: dict[str, Any]) -> str:
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("robot", choices=("kobuki", "ros2"))
+    parser.add_argument("--speed", type=float, default=0.3, help="limit of both, m/s")
     parser.add_argument("--world", default="house")
     parser.add_argument("--max-time", type=float, default=3600.0)
     parser.add_argument("--simulated", type=int, default=3, help="simulated missions beside it")
@@ -138,10 +147,10 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = options.out or Path(temporary)
-        rows = [line("emulated", real(options.world, options.max_time, out / "kobuki"))]
+        rows = [line("emulated", real(options.robot, options.world, options.speed, options.max_time, out / "real"))]
         for seed in range(options.simulated):
             folder = out / f"seed{seed}"
-            rows.append(line(f"seed {seed}", simulated(options.world, seed, options.max_time, folder)))
+            rows.append(line(f"seed {seed}", simulated(options.world, options.speed, seed, options.max_time, folder)))
     print("  ".join(f"{cell:>12}" for cell in ("", *FIELDS)))
     print("\n".join(rows))
 

@@ -121,7 +121,7 @@ class EmulatedTurtlebot:
         distance gone so far (m)."""
         base = self._base
         return {
-            "stamp": time.monotonic(),
+            "stamp": self.poses[-1][0],
             "pose": base[differential_drive.X : differential_drive.THETA + 1].tolist(),
             "contacts": int(base[differential_drive.CONTACTS]),
             "distance": self._distance,
