@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
 from tfg_drake.cpu_meter import metered_in_detail
-from tfg_drake.port_recording import COMMAND, MESSAGES, PortWriter, Velocity
+from tfg_drake.port_recording import COMMAND, MESSAGES, PortWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
 # The explorer's: it sees no message that is not recorded.
@@ -52,6 +52,5 @@ class PortRecorder(LeafSystem):
         now = context.get_time()
         for name, (port, kind) in self._messages.items():
             self._writer.write(name, now, eval_message(port, context, kind))
-        v, w = self._command.Eval(context)
-        self._writer.write(COMMAND, now, Velocity(float(v), float(w)))
+        self._writer.write_command(now, self._command.Eval(context))
         return EventStatus.Succeeded()
