@@ -170,7 +170,8 @@ def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
     summary = run.explore(room(), method=method, out_dir=tmp_path).summary
     assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
     assert list(summary) == FIELDS
-    names = "figure.png log.txt ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum"  # Nothing is known of the truth.
+    # Of the truth nothing is known.
+    names = "figure.png log.txt ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum"
     assert sorted(path.name for path in tmp_path.iterdir()) == names.split()
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
 

@@ -23,7 +23,7 @@ class LateStation(LeafSystem):
             declare_message_output(
                 self, name, lambda context, name=name: self.message(name, context), {self.time_ticket()}
             )
-        self.DeclareVectorOutputPort("velocity_commanded", 2, lambda context, output: output.SetAtIndex(0, 0.25))
+        self.DeclareVectorOutputPort("velocity_commanded", 2, lambda _, output: output.SetFromVector([0.25, 0.0]))
 
     def message(self, name, context):
         stamp = np.floor(10.0 * context.get_time()) / 10.0 - LATE
