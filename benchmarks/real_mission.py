@@ -4,8 +4,8 @@
     python benchmarks/real_mission.py ros2 --world house --simulated 3
 
 Starts `tfg-drake kobuki emulate` or `tfg-drake ros2 emulate`, then `tfg-drake explore --robot` for that robot, enables
-the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by it as a
-simulated one is by its own truth: the explorer does not know it. Prints a line a run.
+the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by
+it as a simulated one is by its own truth: the explorer does not know it. Prints a line a run.
 """
 
 from __future__ import annotations

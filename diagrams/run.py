@@ -1,7 +1,8 @@
 """A whole mission: station, explorer and picture in one diagram, run to its end, and what is kept of it.
 
 A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
-trajectory.tum (in W), truth.tum where the truth is known, figure.png, scenario.yaml (resolved) and log.txt.
+trajectory.tum (in W), truth.tum where the truth is known, ports.mcap (what the station's ports carried), figure.png,
+scenario.yaml (resolved) and log.txt.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from threadpoolctl import threadpool_limits
@@ -42,9 +43,11 @@ from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.port_recording import FILE_NAME, PortWriter
 from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
+from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
@@ -110,6 +113,7 @@ def explore(
     out_dir: Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     interrupted: threading.Event | None = None,
+    record: bool = True,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 
@@ -124,6 +128,7 @@ def explore(
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
         on_progress: called about once a simulated second.
         interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
+        record: what the station's ports carry goes to ports.mcap, to be played again.
 
     The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
     the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
@@ -138,8 +143,11 @@ def explore(
         write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         title = name if method.name == "tfg" else f"{name}, {method.name}"
-        mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}", robot)
-        with contextlib.nullcontext(interrupted) if interrupted is not None else _interrupts() as stop:
+        (folder / FILE_NAME).unlink(missing_ok=True)  # of an earlier run in this folder
+        with contextlib.ExitStack() as stack:
+            writer = stack.enter_context(PortWriter(folder / FILE_NAME, robot.name)) if record else None
+            stop = interrupted if interrupted is not None else stack.enter_context(_interrupts())
+            mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}", robot, writer)
             with (folder / "stages.jsonl").open("w", buffering=1) as stages_file:
                 mission.run(realtime_rate, max_time, stop, stages_file.write, on_progress)
             summary = write_report(mission, scenario, folder, name, world_name or name)
@@ -164,14 +172,21 @@ class Mission:
     """
 
     def __init__(
-        self, scenario: Scenario, method: Method, meshcat: Meshcat | None, title: str, robot: Robot = SIMULATED
+        self,
+        scenario: Scenario,
+        method: Method,
+        meshcat: Meshcat | None,
+        title: str,
+        robot: Robot = SIMULATED,
+        writer: PortWriter | None = None,
     ) -> None:
+        """writer: where the station's ports are recorded; see `explore` for the others."""
         self._cpu_start, self._meters_start = time.process_time(), cpu_totals()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self.X_WM: FloatArray = self.world.start if self.world is not None else np.zeros(3)
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
-        self._scenario, self._meshcat, self._title = scenario, meshcat, title
+        self._scenario, self._meshcat, self._title, self._writer = scenario, meshcat, title, writer
         self._context: Context | None = None  # until the diagram is built
 
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
@@ -202,13 +217,20 @@ class Mission:
             self._simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
             self._simulator.Initialize()
             self._observe(write, on_progress is not None)
+            terminated = False
             while not self._ended(interrupted, max_time):
                 step = REAL_STEP if self.robot.real else STEP
                 boundary = step * (math.floor(self.time / step) + 1.0)
-                self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
+                status = self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
+                terminated = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
                 self._observe(write, on_progress is not None)
                 if on_progress is not None:
                     on_progress(self._progress(time.monotonic() - wall_start))
+            if not terminated:
+                # A mission that ends by itself does all that is due at its last instant; so that a recording of any
+                # gives the same once more, whatever ended it then and ends it now, so does every other.
+                self._simulator.AdvancePendingEvents()
+                self._observe(write, on_progress is not None)
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             self.outcome = "fault"
             first_line = next(iter(str(error).strip().splitlines()), "no message")
@@ -252,7 +274,13 @@ class Mission:
 
     def _build(self) -> None:
         diagram, truth_log, self._pose_log = MakeMissionDiagram(
-            self._scenario, self.world, self._meshcat, self._title, self.method.MakeExplorer, self.robot
+            self._scenario,
+            self.world,
+            self._meshcat,
+            self._title,
+            self.method.MakeExplorer,
+            self.robot,
+            self._writer,
         )
         self._simulator = Simulator(diagram)
         if truth_log is not None:
@@ -364,9 +392,10 @@ def MakeMissionDiagram(
     title: str,
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
     robot: Robot = SIMULATED,
+    writer: PortWriter | None = None,
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
-    """Station and explorer connected by port name, with the picture if there is a meshcat and the operator of a real
-    robot.
+    """Station and explorer connected by port name, with the picture if there is a meshcat, recorded if there is a
+    writer, and under an operator if the robot is real.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
     it, and of the estimated one (PoseVector).
@@ -404,6 +433,8 @@ def MakeMissionDiagram(
     if station.HasOutputPort("truth.pose"):
         truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
 
+    if writer is not None:
+        PortRecorder.AddToBuilder(builder, station, explorer, writer)
     if meshcat is not None:
         TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius, title)
 
