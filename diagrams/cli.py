@@ -53,7 +53,9 @@ def _commands() -> None:
 
 @app.command()
 def explore(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "paper",
+    scenario: Annotated[
+        str | None, typer.Argument(help="A shipped scenario or a YAML file [default: paper, or that of a replay].")
+    ] = None,
     world: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt."),
@@ -66,7 +68,10 @@ def explore(
         str, typer.Option(metavar="NAME", help="What explores: tfg, grid-nearest, ... or a Python file that makes one.")
     ] = "tfg",
     robot: Annotated[
-        str, typer.Option(metavar="NAME", help="What to drive: sim, or a real robot: kobuki, ros2 or rosbridge.")
+        str,
+        typer.Option(
+            metavar="NAME", help="What to drive: sim, a real robot (kobuki, ros2, rosbridge) or a run: replay:RUN_DIR."
+        ),
     ] = "sim",
     port: Annotated[str | None, typer.Option(metavar="DEVICE", help="The Kobuki's serial port.")] = None,
     preset: Annotated[
@@ -101,10 +106,14 @@ def explore(
     _check_positive("--tag-spacing", tag_spacing, "m")
     if seed is not None and not 0 <= seed < 2**31:
         _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
-    loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
+    replayed = robot.removeprefix("replay:") if robot.startswith("replay:") else None
+    if replayed is not None and not (Path(replayed) / "scenario.yaml").is_file():
+        _bad_input(f"--robot {robot}: there is no scenario.yaml; name the folder of a run")
+    scenario = scenario or ("paper" if replayed is None else str(Path(replayed) / "scenario.yaml"))
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
     _check_robot(robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate)
-    if robot != "sim":
+    loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
+    if robot != "sim" and replayed is None:
         loaded.hardware.robot = robot
         for link, value in links.items():
             if value is not None:
@@ -124,7 +133,7 @@ def explore(
                 method=explorer,
                 robot=driven,
                 name=_run_name(scenario, world, robot),
-                world_name="unknown" if robot != "sim" else scenario if world is None else str(world),
+                world_name=str(world or scenario) if robot == "sim" else "unknown",
                 meshcat=meshcat,
                 realtime_rate=realtime_rate,
                 max_time=max_time,
@@ -384,7 +393,7 @@ def _find_method(name: str, scenario: Scenario) -> Method:
 
 def _run_name(scenario: str, world: Path | None, robot: str) -> str:
     if robot != "sim":
-        return robot
+        return robot.partition(":")[0]
     return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
 
 
@@ -392,17 +401,18 @@ def _check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any]
     """What fits a simulated robot only is refused for a real one, and the other way round."""
     from tfg_drake.config import ROBOTS
 
-    if robot == "sim":
+    if robot not in ROBOTS:
         for link, value in links.items():
             if value is not None:
                 _bad_input(f"--{link} {value}: is for a real robot; give --robot {', '.join(ROBOTS)} too")
+    if robot == "sim":
         return
-    if robot not in ROBOTS:
-        _bad_input(f"--robot {robot}: no such robot; name one of sim, {', '.join(ROBOTS)}")
+    if robot not in ROBOTS and not robot.startswith("replay:"):
+        _bad_input(f"--robot {robot}: no such robot; name one of sim, {', '.join(ROBOTS)}, replay:RUN_DIR")
     for option, given in place.items():
         if given is not None:
-            _bad_input(f"{option}: a real robot does not know its world; leave it out")
-    if realtime_rate:
+            _bad_input(f"{option}: is for a simulated robot; leave it out")
+    if realtime_rate and robot in ROBOTS:
         _bad_input("--realtime-rate: a real robot's time is real; leave it out")
 
 
@@ -419,6 +429,15 @@ def _open_robot(name: str, scenario: Scenario, method: Method, meshcat: Any) -> 
     from tfg_drake.hardware.device import DeviceError
     from tfg_drake.hardware.keyboard import HELP
 
+    if name.startswith("replay:"):
+        from tfg_drake.diagrams.replay_station import ReplayRobot
+        from tfg_drake.port_recording import RecordingError, read_recording
+
+        try:
+            yield ReplayRobot(read_recording(Path(name.removeprefix("replay:")))), scenario
+        except RecordingError as error:
+            _bad_input(f"--robot replay: {error}")
+        return
     with contextlib.ExitStack() as stack:
         try:
             opened = stack.enter_context(OpenRobot(scenario, meshcat))
@@ -532,7 +551,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
     rows = {
         "outcome": f"{summary['outcome']}: {summary['reason']}",
-        "simulated": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
+        "time": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
         "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
         "landmarks": "-",
         "pose error": "-",
@@ -552,10 +571,9 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
             f" {number(heading.get('mean'), '{:.4f}')} rad mean"
         )
     if summary["surface_coverage"] is not None:
-        rows["coverage"] = (
-            f"{number(summary['area_coverage'], '{:.1f}', 100.0)} % of the area,"
-            f" {number(summary['surface_coverage'], '{:.1f}', 100.0)} % of the surface"
-        )
+        shares = {"area": summary["area_coverage"], "surface": summary["surface_coverage"]}
+        known = [f"{100.0 * share:.1f} % of the {what}" for what, share in shares.items() if share is not None]
+        rows["coverage"] = ", ".join(known)
     if summary["contacts"] is not None:
         clearance = number(summary["min_clearance_m"], "{:.2f}")
         rows["safety"] = f"{summary['contacts']} contacts, least clearance {clearance} m"

@@ -26,7 +26,7 @@ def MakeReplayStation(recording: PortRecording) -> Diagram:
         - base.enabled
 
     At any time its outputs are those of the recorded station; what was late then is as late again. The recorded robot
-    cannot be told anything: the inputs are ignored, and base.enabled is 1.
+    cannot be told anything: the inputs are ignored.
     """
     builder = DiagramBuilder()
     player = builder.AddNamedSystem("port_player", PortPlayer(recording))

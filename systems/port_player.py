@@ -26,7 +26,7 @@ class PortPlayer(LeafSystem):
         - scan.ranges
         - base.enabled
 
-    The inputs change nothing: what the robot did it has done. base.enabled: 1. It has no state, the time says all.
+    The inputs change nothing: what the robot did it has done. It has no state, the time says all.
     """
 
     def __init__(self, recording: PortRecording) -> None:
@@ -36,10 +36,10 @@ class PortPlayer(LeafSystem):
         self.DeclareVectorInputPort("base.enable", 1)
         for name in MESSAGES:
             declare_message_output(self, name, partial(self._Message, name), {self.time_ticket()})
-        self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.nothing_ticket()})
+        self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.time_ticket()})
 
     def _Message(self, name: str, context: Context) -> object:
         return self._recording.at(name, context.get_time())
 
-    def _CalcEnabled(self, _context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, 1.0)
+    def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._recording.enabled(context.get_time()))

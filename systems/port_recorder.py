@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
 from tfg_drake.cpu_meter import metered_in_detail
-from tfg_drake.port_recording import COMMAND, MESSAGES, PortWriter
+from tfg_drake.port_recording import COMMAND, ENABLED, MESSAGES, PortWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
 # The explorer's: it sees no message that is not recorded.
@@ -24,6 +24,7 @@ class PortRecorder(LeafSystem):
         - tags.detections
         - scan.ranges
         - base.velocity_commanded
+        - base.enabled
 
     It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it
     records at an instant is what updates at that instant see, since both come before the instant's changes.
@@ -35,6 +36,7 @@ class PortRecorder(LeafSystem):
         self._writer = writer
         self._messages = {name: (declare_message_input(self, name), kind) for name, kind in MESSAGES.items()}
         self._command = self.DeclareVectorInputPort(COMMAND, 2)
+        self._enabled = self.DeclareVectorInputPort(ENABLED, 1)
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
 
     @staticmethod
@@ -42,7 +44,7 @@ class PortRecorder(LeafSystem):
         """Adds a recorder of what a station and an explorer say to each other."""
         recorder = PortRecorder(writer)
         builder.AddNamedSystem("port_recorder", recorder)
-        for name in MESSAGES:
+        for name in (*MESSAGES, ENABLED):
             builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(name))
         builder.Connect(explorer.GetOutputPort("velocity_commanded"), recorder.GetInputPort(COMMAND))
         return recorder
@@ -53,4 +55,5 @@ class PortRecorder(LeafSystem):
         for name, (port, kind) in self._messages.items():
             self._writer.write(name, now, eval_message(port, context, kind))
         self._writer.write_command(now, self._command.Eval(context))
+        self._writer.write_enabled(now, float(self._enabled.Eval(context)[0]))
         return EventStatus.Succeeded()

@@ -13,7 +13,17 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
-from tfg_drake.port_recording import COMMAND, MESSAGES, PORTS, PortWriter, RecordingError, Velocity, read_recording
+from tfg_drake.port_recording import (
+    COMMAND,
+    ENABLED,
+    MESSAGES,
+    PORTS,
+    Enabled,
+    PortWriter,
+    RecordingError,
+    Velocity,
+    read_recording,
+)
 
 NONE = np.zeros(0)
 AWKWARD = np.array([math.pi, -0.0, 5e-324, math.inf, 1.0 / 3.0, -1e300])
@@ -31,6 +41,7 @@ def messages(stamp):
         "tags.detections": TagDetections(stamp, np.array([7, -(2**40)]), *np.arange(8.0).reshape(4, 2) / 3.0),
         "scan.ranges": scan(stamp),
         COMMAND: Velocity(0.5, -stamp),
+        ENABLED: Enabled(stamp),
     }
 
 
@@ -98,6 +109,17 @@ def test_a_command_is_recorded_where_it_changes(tmp_path):
     recording = read_recording(tmp_path)
     assert recording.log_times[COMMAND].tolist() == [0, 2_000_000_000, 4_000_000_000]
     assert [one.v for one in recording.messages[COMMAND]] == [0.0, 0.3, 0.0]
+
+
+def test_whether_it_may_move_is_recorded_where_it_changes(tmp_path):
+    with PortWriter(tmp_path / "ports.mcap", "sim") as writer:
+        for port in MESSAGES:
+            writer.write(port, 0.0, messages(0.0)[port])
+        for time, enabled in ((0.0, 0.0), (1.0, 0.0), (2.0, 1.0), (3.0, 1.0)):
+            writer.write_enabled(time, enabled)
+    recording = read_recording(tmp_path)
+    assert recording.log_times[ENABLED].tolist() == [0, 2_000_000_000]
+    assert [recording.enabled(time) for time in (0.0, 1.9, 2.0, 9.0)] == [0.0, 0.0, 1.0, 1.0]
 
 
 def test_angles_that_stay_are_kept_once(tmp_path):

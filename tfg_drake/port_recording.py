@@ -57,6 +57,13 @@ class Velocity:
     w: float
 
 
+@message
+class Enabled:
+    """enabled: 1.0 while the base may move, else 0.0."""
+
+    enabled: float
+
+
 # What is recorded of a station: a run cannot be played without the messages, but without a command.
 MESSAGES: Mapping[str, type] = {
     "base.odometry": Odometry,
@@ -65,7 +72,8 @@ MESSAGES: Mapping[str, type] = {
     "scan.ranges": LaserScan,
 }
 COMMAND = "base.velocity_commanded"
-PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity}
+ENABLED = "base.enabled"
+PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled}
 
 
 class RecordingError(Exception):
@@ -129,6 +137,12 @@ class PortWriter:
         if not isinstance(newest, Velocity) or (newest.v, newest.w) != (v, w):
             self.write(COMMAND, time, Velocity(v, w))
 
+    def write_enabled(self, time: float, enabled: float) -> None:
+        """Records at a time, s, whether the base may move, where that has changed."""
+        newest = self._newest.get(ENABLED)
+        if not isinstance(newest, Enabled) or newest.enabled != enabled:
+            self.write(ENABLED, time, Enabled(enabled))
+
     def close(self) -> None:
         """Writes what is left, and the index."""
         self._write_waiting()
@@ -186,6 +200,10 @@ class PortRecording:
         """What a port carried at a time, s; before the first message that one."""
         row = int(np.searchsorted(self.log_times[port], nanoseconds(time), side="right")) - 1
         return self.messages[port][max(row, 0)]
+
+    def enabled(self, time: float) -> float:
+        """1.0 while the base might move, at a time, s, else 0.0; 1.0 where that was not recorded."""
+        return float(self.at(ENABLED, time).enabled) if self.messages[ENABLED] else 1.0
 
 
 def read_recording(path: Path) -> PortRecording:

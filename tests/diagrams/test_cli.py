@@ -93,7 +93,7 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
     # Before the table, on a slow machine, come lines of progress.
     names = [line[:12].strip() for line in out.splitlines()[-9:-1]]
-    assert names == ["outcome", "simulated", "driven", "landmarks", "pose error", "coverage", "safety", "files"]
+    assert names == ["outcome", "time", "driven", "landmarks", "pose error", "coverage", "safety", "files"]
 
 
 def test_a_run_in_another_world_has_the_name_of_its_file(call, tmp_path):

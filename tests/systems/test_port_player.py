@@ -23,6 +23,9 @@ class LateStation(LeafSystem):
             declare_message_output(
                 self, name, lambda context, name=name: self.message(name, context), {self.time_ticket()}
             )
+        self.DeclareVectorOutputPort(
+            "base.enabled", 1, lambda context, output: output.SetFromVector([context.get_time() >= 1.0])
+        )
         self.DeclareVectorOutputPort("velocity_commanded", 2, lambda _, output: output.SetFromVector([0.25, 0.0]))
 
     def message(self, name, context):
@@ -54,6 +57,7 @@ def test_the_player_says_at_every_time_what_the_recorder_heard_then(tmp_path):
         for name in MESSAGES:
             heard, said = player.GetOutputPort(name).Eval(context), station.GetOutputPort(name).Eval(original)
             assert heard.stamp == said.stamp
+        assert player.GetOutputPort("base.enabled").Eval(context)[0] == (k * PERIOD >= 1.0)
 
 
 def test_the_player_has_the_ports_of_a_station_and_no_state(tmp_path):

@@ -1,0 +1,57 @@
+"""`explore --robot`: what is refused before anything is connected, and a run driven through once more."""
+
+import json
+
+import pytest
+
+ROBOTS = "kobuki, ros2, rosbridge"
+SOCKETS = ["--tags", "socket:127.0.0.1:1", "--scan", "socket:127.0.0.1:1"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--robot", "roomba"], f"--robot roomba: no such robot; name one of sim, {ROBOTS}, replay:RUN_DIR"),
+        (["--port", "/dev/x"], f"--port /dev/x: is for a real robot; give --robot {ROBOTS} too"),
+        (["--tags", "ros2:/tags"], f"--tags ros2:/tags: is for a real robot; give --robot {ROBOTS} too"),
+        (["--robot", "kobuki", "--world", "house"], "--world: is for a simulated robot; leave it out"),
+        (["--robot", "ros2", "--realtime-rate", "2"], "--realtime-rate: a real robot's time is real; leave it out"),
+        (["--robot", "kobuki"], "kobuki: no source of tags; give --tags socket:HOST:PORT or ros2:/TOPIC"),
+        (
+            ["--robot", "kobuki", "--tags", "socket:localhost:5"],
+            "kobuki: no source of scan; give --scan socket:HOST:PORT or ros2:/TOPIC",
+        ),
+        (
+            ["--robot", "kobuki", "--tags", "serial:x"],
+            "serial:x: is no source; name one as ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT",
+        ),
+        (
+            ["--robot", "kobuki", *SOCKETS],
+            "socket:127.0.0.1:1: Connection refused: start what serves tags and scans there, or name the HOST:PORT that"
+            " it prints",
+        ),
+        (
+            ["--robot", "rosbridge", "--bridge", "robot"],
+            "rosbridge: robot is no HOST:PORT; name the server such as localhost:9090",
+        ),
+        (["--robot", "replay:nowhere"], "--robot replay:nowhere: there is no scenario.yaml; name the folder of a run"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_in_one_line(call, arguments, line):
+    assert call("explore", "--headless", *arguments) == (2, "", f"tfg-drake: {line}\n")
+
+
+def test_a_run_is_driven_through_once_more(call, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    code, _, _ = call("explore", "house", "--headless", "--max-time", "12", "--out", str(first))
+    assert code == 0
+    code, out, _ = call("explore", "--robot", f"replay:{first}", "--headless", "--out", str(second), "--json")
+    assert code == 0
+    summary = json.loads(out.splitlines()[-1])
+    assert (summary["outcome"], summary["reason"]) == ("time_limit", "the recording has ended")
+    for name in ("map.npz", "trajectory.tum", "stages.jsonl"):
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+    (first / "ports.mcap").unlink()
+    code, _, err = call("explore", "--robot", f"replay:{first}", "--headless", "--out", str(second))
+    line = f"--robot replay: {first / 'ports.mcap'}: no such file; name the folder of a run that was recorded"
+    assert (code, err) == (2, f"tfg-drake: {line}\n")
