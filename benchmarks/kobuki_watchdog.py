@@ -3,7 +3,8 @@
 python benchmarks/kobuki_watchdog.py
 python benchmarks/kobuki_watchdog.py --trials 50
 
-The time from what went wrong to the last command that was not a stop, as the emulator read it, every 20 ms.
+The time from what went wrong to the first stop that only stops follow, as the emulator read it, every 20 ms: until then
+the base drives on.
 """
 
 from __future__ import annotations
@@ -18,32 +19,34 @@ import sys
 import time
 from collections.abc import Callable
 
-from tfg_drake.hardware.kobuki.driver import KobukiDriver
+from tfg_drake.hardware.device import Device
+from tfg_drake.hardware.kobuki.driver import connect
 from tfg_drake.hardware.kobuki.emulator import Emulator
 from tfg_drake.hardware.kobuki.payloads import BaseControl
 
 _STOP = BaseControl(0, 0)
 _PARENT = """
 import sys, time
-from tfg_drake.hardware.kobuki.driver import KobukiDriver
-driver = KobukiDriver(sys.argv[1])
-driver.wait_connected()
-driver.enable()
+from tfg_drake.hardware.kobuki.driver import connect
+device = connect(sys.argv[1])
+device.enable()
 while True:
-    driver.command(0.2, 0.0)
+    device.command(0.2, 0.0)
     time.sleep(0.02)
 """
-# Motion this long after what went wrong has no end, and one that ended for so long has, s.
+# Motion this long after what went wrong has no end, and a stop that has lasted so long is one, s.
 _AT_MOST, _AFTERWARDS = 3.0, 0.4
 
 
 def stopped_after(emulator: Emulator, begin: float) -> float:
-    """Time from begin to the last command that was not a stop, s; inf where motion does not end."""
-    last = math.inf
-    while time.monotonic() < min(last, begin + _AT_MOST) + _AFTERWARDS:
+    """Time from begin to the first stop after which nothing else is said, s; inf where motion does not end."""
+    stopped = math.inf
+    while time.monotonic() < min(stopped, begin + _AT_MOST) + _AFTERWARDS:
         time.sleep(0.02)
-        last = max((when for when, what in list(emulator.commands) if what != _STOP and when > begin), default=begin)
-    return last - begin if last < begin + _AT_MOST else math.inf
+        stopped = math.inf
+        for when, what in list(emulator.commands):
+            stopped = min(stopped, when) if what == _STOP else math.inf
+    return max(0.0, stopped - begin)
 
 
 def of_parent(how: signal.Signals) -> float:
@@ -60,34 +63,54 @@ def of_parent(how: signal.Signals) -> float:
     return after
 
 
-def of_driver(fault: Callable[[Emulator, KobukiDriver], None]) -> float:
-    """Something happens while the driver in this process drives."""
-    with Emulator() as emulator, KobukiDriver(emulator.device) as driver:
-        driver.wait_connected()
-        driver.enable()
-        for _ in range(15):
-            driver.command(0.2, 0.0)
-            time.sleep(0.02)
+def of_device(fault: Callable[[Emulator, Device], None]) -> float:
+    """Something happens while this process drives."""
+    with Emulator() as emulator, connect(emulator.device) as device:
+        device.enable()
+        _drive(device, 0.3)
         begin = time.monotonic()
-        fault(emulator, driver)
+        fault(emulator, device)
         return stopped_after(emulator, begin)
 
 
-def _silence(emulator: Emulator, driver: KobukiDriver) -> None:
-    emulator.silent = True
-    for _ in range(20):
-        driver.command(0.2, 0.0)
+def _drive(device: Device, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        device.command(0.2, 0.0)
         time.sleep(0.02)
+
+
+def _silence(emulator: Emulator, device: Device) -> None:
+    emulator.silent = True
+    _drive(device, 0.8)
+
+
+def _hanging_wheel(emulator: Emulator, device: Device) -> None:
+    emulator.base.wheel_drop = 1
+    _drive(device, 0.3)
+
+
+def _bumper(emulator: Emulator, device: Device) -> None:
+    emulator.base.bumper = 2
+    _drive(device, 0.3)
+
+
+def _signal(number: signal.Signals) -> Callable[[Emulator, Device], None]:
+    return lambda _, device: os.kill(device.process_id, number)
 
 
 FAULTS: dict[str, Callable[[], float]] = {
     "parent killed (-9)": lambda: of_parent(signal.SIGKILL),
     "parent stopped (SIGSTOP)": lambda: of_parent(signal.SIGSTOP),
-    "no more commands": lambda: of_driver(lambda _, __: None),
-    "command NaN": lambda: of_driver(lambda _, driver: driver.command(math.nan, 0.0)),
-    "base silent, commands go on": lambda: of_driver(_silence),
-    "SIGTERM to the driver": lambda: of_driver(lambda _, driver: os.kill(driver.process_id, signal.SIGTERM)),
-    "driver closed": lambda: of_driver(lambda _, driver: driver.close()),
+    "no more commands": lambda: of_device(lambda _, __: None),
+    "command NaN": lambda: of_device(lambda _, device: device.command(math.nan, 0.0)),
+    "base silent, commands go on": lambda: of_device(_silence),
+    "wheel hangs, commands go on": lambda: of_device(_hanging_wheel),
+    "bumper, forward commands go on": lambda: of_device(_bumper),
+    "SIGTERM to the driver": lambda: of_device(_signal(signal.SIGTERM)),
+    "driver killed (-9)": lambda: of_device(_signal(signal.SIGKILL)),
+    "driver stopped (SIGSTOP)": lambda: of_device(_signal(signal.SIGSTOP)),
+    "device closed": lambda: of_device(lambda _, device: device.close()),
 }
 
 
@@ -96,10 +119,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=10)
     options = parser.parse_args()
-    print(f"{'what':<30}{'median, s':>10}{'worst, s':>10}")
+    print(f"{'what':<32}{'median, s':>10}{'worst, s':>10}")
     for name, trial in FAULTS.items():
         times = [trial() for _ in range(options.trials)]
-        print(f"{name:<30}{statistics.median(times):>10.3f}{max(times):>10.3f}", flush=True)
+        print(f"{name:<32}{statistics.median(times):>10.3f}{max(times):>10.3f}", flush=True)
 
 
 if __name__ == "__main__":

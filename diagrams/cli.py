@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -11,6 +12,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +26,7 @@ from tfg_drake.diagrams.ros_command import ros2_app
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
+    from tfg_drake.diagrams.robots import Robot
     from tfg_drake.diagrams.run import Progress
     from tfg_drake.diagrams.scenario import Scenario
 
@@ -62,6 +65,21 @@ def explore(
     method: Annotated[
         str, typer.Option(metavar="NAME", help="What explores: tfg, grid-nearest, ... or a Python file that makes one.")
     ] = "tfg",
+    robot: Annotated[
+        str, typer.Option(metavar="NAME", help="What to drive: sim, or a real robot: kobuki, ros2 or rosbridge.")
+    ] = "sim",
+    port: Annotated[str | None, typer.Option(metavar="DEVICE", help="The Kobuki's serial port.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The robot on ROS: turtlebot2, 3, 4 or a YAML file.")
+    ] = None,
+    bridge: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="The rosbridge server.")] = None,
+    tags: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SOURCE", help="A real robot's tags: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT."
+        ),
+    ] = None,
+    scan: Annotated[str | None, typer.Option(metavar="SOURCE", help="A real robot's laser scans, likewise.")] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No picture in Meshcat.")] = False,
     realtime_rate: Annotated[
@@ -84,22 +102,29 @@ def explore(
     if seed is not None and not 0 <= seed < 2**31:
         _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
     loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
+    links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
+    _check_robot(robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate)
+    if robot != "sim":
+        loaded.hardware.robot = robot
+        for link, value in links.items():
+            if value is not None:
+                setattr(loaded.hardware, link, value)
     if out is not None:
         _make_writable(out)
     explorer = _find_method(method, loaded)
-    name = Path(scenario).stem
     meshcat = None if headless else _start_meshcat()
     _announce_compilation()
 
     from tfg_drake.diagrams import run
 
-    with _progress_display() as show:
+    with _open_robot(robot, loaded, explorer, meshcat) as (driven, loaded), _progress_display() as show:
         try:
             result = run.explore(
                 loaded,
                 method=explorer,
-                name=name if world is None else world.stem.removesuffix(".vectormap"),
-                world_name=scenario if world is None else str(world),
+                robot=driven,
+                name=_run_name(scenario, world, robot),
+                world_name="unknown" if robot != "sim" else scenario if world is None else str(world),
                 meshcat=meshcat,
                 realtime_rate=realtime_rate,
                 max_time=max_time,
@@ -357,6 +382,72 @@ def _find_method(name: str, scenario: Scenario) -> Method:
         _bad_input(f"--method {error}")
 
 
+def _run_name(scenario: str, world: Path | None, robot: str) -> str:
+    if robot != "sim":
+        return robot
+    return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
+
+
+def _check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:
+    """What fits a simulated robot only is refused for a real one, and the other way round."""
+    from tfg_drake.config import ROBOTS
+
+    if robot == "sim":
+        for link, value in links.items():
+            if value is not None:
+                _bad_input(f"--{link} {value}: is for a real robot; give --robot {', '.join(ROBOTS)} too")
+        return
+    if robot not in ROBOTS:
+        _bad_input(f"--robot {robot}: no such robot; name one of sim, {', '.join(ROBOTS)}")
+    for option, given in place.items():
+        if given is not None:
+            _bad_input(f"{option}: a real robot does not know its world; leave it out")
+    if realtime_rate:
+        _bad_input("--realtime-rate: a real robot's time is real; leave it out")
+
+
+@contextlib.contextmanager
+def _open_robot(name: str, scenario: Scenario, method: Method, meshcat: Any) -> Iterator[tuple[Robot, Scenario]]:
+    """The robot to drive, and the scenario within its limits."""
+    from tfg_drake.diagrams.robots import SIMULATED
+
+    if name == "sim":
+        yield SIMULATED, scenario
+        return
+
+    from tfg_drake.diagrams.real_robot import OpenRobot, Rehearse
+    from tfg_drake.hardware.device import DeviceError
+    from tfg_drake.hardware.keyboard import HELP
+
+    with contextlib.ExitStack() as stack:
+        try:
+            opened = stack.enter_context(OpenRobot(scenario, meshcat))
+        except DeviceError as error:
+            _bad_input(str(error))
+        print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
+        Rehearse(scenario, method)
+        stack.enter_context(_remarks_on_screen())
+        print(f"nothing moves before it is enabled; {HELP}", flush=True)
+        yield opened
+
+
+@contextlib.contextmanager
+def _remarks_on_screen() -> Iterator[None]:
+    """What base and operator remark is shown, too."""
+    import logging
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in ("hardware", "operator")]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+
+
 def _start_meshcat() -> Any:
     import logging
 
@@ -419,9 +510,10 @@ def _progress_display() -> _ProgressDisplay:
 def progress_line(progress: Progress) -> str:
     """How far the mission has come, on one line of a terminal of 80 columns."""
     speed = progress.time / max(progress.wall_time, 1e-9)
+    error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
     return (
         f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
-        f" {progress.area:5.0f} m2  error {100.0 * progress.position_error:5.1f} cm  {speed:4.1f} x real time"
+        f" {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
     )
 
 
@@ -437,30 +529,37 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         return "-" if value is None else form.format(factor * value)
 
     position, heading = summary["position_error_m"] or {}, summary["heading_error_rad"] or {}
-    return [
-        ("outcome", f"{summary['outcome']}: {summary['reason']}"),
-        ("simulated", f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time"),
-        ("driven", f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages"),
-        (
-            "landmarks",
-            "-"
-            if summary["landmarks_mapped"] is None
-            else f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} reachable,"
-            f" RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
-            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)",
-        ),
-        (
-            "pose error",
-            f"{number(position.get('mean'), '{:.3f}')} m mean, {number(position.get('max'), '{:.3f}')} m max;"
-            f" {number(heading.get('mean'), '{:.4f}')} rad mean",
-        ),
-        (
-            "coverage",
+    mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    rows = {
+        "outcome": f"{summary['outcome']}: {summary['reason']}",
+        "simulated": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
+        "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
+        "landmarks": "-",
+        "pose error": "-",
+        "coverage": "-",
+        "safety": "-",
+    }
+    if mapped is not None:
+        rows["landmarks"] = f"{mapped}"
+    if mapped is not None and present is not None:
+        rows["landmarks"] += (
+            f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
+        )
+    if position.get("mean") is not None:
+        rows["pose error"] = (
+            f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"
+            f" {number(heading.get('mean'), '{:.4f}')} rad mean"
+        )
+    if summary["surface_coverage"] is not None:
+        rows["coverage"] = (
             f"{number(summary['area_coverage'], '{:.1f}', 100.0)} % of the area,"
-            f" {number(summary['surface_coverage'], '{:.1f}', 100.0)} % of the surface",
-        ),
-        ("safety", f"{summary['contacts']} contacts, least clearance {number(summary['min_clearance_m'], '{:.2f}')} m"),
-    ]
+            f" {number(summary['surface_coverage'], '{:.1f}', 100.0)} % of the surface"
+        )
+    if summary["contacts"] is not None:
+        clearance = number(summary["min_clearance_m"], "{:.2f}")
+        rows["safety"] = f"{summary['contacts']} contacts, least clearance {clearance} m"
+    return list(rows.items())
 
 
 if __name__ == "__main__":

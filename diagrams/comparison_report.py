@@ -15,7 +15,7 @@ from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, VARIABLES
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page
 from tfg_drake.comparison.runs import Run, sample, to_csv
 from tfg_drake.comparison.statistics import spread
-from tfg_drake.diagrams.report import EVERY
+from tfg_drake.diagrams.errors import EVERY
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.sweep import Task
 from tfg_drake.files import write_atomic

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
 import signal
+import sys
 import threading
 import time
 from typing import TYPE_CHECKING, Annotated
@@ -13,9 +16,9 @@ import typer
 from tfg_drake.diagrams.command_line import bad_input
 
 if TYPE_CHECKING:
-    from tfg_drake.hardware.kobuki.driver import KobukiDriver
+    from tfg_drake.hardware.device import BaseState, Device
     from tfg_drake.hardware.kobuki.emulator import Emulator
-    from tfg_drake.hardware.kobuki.link import Report
+    from tfg_drake.messages import Hazards, Odometry
 
 # How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
@@ -36,34 +39,48 @@ def check(
     drive: Annotated[bool, typer.Option("--drive", help="Drive 20 cm ahead; make room for it.")] = False,
 ) -> None:
     """Say how a base is: its versions, battery and sensors."""
-    from tfg_drake.hardware.kobuki.driver import KobukiDriver
-    from tfg_drake.hardware.kobuki.link import KobukiError
+    from tfg_drake.hardware.device import DeviceError
+    from tfg_drake.hardware.kobuki.driver import connect
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with KobukiDriver(port) as driver:
-            for name, value in report_rows(driver.wait_connected()):
+        with connect(port) as device:
+            _, hazards, state = _newest(device)
+            for name, value in report_rows(state, hazards):
                 print(f"{name:<12}{value}", flush=True)
             if drive:
-                print(f"{'drive':<12}{_drive_ahead(driver)}")
-    except KobukiError as error:
+                print(f"{'drive':<12}{_drive_ahead(device)}")
+    except DeviceError as error:
         bad_input(str(error))
     except KeyboardInterrupt:
         raise typer.Exit(130) from None
 
 
-def report_rows(report: Report) -> list[tuple[str, str]]:
+def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
+    """What the base said last; raises DeviceError where it has said nothing within ANSWER_TIMEOUT."""
+    from tfg_drake.hardware.device import ANSWER_TIMEOUT, BaseState, DeviceError
+    from tfg_drake.messages import Hazards, Odometry
+
+    end = time.monotonic() + ANSWER_TIMEOUT
+    while time.monotonic() < end:
+        odometry, hazards, state = device.newest(Odometry), device.newest(Hazards), device.newest(BaseState)
+        if odometry is not None and hazards is not None and state is not None:
+            return odometry, hazards, state
+        time.sleep(0.01)
+    raise DeviceError(device.locked or "the base says nothing of itself; switch it off and on again")
+
+
+def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
     """What a connected base says, as names and values."""
-    assert report.hazards is not None
-    low = "; charge it" if report.battery < LOW_BATTERY and not report.charging else ""
+    low = "; charge it" if state.battery < LOW_BATTERY and not state.charging else ""
     return [
-        ("firmware", report.firmware),
-        ("hardware", report.hardware),
-        ("id", report.unique_id),
-        ("battery", f"{report.battery:.1f} V, {'charging' if report.charging else 'discharging'}{low}"),
-        ("bumper", _where(report.hazards.bumper)),
-        ("cliff", _where(report.hazards.cliff)),
-        ("wheel drop", _where(report.hazards.wheel_drop)),
+        ("firmware", state.firmware),
+        ("hardware", state.hardware),
+        ("id", state.unique_id),
+        ("battery", f"{state.battery:.1f} V, {'charging' if state.charging else 'discharging'}{low}"),
+        ("bumper", _where(hazards.bumper)),
+        ("cliff", _where(hazards.cliff)),
+        ("wheel drop", _where(hazards.wheel_drop)),
     ]
 
 
@@ -71,28 +88,27 @@ def _where(bits: int) -> str:
     return ", ".join(name for bit, name in ((4, "left"), (2, "centre"), (1, "right")) if bits & bit) or "none"
 
 
-def _drive_ahead(driver: KobukiDriver) -> str:
-    """Drives DISTANCE ahead and says how that went; raises KobukiError where something is in the way."""
+def _drive_ahead(device: Device) -> str:
+    """Drives DISTANCE ahead and says how that went; raises DeviceError where something is in the way."""
     from tfg_drake.geometry.se2 import between
-    from tfg_drake.hardware.kobuki.link import KobukiError
+    from tfg_drake.hardware.device import DeviceError
 
-    driver.enable()
-    begin, start, driven = time.monotonic(), driver.report().odometry, False
-    while True:
-        report = driver.report()
-        if report.odometry is None or report.hazards is None or start is None:
-            raise KobukiError(report.detail)
-        if report.hazards.bumper or report.hazards.cliff or report.hazards.wheel_drop:
-            raise KobukiError("the drive was stopped by bumper, cliff or wheel drop; make room ahead of the base")
+    device.enable()
+    begin, (start, _, _), driven = time.monotonic(), _newest(device), False
+    while device.locked is None:
+        odometry, hazards, _ = _newest(device)
+        if hazards.bumper or hazards.cliff or hazards.wheel_drop:
+            raise DeviceError("the drive was stopped by bumper, cliff or wheel drop; make room ahead of the base")
         if time.monotonic() - begin > DRIVE_WITHIN:
-            raise KobukiError(f"the base did not drive {DISTANCE:g} m within {DRIVE_WITHIN:g} s; let its wheels turn")
-        x, y, turned = between(start.X_OB, report.odometry.X_OB)
+            raise DeviceError(f"the base did not drive {DISTANCE:g} m within {DRIVE_WITHIN:g} s; let its wheels turn")
+        x, y, turned = between(start.X_OB, odometry.X_OB)
         left = DISTANCE - x
         driven = driven or left < 1e-3
-        if driven and report.odometry.at_rest:
+        if driven and odometry.at_rest:
             return f"{x:.3f} m ahead, {y:+.3f} m to the left, {math.degrees(turned):+.1f} degrees"
-        driver.command(0.0 if driven else min(SPEED, math.sqrt(2.0 * DECELERATION * left)), 0.0)
+        device.command(0.0 if driven else min(SPEED, math.sqrt(2.0 * DECELERATION * left)), 0.0)
         time.sleep(0.02)
+    raise DeviceError(device.locked or "the drive was broken off")
 
 
 @kobuki_app.command()
@@ -101,15 +117,30 @@ def emulate(
         str, typer.Option(metavar="none|SCENARIO", help="Where it stands: on an empty plane, or in a scenario.")
     ] = "none",
 ) -> None:
-    """Emulate a Kobuki until Ctrl-C; prints its device, then the address that serves its tags and scans."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with _emulator(world) as emulator:
+    """Emulate a Kobuki until Ctrl-C; prints its device, then the address that serves its tags and scans.
+
+    Lines on standard input make things happen to it, see docs/kobuki_emulator.md. At the end it prints its true pose.
+    """
+    from tfg_drake.hardware.kobuki.emulator_orders import order
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    # In the background of a terminal its input ends, or the whole program would be stopped.
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    with contextlib.suppress(KeyboardInterrupt), _emulator(world) as emulator:
+        try:
             print(emulator.device, flush=True)
             print("{}:{}".format(*emulator.sensors), flush=True)
+            with contextlib.suppress(OSError):
+                for line in sys.stdin or ():
+                    try:
+                        if answer := order(emulator, line):
+                            print(answer, flush=True)
+                    except ValueError as error:
+                        print(f"tfg-drake: {error}", file=sys.stderr, flush=True)
             threading.Event().wait()
-    except KeyboardInterrupt:
-        print()
+        finally:
+            print(json.dumps(emulator.report()), flush=True)
 
 
 def _emulator(world: str) -> Emulator:

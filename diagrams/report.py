@@ -10,39 +10,33 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tfg_drake import __version__, metrics
-from tfg_drake.comparison.curves import scan_coverage
+from tfg_drake import __version__
+from tfg_drake.diagrams.errors import KnownWorld, path_length, pose_errors
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.figure import draw_run
 from tfg_drake.files import write_atomic
-from tfg_drake.geometry.se2 import compose, inverse, transform
-from tfg_drake.grid.frontier import OCCUPIED, classify
-from tfg_drake.grid.runs import cell_sides
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
-from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
-from tfg_drake.trajectory import poses_at, write_tum
-from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
-from tfg_drake.world.world import World
+from tfg_drake.messages import MapEstimate
+from tfg_drake.trajectory import write_tum
 
 if TYPE_CHECKING:
-    from tfg_drake.diagrams.run import Departure, Mission
+    from tfg_drake.diagrams.run import Mission
 
 SCHEMA = 1
-# What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
-# but corners that a scan happens to miss.
-EVERY = 4
-NEARLY_ALL = 0.99
+NO_POSES = np.zeros((0, 3))
 
 
 def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, world_name: str) -> dict[str, Any]:
     """Write map.npz, trajectory.tum, truth.tum, summary.json and figure.png, and return the summary.
 
+    What would take the world or the truth is null where that is not known, and there is no truth.tum. The distance is
+    that of the estimate then, and every landmark of the map counts as mapped.
+
     Raises:
         OSError: a file cannot be written.
     """
-    world, tfg = mission.world, mission.tfg
-    estimate = mission.map
+    tfg, estimate = mission.tfg, mission.map
     map_bytes = 0
     final = mission.final_map()
     if final is not None:
@@ -56,15 +50,14 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         map_bytes = (folder / "grid.npz").stat().st_size
     else:
         (folder / "grid.npz").unlink(missing_ok=True)
-    true_stamps, X_WB_true = mission.true_poses()
     stamps, X_WB = mission.estimated_poses()
-    write_tum(folder / "truth.tum", true_stamps, X_WB_true)
     write_tum(folder / "trajectory.tum", stamps, X_WB)
+    true_poses = mission.true_poses()
+    if true_poses is not None:
+        write_tum(folder / "truth.tum", *true_poses)
+    else:
+        (folder / "truth.tum").unlink(missing_ok=True)
 
-    grid = make_grid(world)
-    cells = reachable_cells(grid, world, scenario.robot.radius)
-    reachable = reachable_tags(world, grid, cells, scenario.tags.range, scenario.tags.max_incidence)
-    X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
     summary: dict[str, Any] = {
         "schema": SCHEMA,
         "version": __version__,
@@ -78,15 +71,25 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         "wall_time_s": mission.wall_time,
         "cpu_time_s": mission.cpu_time,
         "real_time_factor": mission.end_time / mission.wall_time,
-        "distance_m": float(np.linalg.norm(np.diff(X_WB_true[:, :2], axis=0), axis=1).sum()),
+        "distance_m": path_length(X_WB),
         "stages": len(mission.stages),
-        **_landmarks(world, reachable, estimate, mission.grid is None),
-        **_consistency(mission.departures, compose(inverse(world.start), X_WD_true)),
-        **_pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
-        **_surfaces(scenario, world, grid, cells, _mapped_surfaces(world, tfg, mission.grid)),
-        **_area(scenario, world, grid, cells, mission, X_WD_true, true_stamps, X_WB_true),
-        "contacts": mission.contacts,
-        "min_clearance_m": mission.clearance,
+        "landmarks_present": None,
+        "landmarks_reachable": None,
+        "landmarks_mapped": _landmarks_mapped(mission, estimate),
+        "landmarks_extra": None,
+        "landmark_rmse_m": None,
+        "landmark_rmse_aligned_m": None,
+        "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
+        "landmark_anees": None,
+        "landmark_nees": None,
+        "pose_anees": None,
+        **pose_errors(NO_POSES, NO_POSES),
+        "surface_coverage": None,
+        "surface_phantom_m": None,
+        "area_coverage": None,
+        "area_seen_s": None,
+        "contacts": None,
+        "min_clearance_m": None,
         "map_variables": _variables(mission, estimate),
         "map_bytes": map_bytes,
         "estimator_cpu_s": mission.estimator_cpu,
@@ -95,57 +98,29 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "stage_ms": _spread([1e3 * seconds for stage, seconds in mission.stage_cpu.items() if stage > 0]),
     }
+    reachable = np.zeros(0, dtype=np.bool_)
+    if mission.world is not None:
+        known = KnownWorld(mission.world, scenario)
+        reachable = known.reachable
+        summary |= known.map_figures(mission, estimate, tfg)
+        if true_poses is not None:
+            summary |= known.way_figures(mission, stamps, X_WB, *true_poses)
+    if mission.truth is not None:
+        summary |= {"contacts": mission.truth.contacts, "min_clearance_m": mission.truth.clearance}
     summary = _null_where_not_finite(summary)
     write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    draw_run(folder / "figure.png", _title(summary), world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable)
+    X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
+    draw_run(
+        folder / "figure.png", _title(summary), mission.world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable
+    )
     return summary
 
 
-def _landmarks(
-    world: World, reachable: BoolArray, estimate: MapEstimate | None, maps_landmarks: bool
-) -> dict[str, Any]:
-    mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
-    counted = np.isin(mapped, world.tag_ids[reachable])
-    figures = {
-        "landmarks_present": len(world.tag_ids),
-        "landmarks_reachable": int(np.count_nonzero(reachable)),
-        "landmarks_mapped": int(np.count_nonzero(counted)) if maps_landmarks else None,
-        "landmarks_extra": int(np.count_nonzero(~counted)) if maps_landmarks else None,
-        "landmark_rmse_m": math.nan,
-        "landmark_rmse_aligned_m": math.nan,
-        "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
-        "landmark_anees": math.nan,
-        "landmark_nees": math.nan,
-    }
-    if estimate is None:
-        return figures
-    row_of_tag = {tag: row for row, tag in enumerate(world.tag_ids.tolist())}
-    known = np.array([i for i, tag in enumerate(mapped.tolist()) if tag in row_of_tag], dtype=np.int64)
-    rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
-    p_ML_true = transform(inverse(world.start), world.p_WT[rows])
-    p_ML = estimate.p_ML[known]
-    jointly = known[np.isin(known, estimate.local)]
-    entry = np.searchsorted(estimate.local, jointly)
-    entries = np.stack([2 * entry, 2 * entry + 1], axis=1).ravel()
-    covariance = estimate.covariance[np.ix_(entries, entries)]
-    of_joint = np.isin(known, jointly)
-    return figures | {
-        "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
-        "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),
-        "landmark_anees": metrics.anees(p_ML - p_ML_true, estimate.landmark_covariance[known]),
-        "landmark_nees": metrics.landmark_nees(p_ML[of_joint], p_ML_true[of_joint], covariance),
-    }
-
-
-def _consistency(departures: list[Departure], X_MD_true: FloatArray) -> dict[str, Any]:
-    X_MD = np.array([one.X_MD for one in departures]).reshape(-1, 3)
-    covariance = np.array([one.covariance for one in departures]).reshape(-1, 3, 3)
-    return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
-
-
-def _pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
-    position, heading = metrics.pose_errors(X_WB, X_WB_true)
-    return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
+def _landmarks_mapped(mission: Mission, estimate: MapEstimate | None) -> int | None:
+    """Landmarks in the map, None of a method that maps none."""
+    if mission.grid is not None:
+        return None
+    return len(estimate.ids) if estimate is not None else 0
 
 
 def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:
@@ -156,51 +131,6 @@ def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]
         "poses": 2 * len(mission.departures),  # arrival and departure
         "calibration": 1,  # the range scale
     }
-
-
-def _mapped_surfaces(world: World, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
-    """Segments (n, 4) in W of what a map takes for obstacle surfaces; of a grid, a side of every occupied cell."""
-    if tfg is not None:
-        p_MS = tfg.segments
-    elif grid is not None:
-        p_MS = cell_sides(grid, classify(grid) == OCCUPIED)
-    else:
-        p_MS = np.zeros((0, 4))
-    return transform(world.start, p_MS.reshape(-1, 2)).reshape(-1, 4)
-
-
-def _surfaces(scenario: Scenario, world: World, grid: Grid, cells: BoolArray, segments: FloatArray) -> dict[str, float]:
-    surface = reachable_surface(world, grid, cells, scenario.scan.range)
-    return {
-        "surface_coverage": metrics.surface_coverage(surface, segments),
-        "surface_phantom_m": metrics.surface_phantom(segments, world.walls),
-    }
-
-
-def _area(
-    scenario: Scenario,
-    world: World,
-    grid: Grid,
-    cells: BoolArray,
-    mission: Mission,
-    X_WD: FloatArray,
-    stamps: FloatArray,
-    X_WB: FloatArray,
-) -> dict[str, float]:
-    """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
-
-    Seen from the goals, where the robot turns, by a method that maps only there; by the scanner on the whole way by one
-    that maps all along.
-    """
-    scan = scenario.scan
-    thinned = np.zeros_like(cells)
-    thinned[::EVERY, ::EVERY] = cells[::EVERY, ::EVERY]
-    rows, share = scan_coverage(X_WB, grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
-    nearly = np.flatnonzero(share >= NEARLY_ALL)
-    coverage = float(share[-1]) if len(share) else math.nan
-    if mission.grid is None:
-        coverage = metrics.area_coverage(grid.centers(cells), world.walls, X_WD[:, :2], scan.range)
-    return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
 
 
 def _spread(values: list[float]) -> dict[str, float]:
@@ -220,18 +150,21 @@ def _title(summary: dict[str, Any]) -> str:
     def value(number: float | None, form: str) -> str:
         return "-" if number is None else form.format(number)
 
-    landmarks = (
-        ""
-        if summary["landmarks_mapped"] is None
-        else (
-            f"{summary['landmarks_mapped']} of {summary['landmarks_reachable']} landmarks,"
-            f" RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
-            f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned); "
+    parts = []
+    mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    if mapped is not None and reachable is not None:
+        parts.append(
+            f"{mapped} of {reachable} landmarks, RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
-    )
+    elif mapped is not None:
+        parts.append(f"{mapped} landmarks")
+    if summary["contacts"] is not None:
+        parts.append(
+            f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
+            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
+        )
     return (
         f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"
-        f" {summary['sim_time_s']:.0f} s, {summary['distance_m']:.0f} m, {summary['stages']} stages\n{landmarks}"
-        f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
-        f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
+        f" {summary['sim_time_s']:.0f} s, {summary['distance_m']:.0f} m, {summary['stages']} stages\n{'; '.join(parts)}"
     )

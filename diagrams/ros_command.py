@@ -5,11 +5,16 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
-from typing import Annotated
+import sys
+import threading
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tfg_drake.diagrams.command_line import bad_input
+
+if TYPE_CHECKING:
+    from tfg_drake.hardware.ros.emulated_turtlebot import EmulatedTurtlebot
 
 ros2_app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -24,7 +29,8 @@ def emulate(
     scenario: Annotated[str, typer.Argument(help="Where it stands: a shipped scenario or a YAML file.")] = "house",
     seed: Annotated[int | None, typer.Option(metavar="N", help="Of its noise [default: the scenario's].")] = None,
 ) -> None:
-    """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON.
+    """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON, as it does
+    for a line `report` on its standard input.
 
     Its preset is `emulated`: tags come as plain detections, because apriltag_msgs is not in every ROS.
     """
@@ -55,7 +61,14 @@ def emulate(
     with contextlib.suppress(KeyboardInterrupt):
         for topic in emulator.topics:
             print(f"{topic.name:<14}{topic.type}", flush=True)
+        threading.Thread(target=_report, args=(robot,), daemon=True).start()
         emulator.run(lambda: True)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     emulator.close()
     print(json.dumps(robot.truth()), flush=True)
+
+
+def _report(robot: EmulatedTurtlebot) -> None:
+    for line in sys.stdin or ():
+        if line.strip() == "report":
+            print(json.dumps(robot.truth()), flush=True)

@@ -1,7 +1,8 @@
-"""A whole mission: station, explorer and picture in one diagram, simulated to its end, and what is kept of it.
+"""A whole mission: station, explorer and picture in one diagram, run to its end, and what is kept of it.
 
 A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
-trajectory.tum and truth.tum (in W), figure.png, scenario.yaml (resolved) and log.txt.
+trajectory.tum (in W), truth.tum where the truth is known, ports.mcap (what the station's ports carried), figure.png,
+scenario.yaml (resolved) and log.txt.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from threadpoolctl import threadpool_limits
@@ -32,17 +33,21 @@ from tfg_drake.cpu_meter import cpu_totals
 from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.report import write_report
+from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.run_folder import logging_to, make_run_folder
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
-from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.diagrams.truth import Truth
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.port_recording import FILE_NAME, PortWriter
 from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
+from tfg_drake.systems.operator import Operator
+from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
@@ -65,8 +70,9 @@ STAGE_FIELDS = (
     "entropy_nats",
     "landmarks",
 )
-# Simulated time between two looks at the mission, s; a stage takes several times as long.
+# Time between two looks at the mission, s, simulated or real; a stage takes several times as long.
 STEP = 1.0
+REAL_STEP = 0.25
 
 _log = logging.getLogger("tfg_drake.run")
 
@@ -74,7 +80,7 @@ _log = logging.getLogger("tfg_drake.run")
 @dataclasses.dataclass(frozen=True)
 class Progress:
     """How far a mission has come: simulated and wall time (s), phase, goals visited, landmarks in the map, area seen
-    (m^2), error of the estimated position (m)."""
+    (m^2), error of the estimated position (m), nan where the truth is not known."""
 
     time: float
     wall_time: float
@@ -98,6 +104,7 @@ def explore(
     scenario: Scenario,
     *,
     method: Method = METHODS["tfg"],
+    robot: Robot = SIMULATED,
     name: str = "scenario",
     world_name: str | None = None,
     meshcat: Meshcat | None = None,
@@ -106,19 +113,22 @@ def explore(
     out_dir: Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     interrupted: threading.Event | None = None,
+    record: bool = True,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 
     Args:
         scenario: everything that defines the run, the seed included.
         method: what explores.
+        robot: what it drives.
         name: what the run is called in titles and the folder's name; world_name the world's, the same by default.
         meshcat: where to show it; None for no picture.
         realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
-        max_time: simulated s after which the outcome is time_limit.
+        max_time: simulated s after which the outcome is time_limit, as it is when the robot's station ends.
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
         on_progress: called about once a simulated second.
         interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
+        record: what the station's ports carry goes to ports.mcap, to be played again.
 
     The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
     the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
@@ -133,8 +143,11 @@ def explore(
         write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         title = name if method.name == "tfg" else f"{name}, {method.name}"
-        mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}")
-        with contextlib.nullcontext(interrupted) if interrupted is not None else _interrupts() as stop:
+        (folder / FILE_NAME).unlink(missing_ok=True)  # of an earlier run in this folder
+        with contextlib.ExitStack() as stack:
+            writer = stack.enter_context(PortWriter(folder / FILE_NAME, robot.name)) if record else None
+            stop = interrupted if interrupted is not None else stack.enter_context(_interrupts())
+            mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}", robot, writer)
             with (folder / "stages.jsonl").open("w", buffering=1) as stages_file:
                 mission.run(realtime_rate, max_time, stop, stages_file.write, on_progress)
             summary = write_report(mission, scenario, folder, name, world_name or name)
@@ -152,13 +165,28 @@ class Departure:
 
 
 class Mission:
-    """One simulated mission and what is observed of it from outside."""
+    """One mission and what is observed of it from outside.
 
-    def __init__(self, scenario: Scenario, method: Method, meshcat: Meshcat | None, title: str) -> None:
+    world: None where it is not known. X_WM: (3,) pose of the map frame in the world, zeros where that is not known.
+    truth: what only a simulation knows, None for any other robot and until the diagram is built.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        method: Method,
+        meshcat: Meshcat | None,
+        title: str,
+        robot: Robot = SIMULATED,
+        writer: PortWriter | None = None,
+    ) -> None:
+        """writer: where the station's ports are recorded; see `explore` for the others."""
         self._cpu_start, self._meters_start = time.process_time(), cpu_totals()
-        self.world: World = MakeWorld(scenario.world)
-        self.method = method
-        self._scenario, self._meshcat, self._title = scenario, meshcat, title
+        self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
+        self.X_WM: FloatArray = self.world.start if self.world is not None else np.zeros(3)
+        self.method, self.robot = method, robot
+        self.truth: Truth | None = None
+        self._scenario, self._meshcat, self._title, self._writer = scenario, meshcat, title, writer
         self._context: Context | None = None  # until the diagram is built
 
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
@@ -171,7 +199,6 @@ class Mission:
         self.outcome, self.reason = "", ""
         self.stage_cpu: dict[int, float] = {}
         self.wall_time = self.cpu_time = self.estimator_cpu = self.planner_cpu = 0.0
-        self.contacts, self.clearance = 0, math.inf
         self._choice: GoalChoice | None = None
         self._area = 0.0
 
@@ -187,20 +214,30 @@ class Mission:
         wall_start = time.monotonic()
         try:
             self._build()
-            self._simulator.set_target_realtime_rate(realtime_rate)
+            self._simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
             self._simulator.Initialize()
             self._observe(write, on_progress is not None)
+            terminated = False
             while not self._ended(interrupted, max_time):
-                boundary = STEP * (math.floor(self.time / STEP) + 1.0)
-                self._simulator.AdvanceTo(min(boundary, max_time))
+                step = REAL_STEP if self.robot.real else STEP
+                boundary = step * (math.floor(self.time / step) + 1.0)
+                status = self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
+                terminated = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
                 self._observe(write, on_progress is not None)
                 if on_progress is not None:
                     on_progress(self._progress(time.monotonic() - wall_start))
+            if not terminated:
+                # A mission that ends by itself does all that is due at its last instant; so that a recording of any
+                # gives the same once more, whatever ended it then and ends it now, so does every other.
+                self._simulator.AdvancePendingEvents()
+                self._observe(write, on_progress is not None)
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             self.outcome = "fault"
             first_line = next(iter(str(error).strip().splitlines()), "no message")
             self.reason = f"{type(error).__name__} at {self.time:.2f} s: {first_line}"
             _log.exception("the mission failed at %.3f s", self.time)
+        finally:
+            self.robot.close()
         self.wall_time = time.monotonic() - wall_start
         self.cpu_time = time.process_time() - self._cpu_start
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
@@ -215,14 +252,9 @@ class Mission:
         """When the mission ended or, if it has not, the simulated time, s."""
         return self.status.since if self.status.phase == "done" else self.time
 
-    def true_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, up to the end."""
-        if self._context is None:
-            return np.zeros(0), np.zeros((0, 3))
-        log = self._truth_log.FindLog(self._context)
-        stamps, data = log.sample_times(), log.data()
-        lived = stamps <= self.end_time
-        return stamps[lived], data[:3, lived].T
+    def true_poses(self) -> tuple[FloatArray, FloatArray] | None:
+        """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, to the end; None where not known."""
+        return self.truth.poses(self._context, self.end_time) if self.truth is not None else None
 
     def estimated_poses(self) -> tuple[FloatArray, FloatArray]:
         """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period, to the end."""
@@ -232,20 +264,27 @@ class Mission:
         stamps, first = np.unique(data[0], return_index=True)
         lived = stamps <= self.end_time
         stamps, X_MB = stamps[lived], data[1:, first[lived]].T
-        return stamps, compose(self.world.start, X_MB) if len(X_MB) else X_MB
+        return stamps, compose(self.X_WM, X_MB) if len(X_MB) else X_MB
 
     def final_map(self) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
         """The map as it is now, to be kept, its estimate and TFG; None before the first goal."""
         if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
-        return MapOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context), self.world.start)
+        return MapOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context), self.X_WM)
 
     def _build(self) -> None:
-        diagram, self._truth_log, self._pose_log = MakeMissionDiagram(
-            self._scenario, self.world, self._meshcat, self._title, self.method.MakeExplorer
+        diagram, truth_log, self._pose_log = MakeMissionDiagram(
+            self._scenario,
+            self.world,
+            self._meshcat,
+            self._title,
+            self.method.MakeExplorer,
+            self.robot,
+            self._writer,
         )
         self._simulator = Simulator(diagram)
-        self._station = diagram.GetSubsystemByName("station")
+        if truth_log is not None:
+            self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
         self._explorer = diagram.GetSubsystemByName("explorer")
         self._context = self._simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self._scenario.seed))
@@ -262,6 +301,8 @@ class Mission:
             self.outcome, self.reason = "interrupted", f"interrupted at {self.time:.0f} s"
         elif self.time >= max_time:
             self.outcome, self.reason = "time_limit", f"the time limit of {max_time:g} s was reached"
+        elif self.time >= self.robot.end_time:
+            self.outcome, self.reason = "time_limit", "the recording has ended"
         return bool(self.outcome)
 
     def _observe(self, write: Callable[[str], object], measure_area: bool) -> None:
@@ -289,8 +330,8 @@ class Mission:
             write(json.dumps(record) + "\n")
             _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
         self._choice = self._look("goal", GoalChoice)
-        self.contacts = int(self._station_output("truth.contacts")[0])
-        self.clearance = float(self._station_output("truth.clearance")[0])
+        if self.truth is not None:
+            self.truth.look(self._context)
         # A stage is planned within a moment of its map, long before the next: what was charged since the last look
         # belongs to the stage that the mission is in now.
         new = self._spent(STAGE) - sum(self.stage_cpu.values())
@@ -310,7 +351,7 @@ class Mission:
         before = self.map
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self._scenario.explorer.prior_sigma**2)
-        X_WA = compose(self.world.start, estimate.X_MA[-1])
+        X_WA = compose(self.X_WM, estimate.X_MA[-1])
         fields = (
             estimate.stage,
             [float(value) for value in X_WA],
@@ -327,9 +368,9 @@ class Mission:
 
     def _progress(self, wall_time: float) -> Progress:
         error = math.nan
-        if self.pose is not None:
-            X_WB = compose(self.world.start, pose_at(self.pose, self.time))
-            error = float(np.linalg.norm(X_WB[:2] - self._station_output("truth.pose")[:2]))
+        if self.pose is not None and self.truth is not None:
+            X_WB = compose(self.X_WM, pose_at(self.pose, self.time))
+            error = float(np.linalg.norm(X_WB[:2] - self.truth.position(self._context)))
         landmarks = len(self.map.ids) if self.map is not None else 0
         return Progress(self.time, wall_time, self.status.phase, self.status.stage, landmarks, self._area, error)
 
@@ -343,23 +384,24 @@ class Mission:
             raise TypeError(f"{system.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
         return value
 
-    def _station_output(self, port: str) -> FloatArray:
-        return np.asarray(self._station.GetOutputPort(port).Eval(self._station.GetMyContextFromRoot(self._context)))
-
 
 def MakeMissionDiagram(
     scenario: Scenario,
-    world: World,
+    world: World | None,
     meshcat: Meshcat | None,
     title: str,
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
-) -> tuple[Diagram, VectorLogSink, VectorLogSink]:
-    """Station and explorer connected by port name, with the picture if there is a meshcat.
+    robot: Robot = SIMULATED,
+    writer: PortWriter | None = None,
+) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
+    """Station and explorer connected by port name, with the picture if there is a meshcat, recorded if there is a
+    writer, and under an operator if the robot is real.
 
-    Returns the diagram and its logs of the true pose (x, y, theta, v, w in W) and of the estimated one (PoseVector).
+    Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
+    it, and of the estimated one (PoseVector).
     """
     builder = DiagramBuilder()
-    station = builder.AddNamedSystem("station", MakeTurtlebotStation(scenario))
+    station = builder.AddNamedSystem("station", robot.MakeStation(scenario))
     explorer = builder.AddNamedSystem("explorer", MakeExplorer(scenario))
 
     for output, name in (
@@ -367,16 +409,32 @@ def MakeMissionDiagram(
         ("base.hazards", "hazards"),
         ("tags.detections", "detections"),
         ("scan.ranges", "scan"),
+        ("base.enabled", "enable"),
     ):
         if explorer.HasInputPort(name):
             builder.Connect(station.GetOutputPort(output), explorer.GetInputPort(name))
     builder.Connect(explorer.GetOutputPort("velocity_commanded"), station.GetInputPort("base.velocity_commanded"))
 
+    if robot.real:
+        operator = builder.AddNamedSystem("operator", Operator(robot.operated))
+        builder.Connect(station.GetOutputPort("base.enabled"), operator.GetInputPort("enabled"))
+        builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
+        for name in ("pause", "stop"):
+            if explorer.HasInputPort(name):
+                builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
+
+    if robot.Announce is not None:
+        robot.Announce(builder, station, explorer)
+
     pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
     builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
     pose_log = LogVectorOutput(pose_vector.get_output_port(), builder, ODOMETRY_PERIOD)
-    truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
+    truth_log = None
+    if station.HasOutputPort("truth.pose"):
+        truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
 
+    if writer is not None:
+        PortRecorder.AddToBuilder(builder, station, explorer, writer)
     if meshcat is not None:
         TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius, title)
 

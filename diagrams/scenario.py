@@ -20,9 +20,11 @@ from tfg_drake.config import (
     GAINS,
     GOAL_RULES,
     RISKS,
+    ROBOTS,
     DisturbanceConfig,
     ExplorerConfig,
     GridConfig,
+    HardwareConfig,
     OdometryConfig,
     PlannerConfig,
     RobotConfig,
@@ -81,6 +83,8 @@ class Scenario:
     # Where a human operator would drive and look round, [x, y] in W, m: the method "scripted".
     drive: list[list[float]] = dataclasses.field(default_factory=list)
     grid: GridConfig = dataclasses.field(default_factory=GridConfig)
+    # Of a simulated robot it means nothing.
+    hardware: HardwareConfig = dataclasses.field(default_factory=HardwareConfig)
 
 
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
@@ -110,6 +114,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.frontier_attempts": (1.0, math.inf),
     "explorer.turn_rate": (0.0, math.inf),
     "planner.collision_probability": (0.0, 0.5),
+    "hardware.max_speed": (0.0, math.inf),
     "grid.resolution": (0.0, math.inf),
     "grid.particles": (1.0, math.inf),
     "grid.update_period": (0.0, math.inf),
@@ -117,7 +122,12 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "grid.update_angle": (0.0, math.inf),
 }
 # Texts that must be one of a few.
-_CHOICES: dict[str, tuple[str, ...]] = {"explorer.gain": GAINS, "explorer.goal": GOAL_RULES, "planner.risk": RISKS}
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "explorer.gain": GAINS,
+    "explorer.goal": GOAL_RULES,
+    "planner.risk": RISKS,
+    "hardware.robot": ROBOTS,
+}
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
 # Numbers that may have either sign.

@@ -6,7 +6,9 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
 from pydrake.systems.primitives import RandomSource
 
+from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.hardware.robot_devices import open_devices
 from tfg_drake.systems import odometry
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.laser_scanner import LaserScanner
@@ -18,31 +20,40 @@ from tfg_drake.systems.tag_sensor import TagSensor
 _ONCE = 2.0**30
 
 
-def MakeTurtlebotStation(scenario: Scenario) -> Diagram:
-    """The simulated station of a scenario.
+def MakeTurtlebotStation(scenario: Scenario, *, hardware: bool = False) -> Diagram:
+    """The station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
 
     .. pydrake_system::
 
         name: station
         input_ports:
         - base.velocity_commanded
+        - base.enable
         output_ports:
         - base.odometry
         - base.hazards
+        - base.enabled
         - tags.detections
         - scan.ranges
         - truth.pose
         - truth.contacts
         - truth.clearance
 
-    base.velocity_commanded: forward speed (m/s) and turn rate (rad/s); left unconnected, the base stands. The next four
-    are messages: Odometry, Hazards, TagDetections, LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed
-    (m/s), turn rate (rad/s). truth.contacts: contacts with walls so far. truth.clearance: least distance of the outline
-    to any wall so far, m.
+    base.velocity_commanded: forward speed (m/s) and turn rate (rad/s); left unconnected, the base stands. base.enable:
+    0: the base stands; another number enables it, once: it may stop by itself until there is yet another number. Left
+    unconnected, a simulated base is enabled and a real one is not. base.enabled: 1 while the base may move, else 0.
+    base.odometry, base.hazards, tags.detections and scan.ranges are messages: Odometry, Hazards, TagDetections,
+    LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
+    contacts with walls so far. truth.clearance: least distance of the outline to any wall so far, m. A real robot's
+    station has no truth, and its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
 
-    All noise comes from Drake's random sources: diagram.SetRandomContext(context, RandomGenerator(seed)) makes a run
-    reproducible; each seed gives another one.
+    All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
+    RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
+
+    Raises DeviceError where the robot cannot be used.
     """
+    if hardware:
+        return MakeHardwareStation(scenario, open_devices(scenario.hardware, scenario.robot))
     world, disturbances = MakeWorld(scenario.world), scenario.disturbances
     builder = DiagramBuilder()
 
@@ -66,8 +77,10 @@ def MakeTurtlebotStation(scenario: Scenario) -> Diagram:
     _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
+    builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
     builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
     builder.ExportOutput(plant.GetOutputPort("hazards"), "base.hazards")
+    builder.ExportOutput(safety_filter.GetOutputPort("enabled"), "base.enabled")
     builder.ExportOutput(tag_sensor.GetOutputPort("detections"), "tags.detections")
     builder.ExportOutput(scanner.GetOutputPort("ranges"), "scan.ranges")
 

@@ -1,7 +1,7 @@
 """Many missions, each in a process of its own: several methods on the same seeds, into one folder that can be resumed.
 
     DIR/sweep.json                       what is compared; another sweep's folder is refused
-    DIR/runs/<method>/seed-<n>/          a run's folder as `tfg-drake explore` leaves it
+    DIR/runs/<method>/seed-<n>/          a run's folder as `tfg-drake explore` leaves it, but for ports.mcap
     DIR/runs/<method>/seed-<n>/task.json its receipt, written last: without one that matches, the run is done again
 
 A mission is a process because Drake never frees a diagram of Python systems, and so that one that dies takes no other
@@ -99,6 +99,7 @@ def run_one(task: Task, folder: Path) -> dict[str, Any]:
         max_time=task.max_time,
         out_dir=folder,
         interrupted=threading.Event(),
+        record=False,  # A megabyte and a half a minute, and what one seed gives again.
     )
     write_receipt(task, folder)
     return result.summary

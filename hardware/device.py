@@ -20,10 +20,30 @@ import numpy as np
 
 from tfg_drake.hardware.announcements import Announcements
 from tfg_drake.hardware.watchdog import Limits
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message
 
-Message = Odometry | LaserScan | Hazards | TagDetections
-T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections)
+
+@message
+class BaseState:
+    """How a base is, where it says so: about every second, and whenever its buttons change.
+
+    stamp: s. battery: V. charging: by dock or adapter. buttons: bits of those that are pressed (Kobuki: B0 1, B1 2,
+    B2 4). firmware, hardware: versions such as "1.1.4". unique_id: in hexadecimal. bad_frames: beginnings of frames
+    that were garbled on the way, since the connection began.
+    """
+
+    stamp: float
+    battery: float
+    charging: bool
+    buttons: int
+    firmware: str
+    hardware: str
+    unique_id: str
+    bad_frames: int
+
+
+Message = Odometry | LaserScan | Hazards | TagDetections | BaseState
+T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections, BaseState)
 
 # How long to wait for the process to find its robot, and to answer, s.
 START_TIMEOUT = 60.0
@@ -48,10 +68,13 @@ class Driver(Protocol):
         """The messages since the last call, those of a kind in the order they arrived."""
 
     def fault(self) -> str | None:
-        """Why the robot must stop until it is enabled anew, once; None when all is well."""
+        """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""
+
+    def show(self, enabled: bool) -> None:
+        """Shows on the robot, if it can, whether it may move; said every tick."""
 
     def close(self) -> None:
         """Lets go of the robot."""
@@ -121,13 +144,25 @@ class Device:
         return taken
 
     @property
+    def process_id(self) -> int:
+        """Of the robot's process."""
+        return self._process.pid
+
+    @property
     def locked(self) -> str | None:
         """Why the robot may not move; None when it may."""
         return self._ended or self._locked
 
-    def command(self, speed: float, turn_rate: float) -> None:
-        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError."""
-        self._put(("command", time.monotonic(), float(speed), float(turn_rate)))
+    def command(self, speed: float, turn_rate: float, due: float | None = None) -> None:
+        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError.
+
+        due: when it was to be given, s, by default now: one that is late is not obeyed for longer.
+        """
+        self._put(("command", time.monotonic() if due is None else due, float(speed), float(turn_rate)))
+
+    def lock(self, reason: str) -> None:
+        """Stops the robot at once, until `enable`; raises DeviceError."""
+        self._put(("lock", reason))
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
         """Publishes a message, as tfg_drake.hardware.announcements.Publisher has it, where the driver is one."""

@@ -1,7 +1,7 @@
 """The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... ORDERS ANNOUNCEMENTS`.
 
 ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive the driver's configuration,
-("command", sent, speed, turn_rate), ("enable",) and ("close",).
+("command", sent, speed, turn_rate), ("enable",), ("lock", reason) and ("close",).
 What it says: ("ready", None), ("message", message), ("locked", reason or None), ("answer", reason or None) to an
 enable, and ("ended", line). When the other end is gone the robot stands and the process ends.
 What comes by the second is published, see announcements.py.
@@ -21,10 +21,12 @@ from typing import Any
 from tfg_drake.hardware.announcements import Publisher, announce
 from tfg_drake.hardware.device import WAITING, DeviceError, Driver
 from tfg_drake.hardware.watchdog import TICK, Watchdog
-from tfg_drake.messages import Odometry
+from tfg_drake.messages import Hazards, Odometry
 
 # The last word to the base is said this often, a tick apart: one may be lost.
 _LAST_ZEROS = 5
+# How long orders are taken up before the robot has its turn again, however many there are, s.
+_ORDERS_WITHIN = TICK
 
 
 class _Outbox:
@@ -65,18 +67,25 @@ def serve(driver: Driver, connection: Connection) -> None:
             for message in driver.take():
                 if isinstance(message, Odometry):
                     watchdog.hear(min(message.stamp, time.monotonic()))
+                elif isinstance(message, Hazards):
+                    watchdog.hear_hazards(message)
                 outbox.put("message", message)
             if fault := driver.fault():
                 watchdog.lock(fault)
-            while connection.poll():
+            end = time.monotonic() + _ORDERS_WITHIN
+            while connection.poll() and time.monotonic() < end:
                 order = connection.recv()
                 if order[0] == "close":
                     return
                 if order[0] == "enable":
                     watchdog.enable(time.monotonic())
+                    if fault:
+                        watchdog.lock(fault)
                     moved = True
                     told = watchdog.locked
                     outbox.put("answer", told)
+                elif order[0] == "lock":
+                    watchdog.lock(order[1])
                 else:
                     watchdog.command(*order[1:])
             velocity = watchdog.velocity(time.monotonic())
@@ -85,6 +94,7 @@ def serve(driver: Driver, connection: Connection) -> None:
             if watchdog.locked != told:
                 told = watchdog.locked
                 outbox.put("locked", told)
+            driver.show(told is None)
     except (EOFError, OSError):
         pass  # the other end is gone
     finally:
@@ -95,7 +105,8 @@ def serve(driver: Driver, connection: Connection) -> None:
 
 def main() -> None:
     """The process."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, lambda *_: sys.exit(0))
     connection = Connection(int(sys.argv[1]))
     try:
         driver = connection.recv().open()

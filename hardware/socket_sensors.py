@@ -153,6 +153,9 @@ class SocketDriver:
     def send(self, speed: float, turn_rate: float) -> None:
         """There is nothing to drive."""
 
+    def show(self, enabled: bool) -> None:
+        """A sensor has nothing to show."""
+
     def close(self) -> None:
         """Ends the connection."""
         if self._socket is not None:

@@ -8,12 +8,17 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from tfg_drake.messages import Hazards
+
 # Without a command younger than this the velocity is zero, s. With a tick and the way there the robot has it in 0.6 s.
 COMMAND_TIMEOUT = 0.5
 # Without odometry younger than this the velocity is zero until it is enabled anew, s.
 ODOMETRY_TIMEOUT = 0.5
 # The velocity is sent this often, s.
 TICK = 0.02
+# Reasons that say less than any other.
+_NOT_ENABLED = "not enabled yet"
+_NO_ODOMETRY = f"no odometry for more than {ODOMETRY_TIMEOUT} s"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,13 +32,18 @@ class Limits:
 
 
 class Watchdog:
-    """Holds the newest command and says what velocity to send; locked until enabled."""
+    """Holds the newest command and says what velocity to send; locked until enabled.
+
+    It stops at once, and goes on by itself, where there is no fresh command, or one that is not finite, or while a
+    wheel hangs. While the bumper is pressed or there is a cliff it turns and backs, but does not go forward.
+    """
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._locked: str | None = "not enabled yet"
+        self._locked: str | None = _NOT_ENABLED
         self._command, self._sent = (0.0, 0.0), -math.inf
         self._heard = -math.inf
+        self._hangs = self._blocked = False
         self._velocity, self._when = (0.0, 0.0), -math.inf
 
     @property
@@ -45,9 +55,14 @@ class Watchdog:
         """Odometry tells how the robot was at `when`."""
         self._heard = when
 
+    def hear_hazards(self, hazards: Hazards) -> None:
+        """The base's alarms, which hold until it says otherwise."""
+        self._hangs, self._blocked = bool(hazards.wheel_drop), bool(hazards.bumper or hazards.cliff)
+
     def lock(self, reason: str) -> None:
-        """Zero velocity from now on, until `enable`."""
-        self._locked = self._locked or reason
+        """Zero velocity from now on, until `enable`. The first reason counts that says more than "no odometry"."""
+        if self._locked in (None, _NOT_ENABLED, _NO_ODOMETRY):
+            self._locked = reason
 
     def enable(self, now: float) -> None:
         """Lets the next command through, unless odometry is stale; commands given before are forgotten."""
@@ -64,19 +79,18 @@ class Watchdog:
         """What to send, m/s and rad/s: within the limits of speed and acceleration, or zero at once."""
         self._check(now)
         dt, self._when = min(max(0.0, now - self._when), 2.0 * TICK), now
-        if self._locked is not None or not now - self._sent <= COMMAND_TIMEOUT:
+        if self._locked is not None or self._hangs or not now - self._sent <= COMMAND_TIMEOUT:
             self._velocity = (0.0, 0.0)
         else:
             (v, w), limits = self._velocity, self._limits
-            self._velocity = (
-                v + _bounded(_bounded(self._command[0], limits.speed) - v, limits.acceleration * dt),
-                w + _bounded(_bounded(self._command[1], limits.turn_rate) - w, limits.turn_acceleration * dt),
-            )
+            v += _bounded(_bounded(self._command[0], limits.speed) - v, limits.acceleration * dt)
+            w += _bounded(_bounded(self._command[1], limits.turn_rate) - w, limits.turn_acceleration * dt)
+            self._velocity = (min(v, 0.0) if self._blocked else v, w)
         return self._velocity
 
     def _check(self, now: float) -> None:
         if not now - self._heard <= ODOMETRY_TIMEOUT:
-            self.lock(f"no odometry for more than {ODOMETRY_TIMEOUT} s")
+            self._locked = self._locked or _NO_ODOMETRY
 
 
 def _bounded(value: float, bound: float) -> float:

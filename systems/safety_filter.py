@@ -24,11 +24,13 @@ class SafetyFilter(LeafSystem):
         - velocity_commanded
         - hazards
         - scan
+        - enable
         output_ports:
         - velocity
+        - enabled
 
     velocity_commanded, velocity: forward speed (m/s) and turn rate (rad/s). hazards: a Hazards message. scan: a
-    LaserScan message.
+    LaserScan message. enable, enabled: vectors of size 1; the base stands while it is 0, unconnected it is 1.
     """
 
     def __init__(self, robot: RobotConfig, safety: SafetyConfig):
@@ -37,19 +39,29 @@ class SafetyFilter(LeafSystem):
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._hazards = declare_message_input(self, "hazards")
         self._scan = declare_message_input(self, "scan")
-        self.DeclareDiscreteState(np.zeros(STATE_SIZE))
+        self._enable = self.DeclareVectorInputPort("enable", 1)
+        # The filter's own state, and whether the base may move.
+        self.DeclareDiscreteState(np.append(np.zeros(STATE_SIZE), 1.0))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
         self.DeclareVectorOutputPort("velocity", 2, self._CalcVelocity, {self.xd_ticket()})
+        self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, {self.xd_ticket()})
 
     @metered_in_detail("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
+        enabled = not self._enable.HasValue(context) or self._enable.Eval(context)[0] != 0.0
+        if not enabled:
+            update.set_value(np.zeros(STATE_SIZE + 1))
+            return
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
         scan = eval_message(self._scan, context, LaserScan)
-        state = context.get_discrete_state_vector().value()
-        update.set_value(
-            filter_command(state, context.get_time(), command, hazards, scan, self._robot, self._safety, PERIOD)
-        )
+        state = context.get_discrete_state_vector().value()[:STATE_SIZE]
+        now = context.get_time()
+        after = filter_command(state, now, command, hazards, scan, self._robot, self._safety, PERIOD)
+        update.set_value(np.append(after, 1.0))
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state_vector().value()[:2])
+
+    def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, context.get_discrete_state_vector().value()[STATE_SIZE])

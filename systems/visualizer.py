@@ -132,7 +132,7 @@ class TfgVisualizer(LeafSystem):
         """
         Args:
             meshcat: where to draw; only what lies under /tfg is touched, and the camera.
-            world: the true walls, None for a real robot.
+            world: the true walls, None where they are not known.
             X_WM: (3,) pose of the map frame in the world, m and rad.
             radius: of the robot, m.
             title: the first words of the caption.
@@ -142,6 +142,7 @@ class TfgVisualizer(LeafSystem):
         self._X_WM = np.array(X_WM, dtype=float)
         self._radius = radius
         self._title = title
+        self._world_known = world is not None
         self._inputs = {name: declare_message_input(self, name) for name in (*_SLOW_INPUTS, "pose", "mission", "scan")}
         self._truth = self.DeclareVectorInputPort("truth", 5).get_index()
         self._drawn = self.DeclareAbstractState(AbstractValue.Make(object()))
@@ -165,24 +166,30 @@ class TfgVisualizer(LeafSystem):
         station: System,
         explorer: System,
         meshcat: Meshcat,
-        world: World,
+        world: World | None,
         radius: float,
         title: str = "mission",
     ) -> TfgVisualizer:
-        """Adds a visualizer of a simulated mission, connected to its station and explorer by port name."""
-        visualizer = TfgVisualizer(meshcat, world, world.start, radius, title)
+        """Adds a visualizer of a mission, connected to its station and explorer by port name; see __init__.
+
+        Where the world is not known, the map frame stands for it.
+        """
+        X_WM = world.start if world is not None else np.zeros(3)
+        visualizer = TfgVisualizer(meshcat, world, X_WM, radius, title)
         builder.AddNamedSystem("visualizer", visualizer)
         for name in (*_SLOW_INPUTS, "pose", "mission"):
             if not explorer.HasOutputPort(name):
                 continue
             builder.Connect(explorer.GetOutputPort(name), visualizer.GetInputPort(name))
         builder.Connect(station.GetOutputPort("scan.ranges"), visualizer.GetInputPort("scan"))
-        builder.Connect(station.GetOutputPort("truth.pose"), visualizer.GetInputPort("truth"))
+        if station.HasOutputPort("truth.pose"):
+            builder.Connect(station.GetOutputPort("truth.pose"), visualizer.GetInputPort("truth"))
         return visualizer
 
     # Events
 
     def _DrawEverything(self, context: Context) -> EventStatus:
+        self._meshcat.SetProperty("/tfg/truth", "visible", self._Truth(context) is not None)
         self._DrawSlow(context, drawn=None)
         self._DrawFast(context)
         self._DrawCaption(context)
@@ -303,7 +310,8 @@ class TfgVisualizer(LeafSystem):
             X_MB = pose_at(pose, context.get_time())
             error = np.linalg.norm(transform(self._X_WM, X_MB[:2]) - truth[:2])
             figures.append(("error", f"{100.0 * error:.1f} cm"))
-        legend = GRID_LEGEND if self._inputs["grid"].HasValue(context) else LEGEND
+        entries = GRID_LEGEND if self._inputs["grid"].HasValue(context) else LEGEND
+        legend = [entry for entry in entries if self._world_known or entry[1] != WALL]
         document = caption_gltf(render_caption(title, figures, legend), self._view[2] - self._view[0])
         file = MemoryFile(document.encode(), ".gltf", "caption")
         self._meshcat.SetObject("/tfg/caption", Mesh(mesh_data=InMemoryMesh(mesh_file=file)))

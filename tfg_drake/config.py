@@ -13,6 +13,8 @@ GAINS = ("exact", "limit", "paper", "authors")
 # The rules by which the next goal is picked, by name: most gain per expected time, most gain (the paper's), the first
 # of a short tour, the frontier reached soonest, any place within reach.
 GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier", "random")
+# The real robots, by what their base speaks.
+ROBOTS = ("kobuki", "ros2", "rosbridge")
 # What a planned path's collision probability is bounded of.
 RISKS = ("point", "path")
 
@@ -106,6 +108,26 @@ class SafetyConfig:
     reflex_turn_rate: float = 0.4
     # The corridor kept free ahead is this much wider than the base on either side, m.
     side_margin: float = 0.03
+
+
+@dataclasses.dataclass
+class HardwareConfig:
+    """The real robot, where the station is one."""
+
+    # How the base is reached, one of ROBOTS.
+    robot: str = "kobuki"
+    # Speed limit of a real robot, m/s, if no other is lower.
+    max_speed: float = 0.3
+    # kobuki: the serial port.
+    port: str = "/dev/kobuki"
+    # ros2, rosbridge: a shipped preset or a YAML file that says what the robot's topics are.
+    preset: str = "turtlebot4"
+    # rosbridge: HOST:PORT of the server.
+    bridge: str = "localhost:9090"
+    # Where tags and scans come from: ros2:TOPIC, rosbridge:TOPIC, socket:HOST:PORT, or empty for the topics of the
+    # preset; a kobuki has none of its own.
+    tags: str = ""
+    scan: str = ""
 
 
 @dataclasses.dataclass

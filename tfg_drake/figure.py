@@ -29,7 +29,7 @@ _POINTS_PER_INCH = 72.0
 def draw_run(
     path: Path,
     title: str,
-    world: World,
+    world: World | None,
     estimate: MapEstimate | None,
     tfg: TfgMap | None,
     grid: GridMap | None,
@@ -42,40 +42,53 @@ def draw_run(
     Args:
         path: the file.
         title: stands above the figure; one or two lines.
-        world: walls, tags and start, in W.
+        world: walls, tags and start, in W; None where it is not known.
         estimate, tfg, grid: the map in M, whose pose X_WM is the start; None where there is none (yet).
         X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
         reachable: (t,) of the world's tags: only these count as missed when they are not in the map.
 
+    Of a world that is not known the map frame takes the place, and the map says how large it is.
+
     Raises:
         OSError: the file cannot be written.
     """
-    points = np.vstack([world.walls.reshape(-1, 2), X_WB_true[:, :2], world.start[None, :2]])
+    X_WM = world.start if world is not None else np.zeros(3)
+    shown = [X_WB_true[:, :2], X_WM[None, :2]]
+    if world is not None:
+        shown.append(world.walls.reshape(-1, 2))
+    else:
+        shown.append(X_WB_estimated[:, :2])
+        shown += [tfg.segments.reshape(-1, 2), tfg.star_vertices] if tfg is not None else []
+        shown += [_corners(grid)] if grid is not None else []
+    points = np.vstack(shown)
     (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
     figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
 
-    lines = LineCollection(list(world.walls.reshape(-1, 2, 2)), colors=_WALL, linewidths=3.0, label="true wall")
-    axes.add_collection(lines)
+    if world is not None:
+        lines = LineCollection(list(world.walls.reshape(-1, 2, 2)), colors=_WALL, linewidths=3.0, label="true wall")
+        axes.add_collection(lines)
     if grid is not None:
-        draw_grid(axes, world.start, grid)
+        draw_grid(axes, X_WM, grid)
     mapped = np.zeros(0, dtype=np.int64)
     if tfg is not None:
-        draw_surfaces(axes, world.start, tfg)
+        draw_surfaces(axes, X_WM, tfg)
     if len(X_WB_true):
         axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.8, label="true path")
     if len(X_WB_estimated):
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
     if estimate is not None:
         mapped = estimate.ids
-        draw_landmarks(axes, world.start, estimate.p_ML, estimate.landmark_covariance, symbol)
-        _draw_goals(axes, world.start, estimate.X_MA)
-    missed = reachable & ~np.isin(world.tag_ids, mapped)
-    if grid is None and missed.any():
-        label = "landmark missed"
-        axes.plot(*world.p_WT[missed].T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
-    axes.plot(*world.start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
-    if len(X_WB_true):
-        axes.plot(*X_WB_true[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
+        draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, symbol)
+        _draw_goals(axes, X_WM, estimate.X_MA)
+    if world is not None and grid is None:
+        missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
+        if len(missed):
+            label = "landmark missed"
+            axes.plot(*missed.T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
+    axes.plot(*X_WM[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
+    way = X_WB_true if len(X_WB_true) else X_WB_estimated
+    if len(way):
+        axes.plot(*way[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
     _write(figure, path)
 
 
@@ -130,6 +143,12 @@ def _write(figure: Figure, path: Path) -> None:
     else:
         figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
     write_atomic(path, buffer.getvalue())
+
+
+def _corners(grid: GridMap) -> FloatArray:
+    """Two opposite corners (2, 2) of what a grid covers, in M, m."""
+    rows, columns = grid.probability.shape
+    return np.stack([grid.origin, grid.origin + grid.resolution * np.array([columns, rows])])
 
 
 def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:

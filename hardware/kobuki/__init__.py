@@ -1,1 +1,1 @@
-"""The Kobuki base: its serial protocol, its odometry, a driver in a process of its own, and an emulator."""
+"""The Kobuki base: its serial protocol, its odometry, its driver, and an emulator."""

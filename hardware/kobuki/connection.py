@@ -1,4 +1,4 @@
-"""One open port to a base: what was heard there, and how to say something."""
+"""One open port to a base: what was heard there, what is wrong with it, and how to say something."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import os
 from typing import TYPE_CHECKING
 
+from tfg_drake.hardware.device import BaseState, Message
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
@@ -13,33 +14,55 @@ from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
 if TYPE_CHECKING:
     import serial
 
+# A base that has not been heard for so long is no longer connected, and has so long to say its versions, s.
+LOST_AFTER, VERSION_WITHIN = 1.0, 2.0
+# Between two messages of the base's state that tell nothing new but battery and garbled frames, s.
+_STATE_EVERY = 1.0
+# The major number of the firmware whose protocol this is.
+_MAJOR = "1"
+
 
 class Connection:
     """What the base has said since the port was opened.
 
-    opened, heard: when it was, and when a frame came last, s. said_anything: bytes came, frames or not. core: the
-    newest frame's, None before the first. reckoning: dead reckoning, going on from an earlier connection's. firmware,
-    hardware, unique_id: as in tfg_drake.hardware.kobuki.link.Report.
+    core: the newest frame's, None before the first. reckoning: dead reckoning, going on from an earlier connection's.
+    firmware, hardware, unique_id: as in tfg_drake.hardware.device.BaseState.
     """
 
     def __init__(self, port: serial.Serial, now: float, before: odometry.Reckoning | None) -> None:
         """before: dead reckoning up to the end of the connection before, if there was one."""
         self._port, self._deframer = port, Deframer()
-        self.opened = self.heard = now
-        self.said_anything = False
+        self._opened = self._heard = now
+        self._said_anything = False
+        self._messages: list[Message] = []
+        self._state: BaseState | None = None
         self.core: p.CoreSensors | None = None
         self.reckoning = before
         self.firmware = self.hardware = self.unique_id = ""
-
-    @property
-    def bad_frames(self) -> int:
-        """Beginnings of frames that were garbled."""
-        return self._deframer.bad
 
     def fileno(self) -> int:
         """The port's file descriptor, ready when there is something to read."""
         descriptor: int = self._port.fileno()
         return descriptor
+
+    @property
+    def ready(self) -> bool:
+        """Whether this is a base that can be driven."""
+        return self.core is not None and self.firmware.split(".")[0] == _MAJOR
+
+    def trouble(self, now: float) -> str | None:
+        """Why this connection is none (any longer), and what to do about it; None as long as nothing is wrong."""
+        if now - self._heard > LOST_AFTER:
+            if self.core is not None:
+                return "the base fell silent; switch it on and check the cable"
+            if self._said_anything:
+                return "what answers there is no Kobuki at 115200 baud; name the base's port"
+            return "no answer at 115200 baud; switch the base on, or name its port"
+        if not self.firmware and now - self._opened > VERSION_WITHIN:
+            return "the base does not say its firmware's version; switch it off and on again"
+        if self.firmware and self.firmware.split(".")[0] != _MAJOR:
+            return f"firmware {self.firmware} is not supported; flash the base with a version {_MAJOR}.x"
+        return None
 
     def read(self, now: float) -> bool:
         """Takes in what has come by now, s; False where the port is gone, which a ready port without bytes is."""
@@ -49,7 +72,7 @@ class Connection:
             return True
         except OSError:
             return False
-        self.said_anything |= bool(data)
+        self._said_anything |= bool(data)
         for payload in self._deframer.feed(data):
             self._take(decode(payload, FEEDBACK), now)
         return bool(data)
@@ -71,11 +94,39 @@ class Connection:
                     self.unique_id = f"{part.a:08x}{part.b:08x}{part.c:08x}"
         if core is None or inertia is None:
             return
-        if self.core is None or self.reckoning is None:
-            self.reckoning = odometry.first(core, inertia, now, self.reckoning)
+        before = self.reckoning
+        if self.core is None or before is None:
+            self.reckoning = odometry.first(core, inertia, now, before)
         else:
-            self.reckoning = odometry.advanced(self.reckoning, core, inertia, now)
-        self.core, self.heard = core, now
+            self.reckoning = odometry.advanced(before, core, inertia, now)
+        self.core, self._heard = core, now
+        # A frame that changed nothing is not odometry: the watchdog would take it for a sign of life.
+        if before is None or self.reckoning.stamp > before.stamp:
+            self._messages.append(odometry.odometry_message(self.reckoning))
+        self._messages.append(odometry.hazards_message(core, self.reckoning.stamp))
+        if self.firmware:
+            self._say_state(core, self.reckoning.stamp)
+
+    def _say_state(self, core: p.CoreSensors, stamp: float) -> None:
+        state = BaseState(
+            stamp=stamp,
+            battery=round(0.1 * core.battery, 1),
+            charging=core.charger != 0,
+            buttons=core.buttons & 7,
+            firmware=self.firmware,
+            hardware=self.hardware,
+            unique_id=self.unique_id,
+            bad_frames=self._deframer.bad,
+        )
+        before = self._state
+        if before is None or _lasting(state) != _lasting(before) or stamp - before.stamp >= _STATE_EVERY:
+            self._messages.append(state)
+            self._state = state
+
+    def take(self) -> list[Message]:
+        """The messages since the last call."""
+        taken, self._messages = self._messages, []
+        return taken
 
     def say(self, *parts: p.SubPayload) -> None:
         """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""
@@ -86,3 +137,8 @@ class Connection:
         """Closes the port."""
         with contextlib.suppress(OSError):
             self._port.close()
+
+
+def _lasting(state: BaseState) -> tuple[object, ...]:
+    """What of a state is told as soon as it changes."""
+    return state.buttons, state.charging, state.firmware, state.hardware, state.unique_id

@@ -1,123 +1,152 @@
-"""The Kobuki, as the rest of the program sees it: a handle on the process that talks to the base."""
+"""The Kobuki on its serial port, as a robot's process drives it; see tfg_drake.hardware.device."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import socket
-import subprocess
-import sys
+import select
 import time
-from types import TracebackType
 
-from tfg_drake.hardware.kobuki.link import (
-    KobukiError,
-    Report,
-    Request,
-    decode_report,
-    encode_request,
-)
-from tfg_drake.hardware.watchdog import Limits
+from tfg_drake.hardware.device import Device, DeviceError, Message
+from tfg_drake.hardware.kobuki import odometry
+from tfg_drake.hardware.kobuki import payloads as p
+from tfg_drake.hardware.kobuki.connection import Connection
+from tfg_drake.hardware.kobuki.guardian import Guardian
+from tfg_drake.hardware.kobuki.serial_port import open_port
+from tfg_drake.hardware.watchdog import TICK, Limits
 
-# How long the process may take to end before it is killed, s.
-_END_WITHIN = 2.0
+# Between two attempts to connect: at first, twice as long each time, at most; s.
+FIRST_RETRY, LAST_RETRY = 0.5, 5.0
+# Between two requests of the versions, s.
+_ASK_EVERY = 0.2
+_VERSIONS = p.RequestExtra(0x0B)
+# Every power rail on, and the first LED: orange (red and green) while it may not move, green while it may.
+_POWER, _ORANGE, _GREEN = 0x00F0, 0x0300, 0x0200
+_TUNE_ON, _TUNE_OFF = p.SoundSequence(0), p.SoundSequence(1)
+_STOP = p.BaseControl(0, 0)
+
+
+def connect(port: str = "/dev/kobuki", limits: Limits | None = None) -> Device:
+    """The base on a serial port, driven within limits; raises DeviceError."""
+    return Device(KobukiConfig(port, limits or Limits()))
+
+
+@dataclasses.dataclass(frozen=True)
+class KobukiConfig:
+    """What the robot's process is told. port: path of the serial port."""
+
+    port: str
+    limits: Limits
+
+    def open(self) -> KobukiDriver:
+        """The driver; raises DeviceError."""
+        return KobukiDriver(self.port, self.limits)
 
 
 class KobukiDriver:
-    """Drives the base within limits, from the constructor until close() or the end of `with`.
+    """Holds the port open, and opens it again where the connection is lost; see tfg_drake.hardware.device.Driver.
 
-    The base stands until enable(), again after every reconnection, and as soon as the last command() is 0.6 s old.
-    A watchdog in a process of its own sees to that, and that a base stops whose program hangs or dies; see
-    tfg_drake.hardware.kobuki.watchdog for all that stops it. Not for several threads at once.
+    Odometry goes on where it was after a loss. The base obeys its last command for ever, so a guardian stops it where
+    this process is killed.
     """
 
-    def __init__(self, port: str = "/dev/kobuki", limits: Limits | None = None) -> None:
-        """port: path of the serial port. The process starts at once, and connects as soon as it can."""
-        self._report = Report()
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.setblocking(False)
-        arguments = [port, json.dumps(dataclasses.asdict(limits or Limits())), str(theirs.fileno())]
-        # A session of its own: Ctrl-C in the terminal is the parent's affair.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tfg_drake.hardware.kobuki.driver_process", *arguments],
-            stdin=subprocess.DEVNULL,
-            pass_fds=[theirs.fileno()],
-            start_new_session=True,
-        )
-        theirs.close()
+    def __init__(self, path: str, limits: Limits) -> None:
+        """Waits until the base answers; raises DeviceError. path: of the serial port."""
+        self.limits = limits
+        self._path = path
+        self._connection: Connection | None = None
+        # None as long as it is not certain that a base is connected.
+        self._guardian: Guardian | None = None
+        self._reckoning: odometry.Reckoning | None = None
+        # Why no base is connected; "" when one is, or it is not known yet.
+        self._trouble = ""
+        self._lights = _ORANGE
+        # When the versions were asked for last, when to connect again and after what delay after that, s.
+        self._asked, self._retry_at, self._retry_after = 0.0, 0.0, FIRST_RETRY
+        while self._guardian is None:
+            self.spin(TICK)
+            if self._trouble:
+                self.close()
+                raise DeviceError(self._trouble)
 
-    @property
-    def process_id(self) -> int:
-        """Of the driver's process."""
-        return self._process.pid
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s."""
+        end = time.monotonic() + duration
+        while (now := time.monotonic()) < end:
+            if self._connection is None:
+                time.sleep(end - now)
+            elif select.select([self._connection], [], [], end - now)[0] and not self._connection.read(
+                time.monotonic()
+            ):
+                self._lose("the connection broke; put the cable back and switch the base on")
+        self._tend(time.monotonic())
 
-    def report(self) -> Report:
-        """The newest report; never waits. Raises KobukiError where the process has ended.
+    def _tend(self, now: float) -> None:
+        """Connects, and sees whether the connection is one."""
+        if self._connection is None:
+            if now >= self._retry_at:
+                self._connect(now)
+        elif trouble := self._connection.trouble(now):
+            self._lose(trouble)
+        elif self._guardian is None and self._connection.ready:
+            self._begin(self._connection)
+        elif self._guardian is None and self._connection.core is not None and now - self._asked > _ASK_EVERY:
+            # Before its first frame nothing is said: who knows what is there.
+            self._asked = now
+            self._connection.say(_VERSIONS)
 
-        Whoever has not asked for seconds may get one that is as old, once: go by its stamps.
-        """
-        newest = b""
+    def _connect(self, now: float) -> None:
         try:
-            while datagram := self._socket.recv(65536):
-                newest = datagram
-        except BlockingIOError:
-            if newest:
-                self._report = decode_report(newest)
-            return self._report
-        except OSError:
-            pass
-        raise _ended()
+            self._connection = Connection(open_port(self._path), now, self._reckoning)
+        except DeviceError as error:
+            self._retry(str(error))
 
-    def wait_connected(self, timeout: float = 5.0) -> Report:
-        """The first report of a connected base.
+    def _begin(self, connection: Connection) -> None:
+        self._guardian = Guardian(connection.fileno())
+        self._trouble, self._retry_after = "", FIRST_RETRY
+        connection.say(_STOP, _TUNE_ON, p.GeneralOutput(_POWER | self._lights))
 
-        Raises KobukiError as soon as it is known why it cannot be, or where it is not within timeout, s.
-        """
-        end = time.monotonic() + timeout
-        while (report := self.report()).state == "disconnected":
-            if report.detail:
-                raise KobukiError(report.detail)
-            if time.monotonic() > end:
-                raise KobukiError(f"the base has not answered within {timeout:g} s; switch it off and on again")
-            time.sleep(0.01)
-        return report
+    def _lose(self, why: str) -> None:
+        self._disconnect(_STOP)
+        self._retry(f"{self._path}: {why}")
 
-    def enable(self) -> None:
-        """Lets commands from now on move the base, until it is disconnected. Raises KobukiError where it is."""
-        report = self.report()
-        if report.state == "disconnected":
-            raise KobukiError(report.detail or "the base is not connected yet; wait for it")
-        self._send(Request(time.monotonic(), enable=report.connection))
+    def _retry(self, trouble: str) -> None:
+        """Later is soon enough to try again."""
+        self._trouble = trouble
+        self._retry_at, self._retry_after = time.monotonic() + self._retry_after, min(LAST_RETRY, 2 * self._retry_after)
 
-    def command(self, speed: float, turn_rate: float) -> None:
-        """The velocity to drive at for the next 0.6 s: forward speed, m/s, and turn rate, rad/s."""
-        self._send(Request(time.monotonic(), speed=speed, turn_rate=turn_rate))
+    def _disconnect(self, *last: p.SubPayload) -> None:
+        if self._connection is None:
+            return
+        if self._guardian is not None:
+            self._connection.say(*last)
+            self._guardian.close()
+        self._reckoning = self._connection.reckoning
+        self._connection.close()
+        self._connection = self._guardian = None
 
-    def _send(self, request: Request) -> None:
-        try:
-            self._socket.send(encode_request(request))
-        except BlockingIOError:
-            pass  # It has not taken up what came before: nothing newer would help.
-        except OSError:
-            raise _ended() from None
+    def take(self) -> list[Message]:
+        """The messages since the last call."""
+        return [] if self._connection is None or self._guardian is None else self._connection.take()
+
+    def fault(self) -> str | None:
+        """Why there is no base, as long as there is none."""
+        return self._trouble or None
+
+    def send(self, speed: float, turn_rate: float) -> None:
+        """Sends a velocity, m/s and rad/s, to the base."""
+        if self._connection is None or self._guardian is None:
+            return
+        self._connection.say(odometry.base_control(speed, turn_rate))
+        if not self._guardian.alive():
+            self._lose("the process that would stop the base in an emergency has ended; enable the base again")
+
+    def show(self, enabled: bool) -> None:
+        """The first LED: green while the base may move, orange while it may not."""
+        lights = _GREEN if enabled else _ORANGE
+        if lights != self._lights and self._connection is not None and self._guardian is not None:
+            self._connection.say(p.GeneralOutput(_POWER | lights))
+        self._lights = lights
 
     def close(self) -> None:
-        """Stops the base and ends the process."""
-        self._socket.close()
-        try:
-            self._process.wait(_END_WITHIN)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
-    def __enter__(self) -> KobukiDriver:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-def _ended() -> KobukiError:
-    return KobukiError("the Kobuki driver's process has ended; what it said last is on standard error")
+        """Stops the base, says good-bye and closes the port."""
+        self._disconnect(_STOP, _TUNE_OFF, p.GeneralOutput(_POWER))

@@ -25,9 +25,10 @@ _RAW_GYRO_UNIT = math.radians(0.00875)
 class EmulatedBase:
     """The base among walls. It obeys its last command for ever: the firmware stops neither by itself nor at a bumper.
 
-    state: of tfg_drake.simulation.differential_drive, the truth. outputs: the newest GeneralOutput's bits. sounds:
-    numbers of the tunes it was told to play. wheel_drop, cliff: bits of CoreSensors, to be set from outside. firmware:
-    the version that it says, (major, minor, patch).
+    state: of tfg_drake.simulation.differential_drive, the truth. distance: how far it has gone so far, m. outputs: the
+    newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop, cliff, buttons:
+    bits of CoreSensors, to be set from outside; walls press the bumper besides. firmware: the version that it says,
+    (major, minor, patch).
     """
 
     def __init__(self, walls: FloatArray, start: FloatArray, robot: RobotConfig) -> None:
@@ -39,7 +40,8 @@ class EmulatedBase:
         self.state = drive.initial_state(start, walls, self._robot)
         self.outputs = 0
         self.sounds: list[int] = []
-        self.wheel_drop = self.cliff = 0
+        self.bumper = self.wheel_drop = self.cliff = self.buttons = 0
+        self.distance = 0.0
         self.firmware = (1, 1, 4)
         self._command = (0.0, 0.0)
         # What the left and the right wheel have gone, m, what the gyro has turned, rad, and frames so far.
@@ -81,11 +83,13 @@ class EmulatedBase:
 
     def step(self) -> None:
         """Moves on by one PERIOD."""
+        before = self.pose
         self.state = drive.step(self.state, np.array(self._command), self._walls, self._robot, PERIOD)
         speed, turn_rate = float(self.state[drive.SPEED]), float(self.state[drive.TURN_RATE])
         self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
         self._wheels[1] += PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
         self._turned += PERIOD * turn_rate
+        self.distance += math.hypot(*(self.pose - before)[:2])
 
     def feedback(self) -> list[p.SubPayload]:
         """What it says now: what it streams by itself, then the answers to what it was asked."""
@@ -98,14 +102,14 @@ class EmulatedBase:
         return [
             p.CoreSensors(
                 stamp=round(1000.0 * self.time) % 65536,
-                bumper=int(self.state[drive.BUMPER]),
+                bumper=int(self.state[drive.BUMPER]) | self.bumper,
                 wheel_drop=self.wheel_drop,
                 cliff=self.cliff,
                 left_encoder=left,
                 right_encoder=right,
                 left_pwm=0,
                 right_pwm=0,
-                buttons=0,
+                buttons=self.buttons,
                 charger=0,
                 battery=_BATTERY,
                 overcurrent=0,

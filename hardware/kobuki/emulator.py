@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import collections
-import contextlib
-import os
 import random
+import tempfile
 import threading
 import time
-import tty
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -17,7 +16,9 @@ from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.hardware.kobuki.codec import COMMANDS, Deframer, decode, encode
 from tfg_drake.hardware.kobuki.emulated_base import PERIOD, EmulatedBase
 from tfg_drake.hardware.kobuki.payloads import BaseControl
+from tfg_drake.hardware.kobuki.pseudo_terminal import PseudoTerminal
 from tfg_drake.hardware.kobuki.sensor_socket import SensorSocket, sensor_line
+from tfg_drake.simulation.differential_drive import CONTACTS
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
 from tfg_drake.world.world import World
@@ -34,10 +35,10 @@ def empty_plane() -> World:
 class Emulator:
     """The base behind a pseudo-terminal, from `with` or start() until close().
 
-    device: the path that a driver opens. sensors: address (host, port) of the socket with tags and scans. base: the
-    base itself, with the truth. commands: what a driver told the wheels, newest last: (time, BaseControl), the time
-    when it was read, s of time.monotonic(). corrupt: share of frames that leave with a byte changed. silent: it says
-    nothing, but obeys.
+    device: the path that a driver opens; it is there while the cable is plugged in, as udev's are. sensors: address
+    (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands: what a driver told
+    the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic(). corrupt: share of
+    frames that leave with a byte changed. silent: it says nothing, but obeys.
 
     Stamps of tags and scans are s of time.monotonic(), too. There are no stamps of frames but the base's own.
     """
@@ -59,16 +60,15 @@ class Emulator:
         self.commands: collections.deque[tuple[float, BaseControl]] = collections.deque(maxlen=_REMEMBERED)
         self.corrupt = 0.0
         self.silent = False
-        # Both ends raw, or the line discipline would eat bytes; the slave stays open, or the master would see the
-        # driver's absence as an error; nothing blocks, or the base would stand still while nobody reads.
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._master)
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.device = os.ttyname(self._slave)
+        self._folder = tempfile.TemporaryDirectory(prefix="kobuki-")
+        self.device = str(Path(self._folder.name) / "kobuki")
+        self._line: PseudoTerminal | None = None
+        # Held while the base is looked at or moves.
+        self._lock = threading.Lock()
+        self._begin = 0.0
         self._socket = SensorSocket()
         self.sensors = self._socket.address
-        self._deframer = Deframer()
+        self.plug()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="kobuki-emulator", daemon=True)
 
@@ -76,15 +76,39 @@ class Emulator:
         """Switches the base on. All kernels are compiled before time begins to count."""
         self.base.step()
         self._sense(time.monotonic(), -1.0)
+        self._begin = time.monotonic() - self.base.time
         self._thread.start()
+
+    def plug(self) -> None:
+        """Puts the cable in, where it is out."""
+        with self._lock:
+            if self._line is None:
+                self._line, self._deframer = PseudoTerminal(Path(self.device)), Deframer()
+
+    def unplug(self) -> None:
+        """Pulls the cable; the base goes on with what it was told last."""
+        with self._lock:
+            if self._line is not None:
+                self._line.close()
+            self._line = None
+
+    def report(self) -> dict[str, object]:
+        """The truth: stamp (s of time.monotonic()), pose X_WB (m, rad), contacts so far, distance gone so far (m)."""
+        with self._lock:
+            return {
+                "stamp": self._begin + self.base.time,
+                "pose": self.base.pose.tolist(),
+                "contacts": int(self.base.state[CONTACTS]),
+                "distance": self.base.distance,
+            }
 
     def close(self) -> None:
         """Switches the base off and pulls the cable."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-        for end in (self._master, self._slave):
-            os.close(end)
+        self.unplug()
+        self._folder.cleanup()
         self._socket.close()
 
     def __enter__(self) -> Emulator:
@@ -97,29 +121,29 @@ class Emulator:
         self.close()
 
     def _run(self) -> None:
-        begin = time.monotonic() - self.base.time
-        while not self._stop.wait(max(0.0, begin + self.base.time + PERIOD - time.monotonic())):
-            self._listen()
-            before = self.base.time
-            self.base.step()
-            self._speak()
-            self._sense(begin, before)
+        while not self._stop.wait(max(0.0, self._begin + self.base.time + PERIOD - time.monotonic())):
+            with self._lock:
+                before = self.base.time
+                if self._line is not None:
+                    self._listen(self._line)
+                self.base.step()
+                if self._line is not None:
+                    self._speak(self._line)
+            self._sense(self._begin, before)
 
-    def _listen(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            for payload in self._deframer.feed(os.read(self._master, 65536)):
-                for part in decode(payload, COMMANDS):
-                    self.base.obey(part)
-                    if isinstance(part, BaseControl):
-                        self.commands.append((time.monotonic(), part))
+    def _listen(self, line: PseudoTerminal) -> None:
+        for payload in self._deframer.feed(line.read()):
+            for part in decode(payload, COMMANDS):
+                self.base.obey(part)
+                if isinstance(part, BaseControl):
+                    self.commands.append((time.monotonic(), part))
 
-    def _speak(self) -> None:
+    def _speak(self, line: PseudoTerminal) -> None:
         frame = bytearray(encode(*self.base.feedback()))
         if self._chance.random() < self.corrupt:
             frame[self._chance.randrange(len(frame))] ^= self._chance.randrange(1, 256)
         if not self.silent:
-            with contextlib.suppress(BlockingIOError):
-                os.write(self._master, frame)
+            line.write(frame)
 
     def _sense(self, begin: float, before: float) -> None:
         """Tags and a scan, each when another of its periods is over since `before`, s."""

@@ -6,8 +6,8 @@ import errno
 import termios
 from typing import TYPE_CHECKING
 
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.kobuki.codec import BAUD_RATE
-from tfg_drake.hardware.kobuki.link import KobukiError
 
 if TYPE_CHECKING:
     import serial
@@ -25,15 +25,15 @@ _MENDS = {
 def open_port(path: str) -> serial.Serial:
     """The port, raw and at the base's baud rate, ours alone; reading and writing its file descriptor never blocks.
 
-    What it had received before is thrown away. Raises KobukiError.
+    What it had received before is thrown away. Raises DeviceError.
     """
     try:
         import serial
     except ModuleNotFoundError:
-        raise KobukiError("the package pyserial is missing: pip install tfg_drake[kobuki]") from None
+        raise DeviceError("the package pyserial is missing: pip install tfg_drake[kobuki]") from None
     try:
         return serial.Serial(path, BAUD_RATE, timeout=0.0, exclusive=True)
     except (OSError, termios.error) as error:
         # The second where the device goes away while it is being opened.
         mend = _MENDS.get(getattr(error, "errno", 0), "is no serial port that can be used; name the base's")
-        raise KobukiError(f"{path}: {mend}") from None
+        raise DeviceError(f"{path}: {mend}") from None

@@ -117,16 +117,14 @@ class EmulatedTurtlebot:
             spin(max(0.0, due - time.monotonic()))
 
     def truth(self) -> dict[str, Any]:
-        """How it fared: pose X_WB (m, rad), contacts with walls, least clearance (m; None without walls), distance (m)
-        and time (s)."""
+        """How it fared: stamp (s of this machine's monotonic clock), pose X_WB (m, rad), contacts with walls so far and
+        distance gone so far (m)."""
         base = self._base
-        clearance = float(base[differential_drive.CLEARANCE])
         return {
+            "stamp": self.poses[-1][0],
             "pose": base[differential_drive.X : differential_drive.THETA + 1].tolist(),
             "contacts": int(base[differential_drive.CONTACTS]),
-            "min_clearance_m": clearance if math.isfinite(clearance) else None,
-            "distance_m": self._distance,
-            "time_s": self._steps * PERIOD,
+            "distance": self._distance,
         }
 
     def _noise(self, n: int) -> FloatArray:

@@ -7,9 +7,10 @@ from typing import Any, Protocol, TypeVar
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
+from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
-from tfg_drake.messages import GoalChoice, GridMap, MapEstimate, Odometry, Path, PoseEstimate, Roadmap, TfgMap
+from tfg_drake.messages import GoalChoice, GridMap, MapEstimate, Odometry, Path, PoseEstimate, Roadmap, TfgMap, replace
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
 T = TypeVar("T")
@@ -56,11 +57,13 @@ class MapPublisher(LeafSystem):
     exactly what was published. Stamps of what has none are those of the pose.
     """
 
-    def __init__(self, device: PublishingDevice, frames: Frames, cell: float = map_messages.CELL) -> None:
-        """cell: side of a cell of /map, m; a grid that is kept as one keeps its own."""
+    def __init__(
+        self, device: PublishingDevice, frames: Frames, clock: HostClock, cell: float = map_messages.CELL
+    ) -> None:
+        """clock: the station's. cell: side of a cell of /map, m; a grid that is kept as one keeps its own."""
         super().__init__()
         self.set_name("map_publisher")
-        self._device, self._frames, self._cell = device, frames, cell
+        self._device, self._frames, self._clock, self._cell = device, frames, clock, cell
         self._inputs = {name: declare_message_input(self, name) for name in ("pose", "odometry", *_KINDS)}
         self._published = self.DeclareAbstractState(AbstractValue.Make(object()))
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Publish)
@@ -73,10 +76,10 @@ class MapPublisher(LeafSystem):
         explorer: System,
         device: PublishingDevice,
         frames: Frames,
-        cell: float = map_messages.CELL,
+        clock: HostClock,
     ) -> MapPublisher:
         """Adds one, connected to a station and an explorer by port name."""
-        publisher = builder.AddNamedSystem("map_publisher", MapPublisher(device, frames, cell))
+        publisher = builder.AddNamedSystem("map_publisher", MapPublisher(device, frames, clock))
         for name in ("pose", *_KINDS):
             if explorer.HasOutputPort(name):
                 builder.Connect(explorer.GetOutputPort(name), publisher.GetInputPort(name))
@@ -91,8 +94,10 @@ class MapPublisher(LeafSystem):
         pose = self._Get(context, "pose", PoseEstimate)
         if pose is None:
             return EventStatus.DidNothing()
+        pose = replace(pose, stamp=self._clock.host(pose.stamp))
         self._device.publish("pose", map_messages.pose(pose, self._frames))
         if (odometry := self._Get(context, "odometry", Odometry)) is not None:
+            odometry = replace(odometry, stamp=self._clock.host(odometry.stamp))
             self._device.publish("tf", map_messages.map_to_odom(pose, odometry, self._frames))
         self._PublishMap(context, pose.stamp)
         return EventStatus.Succeeded()

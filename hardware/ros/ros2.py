@@ -203,6 +203,9 @@ class Ros2Driver:
         """Publishes a message on the preset's topic for it."""
         self._announcer.publish(key, message)
 
+    def show(self, enabled: bool) -> None:
+        """These robots have nothing to show it with."""
+
     def close(self) -> None:
         """Leaves the graph."""
         self._announcer.close()

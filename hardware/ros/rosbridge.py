@@ -194,6 +194,9 @@ class RosbridgeDriver:
         """Publishes a message on the preset's topic for it."""
         self._announcer.publish(key, message)
 
+    def show(self, enabled: bool) -> None:
+        """These robots have nothing to show it with."""
+
     def close(self) -> None:
         """Leaves the server."""
         self._announcer.close()

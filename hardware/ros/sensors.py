@@ -132,6 +132,9 @@ class SensorDriver:
     def send(self, speed: float, turn_rate: float) -> None:
         """There is nothing to drive."""
 
+    def show(self, enabled: bool) -> None:
+        """A sensor has nothing to show."""
+
     def close(self) -> None:
         """Leaves the graph."""
         self._graph.close()

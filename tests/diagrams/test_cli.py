@@ -1,4 +1,6 @@
+import dataclasses
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -212,6 +214,8 @@ def test_the_progress_line():
     )
     expected = "  120 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
     assert cli.progress_line(progress) == expected
+    untold = cli.progress_line(dataclasses.replace(progress, position_error=math.nan))
+    assert untold == "  120 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
 
 
 def test_plain_progress_lines_come_now_and_then(capsys, monkeypatch):

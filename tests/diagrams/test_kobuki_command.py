@@ -1,11 +1,13 @@
 """tfg-drake kobuki, as a user calls it."""
 
 import dataclasses
+import json
 import re
 import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +16,11 @@ from tfg_drake.hardware.kobuki.emulator import Emulator, empty_plane
 from tfg_drake.hardware.kobuki.payloads import BaseControl
 
 
-def test_emulate_prints_device_and_address_and_ends_with_ctrl_c():
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_emulate_prints_device_and_address_and_ends_with_the_truth(how):
     command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "kobuki", "emulate", "--world", "corridor"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = subprocess.Popen(command, text=True, bufsize=1, **pipes)
     try:
         device, address = process.stdout.readline().strip(), process.stdout.readline().strip()
         with open(device, "rb", buffering=0) as port:
@@ -24,12 +28,21 @@ def test_emulate_prints_device_and_address_and_ends_with_ctrl_c():
         host, port = address.split(":")
         with socket.create_connection((host, int(port)), timeout=10.0) as client:
             assert client.recv(10).startswith(b'{"type":')
-        process.send_signal(signal.SIGINT)
-        rest = process.communicate(timeout=10.0)
-        assert (process.returncode, *rest) == (0, "\n", "")
+        process.stdin.write("stop\nunplug\nreport\n")
+        truth = json.loads(process.stdout.readline())
+        assert not Path(device).is_symlink()
+        process.stdin.close()
+        process.send_signal(how)
+        process.wait(timeout=10.0)
+        at_the_end = json.loads(process.stdout.readline())
+        assert (process.returncode, process.stdout.read()) == (0, "")
+        complaint = "no order 'stop'; docs/kobuki_emulator.md lists those that there are"
+        assert process.stderr.read() == f"tfg-drake: {complaint}\n"
     finally:
         process.kill()
         process.wait()
+    assert at_the_end.pop("stamp") >= truth.pop("stamp")
+    assert at_the_end == truth
 
 
 def test_an_unknown_world(call):

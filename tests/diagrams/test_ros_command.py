@@ -20,20 +20,24 @@ def test_emulate_prints_its_topics_and_the_truth_at_its_end():
     pytest.importorskip("rclpy", reason="rclpy is not installed")
     command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "ros2", "emulate", "corridor", "--seed", "3"]
     own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | own)
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = subprocess.Popen(command, **pipes, text=True, env=os.environ | own)
     try:
         lines = ""
         while not lines.endswith(TOPICS.splitlines(keepends=True)[-1]):
             lines += process.stdout.readline() or pytest.fail(process.stderr.read())
         # /tf comes first where ROS has its type.
         assert lines.endswith(TOPICS)
+        process.stdin.write("report\n")
+        process.stdin.flush()
+        assert json.loads(process.stdout.readline())["distance"] == 0.0
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=20.0)
         truth = json.loads(out.splitlines()[-1])
         assert (process.returncode, err) == (0, "")
-        assert (truth["contacts"], truth["distance_m"]) == (0, 0.0)
+        assert (truth["contacts"], truth["distance"]) == (0, 0.0)
         assert len(truth["pose"]) == 3
-        assert truth["time_s"] > 0.0
+        assert truth["stamp"] > 0.0
     finally:
         process.kill()
         process.wait()

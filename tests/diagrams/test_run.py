@@ -77,7 +77,7 @@ def test_stages_are_written_line_by_line(finished):
 
 
 def test_the_folder_is_whole(finished):
-    names = "figure.png log.txt map.npz scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
+    names = "figure.png log.txt map.npz ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
     assert sorted(path.name for path in finished.folder.iterdir()) == names.split()
     assert (finished.folder / "figure.png").read_bytes().startswith(b"\x89PNG")
     saved = load_map(finished.folder / "map.npz")
@@ -101,7 +101,7 @@ def test_the_same_seed_gives_the_same_run(finished, tmp_path):
     assert {k: v for k, v in again.summary.items() if k not in MACHINE} == {
         k: v for k, v in finished.summary.items() if k not in MACHINE
     }
-    for name in ("stages.jsonl", "map.npz", "trajectory.tum", "truth.tum", "scenario.yaml"):
+    for name in ("stages.jsonl", "map.npz", "trajectory.tum", "truth.tum", "scenario.yaml", "ports.mcap"):
         assert (tmp_path / name).read_bytes() == (finished.folder / name).read_bytes(), name
 
 
@@ -170,7 +170,8 @@ def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
     summary = run.explore(room(), method=method, out_dir=tmp_path).summary
     assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
     assert list(summary) == FIELDS
-    names = "figure.png log.txt scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
+    # Of the truth nothing is known.
+    names = "figure.png log.txt ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum"
     assert sorted(path.name for path in tmp_path.iterdir()) == names.split()
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
 

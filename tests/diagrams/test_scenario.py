@@ -110,7 +110,7 @@ def test_world_and_config_are_inverse():
         (
             "wheels: {}",
             "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, safety, disturbances,"
-            " explorer, planner, drive, grid",
+            " explorer, planner, drive, grid, hardware",
         ),
         ("disturbances: [{duration: 0}]", "disturbances[0].duration: must be greater than 0, is 0"),
         ("drive: [[1, 2, 3]]", "drive[0]: expected 2 numbers [x, y], found 3"),

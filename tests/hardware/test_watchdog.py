@@ -5,6 +5,7 @@ import math
 import pytest
 
 from tfg_drake.hardware.watchdog import COMMAND_TIMEOUT, ODOMETRY_TIMEOUT, TICK, Limits, Watchdog
+from tfg_drake.messages import Hazards
 
 LIMITS = Limits(speed=0.3, turn_rate=1.5, acceleration=0.5, turn_acceleration=3.5)
 
@@ -15,6 +16,7 @@ class Robot:
     def __init__(self):
         self.watchdog, self.now = Watchdog(LIMITS), 100.0
         self.odometry = True
+        self.hazards = None
         self.command = (0.3, 0.0)
 
     def run(self, duration):
@@ -24,6 +26,8 @@ class Robot:
             self.now += TICK
             if self.odometry:
                 self.watchdog.hear(self.now)
+            if self.hazards:
+                self.watchdog.hear_hazards(Hazards(self.now, *self.hazards))
             if self.command:
                 self.watchdog.command(self.now, *self.command)
             sent.append(self.watchdog.velocity(self.now))
@@ -127,3 +131,40 @@ def test_a_lock_lasts(driving):
     assert driving.watchdog.locked == "the clock of /odom has jumped"
     driving.watchdog.enable(driving.now)
     assert not still(driving.run(1.0))
+
+
+@pytest.mark.parametrize("reason", ["not enabled yet", "no odometry for more than 0.5 s"])
+def test_a_reason_that_says_more_takes_the_place_of_one_that_says_little(reason):
+    watchdog = Watchdog(LIMITS)
+    if "odometry" in reason:
+        watchdog.enable(5.0)
+    assert watchdog.locked == reason
+    watchdog.lock("the cable is out")
+    watchdog.velocity(9.0)
+    assert watchdog.locked == "the cable is out"
+
+
+@pytest.mark.parametrize("wheel", [1, 4, 5])
+def test_a_wheel_that_hangs(driving, wheel):
+    driving.hazards, driving.command = (0, 0, wheel), (-0.2, 0.5)
+    assert still(driving.run(1.0))
+    assert driving.watchdog.locked is None
+    driving.hazards = (0, 0, 0)
+    assert driving.run(TICK)[0] == pytest.approx((-0.5 * TICK, 3.5 * TICK))  # from rest
+
+
+@pytest.mark.parametrize("hazards", [(2, 0, 0), (0, 1, 0), (4, 4, 0)])
+def test_bumper_and_cliff_allow_to_turn_and_to_back(driving, hazards):
+    driving.hazards, driving.command = hazards, (0.3, 0.5)
+    sent = driving.run(1.0)
+    assert {velocity[0] for velocity in sent} == {0.0}
+    assert sent[-1][1] == pytest.approx(0.5)
+    driving.command = (-0.2, 0.0)
+    assert driving.run(1.0)[-1] == pytest.approx((-0.2, 0.0))
+    driving.command, driving.hazards = (0.3, 0.0), (0, 0, 0)
+    assert driving.run(2.0)[-1] == pytest.approx((0.3, 0.0))
+
+
+def test_alarms_last_until_they_are_taken_back(driving):
+    driving.watchdog.hear_hazards(Hazards(driving.now, 0, 0, 1))
+    assert still(driving.run(5.0))

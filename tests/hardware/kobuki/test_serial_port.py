@@ -7,24 +7,27 @@ import sys
 import pytest
 import serial
 
-from tfg_drake.hardware.kobuki.link import KobukiError
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.kobuki.serial_port import open_port
 
 
-def test_without_pyserial(monkeypatch, usb):
+def test_without_pyserial(monkeypatch, emulator):
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(KobukiError, match=re.escape("the package pyserial is missing: pip install tfg_drake[kobuki]")):
-        open_port(str(usb.path))
+    with pytest.raises(DeviceError, match=re.escape("the package pyserial is missing: pip install tfg_drake[kobuki]")):
+        open_port(emulator.device)
 
 
-def test_a_port_is_ours_alone(usb):
-    with open_port(str(usb.path)), pytest.raises(KobukiError, match="kobuki: in use by another program; end that one"):
-        open_port(str(usb.path))
+def test_a_port_is_ours_alone(emulator):
+    with (
+        open_port(emulator.device),
+        pytest.raises(DeviceError, match="kobuki: in use by another program; end that one"),
+    ):
+        open_port(emulator.device)
 
 
 def test_a_file_is_no_port(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(KobukiError, match="file: is no serial port that can be used; name the base's"):
+    with pytest.raises(DeviceError, match="file: is no serial port that can be used; name the base's"):
         open_port(str(tmp_path / "file"))
 
 
@@ -34,6 +37,6 @@ def test_no_permission(monkeypatch):
 
     monkeypatch.setattr(serial, "Serial", refuse)
     with pytest.raises(
-        KobukiError, match=r"^/dev/kobuki: permission denied; join the group dialout \(sudo .* 0403:6001"
+        DeviceError, match=r"^/dev/kobuki: permission denied; join the group dialout \(sudo .* 0403:6001"
     ):
         open_port("/dev/kobuki")

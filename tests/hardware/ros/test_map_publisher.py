@@ -3,6 +3,7 @@
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
+from tests.hardware.fake_robot import SameClock
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import replace
@@ -36,7 +37,7 @@ class Source(LeafSystem):
 def run(ports, duration):
     """What a recorder gets in `duration` s from message_at(t) by port."""
     device, builder = Recorder(), DiagramBuilder()
-    publisher = builder.AddSystem(MapPublisher(device, Frames()))
+    publisher = builder.AddSystem(MapPublisher(device, Frames(), SameClock()))
     source = builder.AddSystem(Source(ports))
     for name in ports:
         builder.Connect(source.GetOutputPort(name), publisher.GetInputPort(name))

@@ -12,6 +12,7 @@ import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
+from tests.hardware.fake_robot import SameClock
 from tfg_drake.geometry import se2
 from tfg_drake.hardware.announcements import Publisher
 from tfg_drake.hardware.ros import map_messages
@@ -29,7 +30,7 @@ def publish(device, frames, room, duration):
     device.take(Odometry, math.inf)
     odometry = device.newest(Odometry)
     messages = room.messages(odometry.stamp) | {"odometry": odometry}
-    publisher = MapPublisher(device, frames)
+    publisher = MapPublisher(device, frames, SameClock())
     simulator = Simulator(publisher)
     for name, message in messages.items():
         publisher.GetInputPort(name).FixValue(simulator.get_mutable_context(), AbstractValue.Make(message))

@@ -1,0 +1,159 @@
+"""A whole mission of a real robot's explorer against an emulated robot in real time, beside simulated missions.
+
+    python benchmarks/real_mission.py kobuki --world house --simulated 3
+    python benchmarks/real_mission.py ros2 --world house --simulated 3
+
+Starts `tfg-drake kobuki emulate` or `tfg-drake ros2 emulate`, then `tfg-drake explore --robot` for that robot, enables
+the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by
+it as a simulated one is by its own truth: the explorer does not know it. Prints a line a run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tfg_drake import metrics
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
+from tfg_drake.geometry.se2 import compose, rotation
+from tfg_drake.mapfile.saved_map import load_map
+from tfg_drake.trajectory import poses_at, read_tum
+
+CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
+FIELDS = ("outcome", "time", "distance", "mapped", "position", "heading", "landmarks", "aligned", "contacts")
+
+
+class Emulator:
+    """The emulated robot; truth: what it said of itself, a dictionary a report."""
+
+    def __init__(self, robot: str, world: str) -> None:
+        place = ["--world", world] if robot == "kobuki" else [world]
+        self._process = subprocess.Popen(
+            [*CLI, robot, "emulate", *place], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert self._process.stdout is not None
+        lines = [self._process.stdout.readline().strip()]
+        while len(lines) < 2 or (robot == "ros2" and not lines[-1].startswith("/cmd_vel")):
+            lines.append(self._process.stdout.readline().strip())
+        # What explore is told to find it.
+        self.arguments = ["--preset", "emulated"]
+        if robot == "kobuki":
+            source = f"socket:{lines[1]}"
+            self.arguments = ["--port", lines[0], "--tags", source, "--scan", source]
+        self.truth: list[dict[str, Any]] = []
+        for target in (self._listen, self._ask):
+            threading.Thread(target=target, daemon=True).start()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        self.truth += (json.loads(line) for line in self._process.stdout)
+
+    def _ask(self) -> None:
+        assert self._process.stdin is not None
+        while self._process.poll() is None:
+            self._process.stdin.write("report\n")
+            self._process.stdin.flush()
+            time.sleep(0.1)
+
+    def close(self) -> None:
+        self._process.terminate()
+        self._process.wait()
+
+
+def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> dict[str, Any]:
+    """The figures of one mission in real time."""
+    emulator = Emulator(robot, world)
+    arguments = [*emulator.arguments, "--max-time", f"{max_time:g}", "--set", f"hardware.max_speed={speed}"]
+    command = [*CLI, "explore", "--robot", robot, *arguments, "--headless", "--out", str(out)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        for line in process.stdout:
+            print(f"  {line.rstrip()}", flush=True)
+            if line.startswith("nothing moves before"):
+                process.stdin.write("e")
+                process.stdin.flush()
+    emulator.close()
+    scene = MakeWorld(LoadScenario(world).world)
+    origin = float(re.findall(r"time 0 is ([0-9.]+) s", (out / "log.txt").read_text())[0])
+    true_stamps = np.array([report["stamp"] for report in emulator.truth]) - origin
+    true_poses = np.array([report["pose"] for report in emulator.truth])
+    stamps, X_MB = read_tum(out / "trajectory.tum")
+    known = (stamps >= true_stamps[0]) & (stamps <= true_stamps[-1])
+    X_WB = compose(scene.start, X_MB[known])
+    position, heading = metrics.pose_errors(X_WB, poses_at(stamps[known], true_stamps, true_poses))
+    saved = load_map(out / "map.npz")
+    row_of = {tag: row for row, tag in enumerate(scene.tag_ids.tolist())}
+    p_WL = scene.start[:2] + saved.p_ML @ rotation(scene.start[2]).T
+    p_WL_true = scene.p_WT[[row_of[tag] for tag in saved.ids.tolist()]]
+    summary = json.loads((out / "summary.json").read_text())
+    return {
+        "outcome": summary["outcome"],
+        "time": summary["sim_time_s"],
+        "distance": emulator.truth[-1]["distance"],
+        "mapped": len(saved.ids),
+        "position": position.mean(),
+        "heading": np.abs(heading).mean(),
+        "landmarks": metrics.landmark_rmse(p_WL, p_WL_true),
+        "aligned": metrics.landmark_rmse_aligned(p_WL, p_WL_true),
+        "contacts": emulator.truth[-1]["contacts"],
+    }
+
+
+def simulated(world: str, speed: float, seed: int, max_time: float, out: Path) -> dict[str, Any]:
+    """The same figures of a simulated mission."""
+    arguments = ["--seed", str(seed), "--max-time", f"{max_time:g}", "--set", f"robot.max_speed={speed}"]
+    command = [*CLI, "explore", world, *arguments, "--headless", "--out", str(out)]
+    subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
+    summary = json.loads((out / "summary.json").read_text())
+    return {
+        "outcome": summary["outcome"],
+        "time": summary["sim_time_s"],
+        "distance": summary["distance_m"],
+        "mapped": summary["landmarks_mapped"],
+        "position": summary["position_error_m"]["mean"],
+        "heading": summary["heading_error_rad"]["mean"],
+        "landmarks": summary["landmark_rmse_m"],
+        "aligned": summary["landmark_rmse_aligned_m"],
+        "contacts": summary["contacts"],
+    }
+
+
+def line(name: str, figures: dict[str, Any]) -> str:
+    """A row of the table."""
+    cells = [f"{figures[field]:.4f}" if isinstance(figures[field], float) else str(figures[field]) for field in FIELDS]
+    return "  ".join(f"{cell:>12}" for cell in (name, *cells))
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("robot", choices=("kobuki", "ros2"))
+    parser.add_argument("--speed", type=float, default=0.3, help="limit of both, m/s")
+    parser.add_argument("--world", default="house")
+    parser.add_argument("--max-time", type=float, default=3600.0)
+    parser.add_argument("--simulated", type=int, default=3, help="simulated missions beside it")
+    parser.add_argument("--out", type=Path, help="keep the runs' folders here")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        out = options.out or Path(temporary)
+        rows = [line("emulated", real(options.robot, options.world, options.speed, options.max_time, out / "real"))]
+        for seed in range(options.simulated):
+            folder = out / f"seed{seed}"
+            rows.append(line(f"seed {seed}", simulated(options.world, options.speed, seed, options.max_time, folder)))
+    print("  ".join(f"{cell:>12}" for cell in ("", *FIELDS)))
+    print("\n".join(rows))
+
+
+if __name__ == "__main__":
+    main()

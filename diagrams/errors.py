@@ -1,0 +1,160 @@
+"""The figures of a run's summary that say how far it is from the world, and from the truth."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tfg_drake import metrics
+from tfg_drake.comparison.curves import scan_coverage
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.geometry.se2 import compose, inverse, transform
+from tfg_drake.grid.frontier import OCCUPIED, classify
+from tfg_drake.grid.runs import cell_sides
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
+from tfg_drake.trajectory import poses_at
+from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
+from tfg_drake.world.world import World
+
+if TYPE_CHECKING:
+    from tfg_drake.diagrams.run import Departure, Mission
+
+# What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
+# but corners that a scan happens to miss.
+EVERY = 4
+NEARLY_ALL = 0.99
+
+
+class KnownWorld:
+    """The world that a mission was in and what of it could be reached: figures of a map in it.
+
+    reachable: (t,) of its tags.
+    """
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        self._world, self._scenario = world, scenario
+        self._grid = make_grid(world)
+        self._cells = reachable_cells(self._grid, world, scenario.robot.radius)
+        tags = scenario.tags
+        self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
+
+    def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
+        """How far a map is from the world: landmarks and surfaces."""
+        segments = _mapped_surfaces(self._world, tfg, mission.grid)
+        return {
+            **_landmarks(self._world, self.reachable, estimate, mission.grid is None),
+            **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
+        }
+
+    def way_figures(
+        self, mission: Mission, stamps: FloatArray, X_WB: FloatArray, true_stamps: FloatArray, X_WB_true: FloatArray
+    ) -> dict[str, Any]:
+        """How far the estimated poses X_WB (n, 3) at stamps (n,), s, are from the true ones (m, 3), and what was seen
+        from those."""
+        X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
+        area = _area(self._scenario, self._world, self._grid, self._cells, mission, X_WD_true, true_stamps, X_WB_true)
+        return {
+            "distance_m": path_length(X_WB_true),
+            **_consistency(mission.departures, compose(inverse(self._world.start), X_WD_true)),
+            **pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
+            **area,
+        }
+
+
+def path_length(X_WB: FloatArray) -> float:
+    """Length of the way through poses (n, 3), m."""
+    return float(np.linalg.norm(np.diff(X_WB[:, :2], axis=0), axis=1).sum())
+
+
+def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
+    """Statistics of the distance of poses (n, 3) from the true ones, nan without any."""
+    position, heading = metrics.pose_errors(X_WB, X_WB_true)
+    return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
+
+
+def _landmarks(
+    world: World, reachable: BoolArray, estimate: MapEstimate | None, maps_landmarks: bool
+) -> dict[str, Any]:
+    mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
+    counted = np.isin(mapped, world.tag_ids[reachable])
+    figures: dict[str, Any] = {
+        "landmarks_present": len(world.tag_ids),
+        "landmarks_reachable": int(np.count_nonzero(reachable)),
+        "landmarks_mapped": int(np.count_nonzero(counted)) if maps_landmarks else None,
+        "landmarks_extra": int(np.count_nonzero(~counted)) if maps_landmarks else None,
+        "landmark_rmse_m": math.nan,
+        "landmark_rmse_aligned_m": math.nan,
+        "landmark_anees": math.nan,
+        "landmark_nees": math.nan,
+    }
+    if estimate is None:
+        return figures
+    row_of_tag = {tag: row for row, tag in enumerate(world.tag_ids.tolist())}
+    known = np.array([i for i, tag in enumerate(mapped.tolist()) if tag in row_of_tag], dtype=np.int64)
+    rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
+    p_ML_true = transform(inverse(world.start), world.p_WT[rows])
+    p_ML = estimate.p_ML[known]
+    jointly = known[np.isin(known, estimate.local)]
+    entry = np.searchsorted(estimate.local, jointly)
+    entries = np.stack([2 * entry, 2 * entry + 1], axis=1).ravel()
+    covariance = estimate.covariance[np.ix_(entries, entries)]
+    of_joint = np.isin(known, jointly)
+    return figures | {
+        "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
+        "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),
+        "landmark_anees": metrics.anees(p_ML - p_ML_true, estimate.landmark_covariance[known]),
+        "landmark_nees": metrics.landmark_nees(p_ML[of_joint], p_ML_true[of_joint], covariance),
+    }
+
+
+def _consistency(departures: list[Departure], X_MD_true: FloatArray) -> dict[str, Any]:
+    X_MD = np.array([one.X_MD for one in departures]).reshape(-1, 3)
+    covariance = np.array([one.covariance for one in departures]).reshape(-1, 3, 3)
+    return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
+
+
+def _mapped_surfaces(world: World, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
+    """Segments (n, 4) in W of what a map takes for obstacle surfaces; of a grid, a side of every occupied cell."""
+    if tfg is not None:
+        p_MS = tfg.segments
+    elif grid is not None:
+        p_MS = cell_sides(grid, classify(grid) == OCCUPIED)
+    else:
+        p_MS = np.zeros((0, 4))
+    return transform(world.start, p_MS.reshape(-1, 2)).reshape(-1, 4)
+
+
+def _surfaces(scenario: Scenario, world: World, grid: Grid, cells: BoolArray, segments: FloatArray) -> dict[str, float]:
+    surface = reachable_surface(world, grid, cells, scenario.scan.range)
+    return {
+        "surface_coverage": metrics.surface_coverage(surface, segments),
+        "surface_phantom_m": metrics.surface_phantom(segments, world.walls),
+    }
+
+
+def _area(
+    scenario: Scenario,
+    world: World,
+    grid: Grid,
+    cells: BoolArray,
+    mission: Mission,
+    X_WD: FloatArray,
+    stamps: FloatArray,
+    X_WB: FloatArray,
+) -> dict[str, float]:
+    """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
+
+    Seen from the goals, where the robot turns, by a method that maps only there; by the scanner on the whole way by one
+    that maps all along.
+    """
+    scan = scenario.scan
+    thinned = np.zeros_like(cells)
+    thinned[::EVERY, ::EVERY] = cells[::EVERY, ::EVERY]
+    rows, share = scan_coverage(X_WB, grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
+    nearly = np.flatnonzero(share >= NEARLY_ALL)
+    coverage = float(share[-1]) if len(share) else math.nan
+    if mission.grid is None:
+        coverage = metrics.area_coverage(grid.centers(cells), world.walls, X_WD[:, :2], scan.range)
+    return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}

@@ -1,0 +1,46 @@
+"""The station of a real robot: the simulated one's ports, but for the truth."""
+
+from __future__ import annotations
+
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.hardware.base import HardwareBase
+from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.hardware.sensor import HardwareSensor
+from tfg_drake.simulation.laser_scanner import no_scan
+from tfg_drake.simulation.tag_sensor import no_detections
+from tfg_drake.systems.safety_filter import SafetyFilter
+
+
+def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
+    """The station of a robot's open devices, see MakeTurtlebotStation for the ports.
+
+    Whoever opened them closes them, when the simulation is over.
+    """
+    builder, clock = DiagramBuilder(), devices.clock
+    safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety))
+    wheels = builder.AddNamedSystem("base", HardwareBase(devices.base, clock))
+    tags = HardwareSensor("detections", devices.tags, no_detections(), clock)
+    tag_sensor = builder.AddNamedSystem("tag_sensor", tags)
+    ranges = HardwareSensor("ranges", devices.scan, no_scan(scenario.scan), clock)
+    scanner = builder.AddNamedSystem("laser_scanner", ranges)
+
+    builder.Connect(safety_filter.GetOutputPort("velocity"), wheels.GetInputPort("velocity"))
+    builder.Connect(wheels.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
+    builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
+    builder.Connect(scanner.GetOutputPort("ranges"), wheels.GetInputPort("scan"))
+    builder.Connect(tag_sensor.GetOutputPort("detections"), wheels.GetInputPort("detections"))
+
+    builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
+    builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
+    builder.ConnectInput("base.enable", wheels.GetInputPort("enable"))
+    builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
+    builder.ExportOutput(wheels.GetOutputPort("hazards"), "base.hazards")
+    builder.ExportOutput(wheels.GetOutputPort("enabled"), "base.enabled")
+    builder.ExportOutput(tag_sensor.GetOutputPort("detections"), "tags.detections")
+    builder.ExportOutput(scanner.GetOutputPort("ranges"), "scan.ranges")
+
+    station = builder.Build()
+    station.set_name("station")
+    return station

@@ -1,0 +1,70 @@
+"""The real robot, as an explorer drives it: its devices opened, its operator listened to."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import threading
+from collections.abc import Callable, Iterator
+
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from tfg_drake.diagrams.hardware_station import MakeHardwareStation
+from tfg_drake.diagrams.methods import Method
+from tfg_drake.diagrams.robots import Robot
+from tfg_drake.diagrams.run import Mission
+from tfg_drake.diagrams.scenario import LoadScenario, Scenario
+from tfg_drake.hardware.keyboard import Keyboard
+from tfg_drake.hardware.robot_buttons import RobotButtons
+from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
+from tfg_drake.hardware.ros.map_publisher import MapPublisher
+from tfg_drake.systems.meshcat_buttons import MeshcatButtons
+
+# Of the simulated mission that is run before a real one, s: two stages.
+REHEARSAL = 30.0
+
+
+@contextlib.contextmanager
+def OpenRobot(scenario: Scenario, meshcat: Meshcat | None) -> Iterator[tuple[Robot, Scenario]]:
+    """The robot that scenario.hardware names, and the scenario within that robot's limits; closed at the end.
+
+    Keys on standard input, buttons in Meshcat and those of the robot operate it. Raises DeviceError.
+    """
+    devices = open_devices(scenario.hardware, scenario.robot)
+    with contextlib.closing(devices), contextlib.closing(Keyboard()) as keyboard:
+        bounded = copy.deepcopy(scenario)
+        bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
+        bounded.robot.max_acceleration = devices.limits.acceleration
+        bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
+        operated = [keyboard.requests, RobotButtons(devices.base).requests]
+        if meshcat is not None:
+            operated.append(MeshcatButtons(meshcat).requests)
+        robot = Robot(
+            scenario.hardware.robot,
+            lambda scenario: MakeHardwareStation(scenario, devices),
+            world_known=False,
+            real=True,
+            operated=operated,
+            Announce=_Announcer(devices),
+            close=devices.close,
+        )
+        yield robot, bounded
+
+
+def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diagram], object] | None:
+    frames = devices.frames
+    if frames is None:
+        return None
+    return lambda builder, station, explorer: MapPublisher.AddToBuilder(
+        builder, station, explorer, devices.base, frames, devices.clock
+    )
+
+
+def Rehearse(scenario: Scenario, method: Method) -> None:
+    """Runs the beginning of a simulated mission of the same explorer: all its kernels are compiled then, and a real
+    robot need not wait for them in the middle of its way."""
+    rehearsed = copy.deepcopy(scenario)
+    rehearsed.world = LoadScenario("paper").world
+    mission = Mission(rehearsed, method, None, "rehearsal")
+    mission.run(0.0, REHEARSAL, threading.Event(), lambda _: None, None)

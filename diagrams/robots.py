@@ -1,0 +1,34 @@
+"""What an explorer may drive: the simulated robot and, by the same ports, others."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.operation import Request
+
+
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """name. MakeStation: the station for a scenario, with the ports of MakeTurtlebotStation; those of the truth only
+    where it is known. world_known: the scenario's world is the one that the robot is in and its start the true one.
+    end_time: s, when the station has nothing more to say; a mission that gets there ends. real: its time is real time,
+    and an operator enables its base. operated: what the operator asks for, see Operator. Announce(builder, station,
+    explorer): adds what tells others of the map. close: stops it for good."""
+
+    name: str
+    MakeStation: Callable[[Scenario], Diagram]
+    world_known: bool
+    end_time: float = math.inf
+    real: bool = False
+    operated: Sequence[Callable[[], Sequence[Request]]] = ()
+    Announce: Callable[[DiagramBuilder, Diagram, Diagram], object] | None = None
+    close: Callable[[], None] = lambda: None
+
+
+SIMULATED = Robot("sim", MakeTurtlebotStation, world_known=True)

@@ -1,0 +1,43 @@
+"""What only a simulation knows of a mission."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydrake.systems.framework import Context, System
+from pydrake.systems.primitives import VectorLogSink
+
+from tfg_drake.messages import FloatArray
+
+
+class Truth:
+    """What the truth ports of a simulated station say.
+
+    contacts: with walls so far. clearance: least distance of the outline to any wall so far, m; both as of the last
+    look.
+    """
+
+    def __init__(self, station: System, log: VectorLogSink) -> None:
+        """log: of the station's truth.pose."""
+        self._station, self._log = station, log
+        self.contacts, self.clearance = 0, math.inf
+
+    def look(self, root: Context) -> None:
+        """Takes note of contacts and clearance, so that they are known when the diagram has failed."""
+        self.contacts = int(self._eval("truth.contacts", root)[0])
+        self.clearance = float(self._eval("truth.clearance", root)[0])
+
+    def position(self, root: Context) -> FloatArray:
+        """Where the robot is: p_WB (2,), m."""
+        return self._eval("truth.pose", root)[:2]
+
+    def poses(self, root: Context, end_time: float) -> tuple[FloatArray, FloatArray]:
+        """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, up to the end (s)."""
+        log = self._log.FindLog(root)
+        stamps, data = log.sample_times(), log.data()
+        lived = stamps <= end_time
+        return stamps[lived], data[:3, lived].T
+
+    def _eval(self, port: str, root: Context) -> FloatArray:
+        return np.asarray(self._station.GetOutputPort(port).Eval(self._station.GetMyContextFromRoot(root)))

@@ -1,0 +1,164 @@
+"""A robot's base as a system."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from tfg_drake.hardware.device import Device, DeviceError
+from tfg_drake.hardware.host_clock import HostClock
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+# Of commands, and of odometry: the simulated station's.
+PERIOD = 1.0 / 32.0
+ODOMETRY_PERIOD = 1.0 / 16.0
+# Without a message younger than this from every sensor the base stands, and moves on when they are back, s.
+STALE = 1.0
+# After this long without one there is no more hope, s.
+LOST = 60.0
+
+_log = logging.getLogger("tfg_drake.hardware")
+
+
+@message
+class _BaseState:
+    """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
+    waiting: what it waits for, "" for nothing. since: when it began to wait, s."""
+
+    hazards: Hazards
+    tried: float = 0.0
+    enabled: bool = False
+    waiting: str = ""
+    since: float = 0.0
+
+
+class HardwareBase(LeafSystem):
+    """Sends velocities to a device, and says what it says, stamped in the station's time.
+
+    .. pydrake_system::
+
+        name: HardwareBase
+        input_ports:
+        - velocity
+        - enable
+        - detections
+        - scan
+        output_ports:
+        - odometry
+        - hazards
+        - enabled
+
+    velocity: forward speed (m/s) and turn rate (rad/s). enable: 0 (also unconnected): stand; every other number enables
+    the base once, until it stops by itself. detections, scan: messages, looked at for their age only. enabled: 1 while
+    the base may move and every sensor speaks.
+
+    Raises DeviceError in a simulation when the robot is lost for good.
+    """
+
+    def __init__(self, device: Device, clock: HostClock) -> None:
+        """device: has said where the base is."""
+        super().__init__()
+        self._device, self._clock = device, clock
+        self._velocity = self.DeclareVectorInputPort("velocity", 2)
+        self._enable = self.DeclareVectorInputPort("enable", 1)
+        self._detections = declare_message_input(self, "detections")
+        self._scan = declare_message_input(self, "scan")
+        begin = device.newest(Odometry)
+        if begin is None:
+            raise DeviceError("the base has not said where it is")
+        begin = replace(begin, stamp=0.0, V_B=np.zeros(2), at_rest=True)
+        self._odometry = self.DeclareAbstractState(AbstractValue.Make(begin))
+        self._state = self.DeclareAbstractState(AbstractValue.Make(_BaseState(Hazards(0.0, 0, 0, 0))))
+        declare_message_output(
+            self,
+            "odometry",
+            lambda context: state_message(context, self._odometry, Odometry),
+            {self.abstract_state_ticket(self._odometry)},
+        )
+        depends = {self.abstract_state_ticket(self._state)}
+        declare_message_output(
+            self, "hazards", lambda context: state_message(context, self._state, _BaseState).hazards, depends
+        )
+        self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, depends)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(ODOMETRY_PERIOD, 0.0, self._Hear)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Drive)
+
+    def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
+        now = state_message(context, self._state, _BaseState)
+        output.SetAtIndex(0, float(now.enabled and not now.waiting))
+
+    def _Hear(self, context: Context, state: State) -> EventStatus:
+        now = context.get_time()
+        heard = self._device.take(Odometry, self._clock.host(now))
+        if not heard:
+            return EventStatus.DidNothing()
+        # At rest only if it was so all the time since the message before.
+        newest = replace(
+            heard[-1],
+            stamp=max(0.0, self._clock.station(heard[-1].stamp, now)),
+            at_rest=all(one.at_rest for one in heard),
+        )
+        set_state_message(state, self._odometry, newest)
+        return EventStatus.Succeeded()
+
+    def _Drive(self, context: Context, state: State) -> EventStatus:
+        before, time = state_message(context, self._state, _BaseState), context.get_time()
+        now = self._Enabled(self._Waiting(before, context), context)
+        for hazards in self._device.take(Hazards, self._clock.host(time)):
+            now = replace(now, hazards=replace(hazards, stamp=self._clock.station(hazards.stamp, time)))
+        velocity = self._velocity.Eval(context) if now.enabled and not now.waiting else np.zeros(2)
+        # Due at this time of the host: where the station is late the base does not obey what is out of date.
+        self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time))
+        set_state_message(state, self._state, now)
+        return EventStatus.Succeeded()
+
+    def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:
+        """Enables or stops the device where that is wanted, and notices where it stopped by itself."""
+        time = context.get_time()
+        wanted = float(self._enable.Eval(context)[0]) if self._enable.HasValue(context) else 0.0
+        if wanted == 0.0:
+            if before.enabled:
+                self._device.lock("stopped by the operator")
+            return replace(before, tried=0.0, enabled=False)
+        if wanted != before.tried:
+            try:
+                self._device.enable()
+            except DeviceError as error:
+                _log.warning("%.2f s: %s", time, error)
+                return replace(before, tried=wanted, enabled=False)
+            _log.info("%.2f s: enabled", time)
+            return replace(before, tried=wanted, enabled=True)
+        if before.enabled and (reason := self._device.locked):
+            _log.warning("%.2f s: the base stands until it is enabled anew: %s", time, reason)
+            return replace(before, enabled=False)
+        return before
+
+    def _Waiting(self, before: _BaseState, context: Context) -> _BaseState:
+        """Which message is too old; raises DeviceError where it is so for too long."""
+        now = context.get_time()
+        stamps = {
+            "odometry": state_message(context, self._odometry, Odometry).stamp,
+            "scan": eval_message(self._scan, context, LaserScan).stamp,
+            "tags": eval_message(self._detections, context, TagDetections).stamp,
+        }
+        stale = [name for name, stamp in stamps.items() if not now - max(0.0, stamp) <= STALE]
+        if not stale:
+            if before.waiting:
+                _log.info("%.2f s: %s again", now, before.waiting)
+            return replace(before, waiting="", since=now) if before.waiting else replace(before, since=now)
+        if now - before.since > LOST:
+            reason = self._device.locked if stale[0] == "odometry" else None
+            raise DeviceError(f"no {stale[0]} for {LOST:.0f} s: {reason or 'its source is silent'}")
+        if before.waiting != stale[0]:
+            _log.warning("%.2f s: the base stands: no %s for more than %g s", now, stale[0], STALE)
+        return replace(before, waiting=stale[0])

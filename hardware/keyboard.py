@@ -1,0 +1,73 @@
+"""The operator's keyboard: single keys on a terminal, or characters on whatever standard input is."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import queue
+import select
+import sys
+import termios
+import threading
+import tty
+
+from tfg_drake.operation import Request
+
+KEYS: dict[str, Request] = {"e": "enable", " ": "stop", "s": "stop", "p": "pause", "q": "end"}
+HELP = "keys: e enable the wheels, space (or s) emergency stop, p pause or resume, q end"
+
+
+class Keyboard:
+    """Reads keys in the background, from the constructor until close() or the end of the program.
+
+    A terminal is set to give keys without Enter, and given back as it was. Ctrl-C stays what it is.
+    """
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        """descriptor: of the file that is read, standard input by default."""
+        self._descriptor = sys.stdin.fileno() if descriptor is None else descriptor
+        self._before = None
+        if os.isatty(self._descriptor):
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
+            atexit.register(self._restore)
+        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._wake, self._end = os.pipe()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def requests(self) -> list[Request]:
+        """What was asked for since the last call."""
+        taken = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                taken.append(self._requests.get_nowait())
+        return taken
+
+    def close(self) -> None:
+        """Gives the terminal back."""
+        os.close(self._end)
+        self._thread.join()
+        os.close(self._wake)
+        self._restore()
+
+    def _read(self) -> None:
+        while True:
+            ready, _, _ = select.select([self._descriptor, self._wake], [], [])
+            if self._wake in ready:
+                return
+            try:
+                keys = os.read(self._descriptor, 1024).decode(errors="replace")
+            except OSError:
+                return
+            if not keys:
+                return  # the end of a file
+            for key in keys:
+                if request := KEYS.get(key.lower()):
+                    self._requests.put(request)
+
+    def _restore(self) -> None:
+        if self._before is not None:
+            termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+            self._before = None

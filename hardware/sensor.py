@@ -1,0 +1,64 @@
+"""A robot's tag sensor or laser scanner as a system."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeVar
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.hardware.host_clock import HostClock
+from tfg_drake.messages import LaserScan, TagDetections, replace
+from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+
+# As often as the SLAM estimator looks.
+PERIOD = 1.0 / 16.0
+
+T = TypeVar("T", LaserScan, TagDetections)
+
+
+class Source(Protocol):
+    """Where messages come from, such as a Device."""
+
+    def take(self, kind: type[T], until: float) -> list[T]:
+        """The messages of a kind stamped `until` (s of the host's monotonic clock) or before, not taken yet."""
+
+    def close(self) -> None:
+        """Lets go of what it reads."""
+
+
+class HardwareSensor(LeafSystem):
+    """What a sensor measured up to now.
+
+    .. pydrake_system::
+
+        name: HardwareSensor
+        output_ports:
+        - <name>
+
+    A LaserScan or TagDetections message, stamped in the station's time. Where the station is late, because it was busy,
+    a message still appears at its time.
+    """
+
+    def __init__(self, name: str, source: Source, empty: LaserScan | TagDetections, clock: HostClock) -> None:
+        """name: of the port. empty: the message before there is any, stamped -inf."""
+        super().__init__()
+        self._source, self._clock = source, clock
+        self._kind: Any = type(empty)
+        self._message = self.DeclareAbstractState(AbstractValue.Make(empty))
+        declare_message_output(
+            self,
+            name,
+            lambda context: state_message(context, self._message, self._kind),
+            {self.abstract_state_ticket(self._message)},
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now = context.get_time()
+        taken = self._source.take(self._kind, self._clock.host(now))
+        if not taken:
+            return EventStatus.DidNothing()
+        newest = replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now))
+        set_state_message(state, self._message, newest)
+        return EventStatus.Succeeded()

@@ -1,0 +1,45 @@
+"""What plays a recording of a station's ports."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from tfg_drake.port_recording import COMMAND, MESSAGES, PortRecording
+from tfg_drake.systems.ports import declare_message_output
+
+
+class PortPlayer(LeafSystem):
+    """Says at every time what the recorded station's ports carried then.
+
+    .. pydrake_system::
+
+        name: PortPlayer
+        input_ports:
+        - base.velocity_commanded
+        - base.enable
+        output_ports:
+        - base.odometry
+        - base.hazards
+        - tags.detections
+        - scan.ranges
+        - base.enabled
+
+    The inputs change nothing: what the robot did it has done. base.enabled: 1. It has no state, the time says all.
+    """
+
+    def __init__(self, recording: PortRecording) -> None:
+        super().__init__()
+        self._recording = recording
+        self.DeclareVectorInputPort(COMMAND, 2)
+        self.DeclareVectorInputPort("base.enable", 1)
+        for name in MESSAGES:
+            declare_message_output(self, name, partial(self._Message, name), {self.time_ticket()})
+        self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.nothing_ticket()})
+
+    def _Message(self, name: str, context: Context) -> object:
+        return self._recording.at(name, context.get_time())
+
+    def _CalcEnabled(self, _context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, 1.0)

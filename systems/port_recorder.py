@@ -1,0 +1,56 @@
+"""What records the station's ports."""
+
+from __future__ import annotations
+
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
+
+from tfg_drake.cpu_meter import metered_in_detail
+from tfg_drake.port_recording import COMMAND, MESSAGES, PortWriter
+from tfg_drake.systems.ports import declare_message_input, eval_message
+
+# The explorer's: it sees no message that is not recorded.
+PERIOD = 1.0 / 16.0
+
+
+class PortRecorder(LeafSystem):
+    """Writes what the station's ports carry to a file, see tfg_drake.port_recording.
+
+    .. pydrake_system::
+
+        name: PortRecorder
+        input_ports:
+        - base.odometry
+        - base.hazards
+        - tags.detections
+        - scan.ranges
+        - base.velocity_commanded
+
+    It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it
+    records at an instant is what updates at that instant see, since both come before the instant's changes.
+    """
+
+    def __init__(self, writer: PortWriter) -> None:
+        """writer: where to; whoever opened it closes it."""
+        super().__init__()
+        self._writer = writer
+        self._messages = {name: (declare_message_input(self, name), kind) for name, kind in MESSAGES.items()}
+        self._command = self.DeclareVectorInputPort(COMMAND, 2)
+        self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
+
+    @staticmethod
+    def AddToBuilder(builder: DiagramBuilder, station: System, explorer: System, writer: PortWriter) -> PortRecorder:
+        """Adds a recorder of what a station and an explorer say to each other."""
+        recorder = PortRecorder(writer)
+        builder.AddNamedSystem("port_recorder", recorder)
+        for name in MESSAGES:
+            builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(name))
+        builder.Connect(explorer.GetOutputPort("velocity_commanded"), recorder.GetInputPort(COMMAND))
+        return recorder
+
+    @metered_in_detail("port_recorder")
+    def _Write(self, context: Context) -> EventStatus:
+        now = context.get_time()
+        for name, (port, kind) in self._messages.items():
+            self._writer.write(name, now, eval_message(port, context, kind))
+        self._writer.write_command(now, self._command.Eval(context))
+        return EventStatus.Succeeded()

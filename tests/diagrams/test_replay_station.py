@@ -1,0 +1,79 @@
+"""A recorded run, explored once more."""
+
+import pytest
+
+from tfg_drake.diagrams import run
+from tfg_drake.diagrams.methods import FindMethod
+from tfg_drake.diagrams.replay_station import MakeReplayStation, ReplayRobot
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.port_recording import read_recording
+
+ROOM = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
+"""
+EXACT = ("map.npz", "stages.jsonl", "trajectory.tum", "scenario.yaml", "ports.mcap")
+
+
+def room():
+    return ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
+
+
+def names(system):
+    inputs = {system.get_input_port(i).get_name() for i in range(system.num_input_ports())}
+    return inputs, {system.get_output_port(i).get_name() for i in range(system.num_output_ports())}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return run.explore(room(), name="room", out_dir=tmp_path_factory.mktemp("recorded"))
+
+
+def test_its_ports_are_those_of_any_station(recorded):
+    inputs, outputs = names(MakeReplayStation(read_recording(recorded.folder)))
+    simulated_inputs, simulated_outputs = names(MakeTurtlebotStation(room()))
+    assert inputs == simulated_inputs | {"base.enable"}
+    assert outputs == {name for name in simulated_outputs if not name.startswith("truth.")} | {"base.enabled"}
+
+
+def test_the_same_explorer_comes_to_the_same_map(recorded, tmp_path):
+    robot = ReplayRobot(read_recording(recorded.folder))
+    again = run.explore(room(), name="room", out_dir=tmp_path, robot=robot)
+    for name in ("outcome", "reason", "sim_time_s", "landmark_rmse_m", "surface_coverage", "map_bytes"):
+        assert again.summary[name] == recorded.summary[name]
+    assert recorded.summary["outcome"] == "complete"
+    assert recorded.summary["stages"] > 1
+    assert again.summary["position_error_m"]["mean"] is None
+    for name in EXACT:
+        assert (again.folder / name).read_bytes() == (recorded.folder / name).read_bytes(), name
+
+
+def test_a_run_that_was_ended_ends_there_again(tmp_path):
+    one = run.explore(room(), name="room", out_dir=tmp_path / "one", max_time=12.5)
+    robot = ReplayRobot(read_recording(one.folder))
+    two = run.explore(room(), name="room", out_dir=tmp_path / "two", robot=robot)
+    assert (two.summary["outcome"], two.summary["reason"]) == ("time_limit", "the recording has ended")
+    assert two.summary["sim_time_s"] == 12.5
+    for name in EXACT:
+        assert (two.folder / name).read_bytes() == (one.folder / name).read_bytes(), name
+
+
+def test_another_method_on_it_ends_with_the_recording(recorded, tmp_path):
+    robot = ReplayRobot(read_recording(recorded.folder))
+    summary = run.explore(room(), out_dir=tmp_path, robot=robot, method=FindMethod("grid-nearest")).summary
+    assert summary["sim_time_s"] <= robot.end_time
+    assert summary["outcome"] != "fault"
+
+
+def test_a_run_need_not_be_recorded(recorded, tmp_path):
+    (tmp_path / "ports.mcap").write_text("an earlier run's")
+    result = run.explore(room(), name="room", out_dir=tmp_path, record=False)
+    assert not (tmp_path / "ports.mcap").exists()
+    for name in ("map.npz", "stages.jsonl", "trajectory.tum", "truth.tum"):
+        assert (tmp_path / name).read_bytes() == (recorded.folder / name).read_bytes(), name
+    timed = {name for name in result.summary if name.endswith(("cpu_s", "time_factor", "bytes", "ms", "wall_time_s"))}
+    same = set(result.summary) - timed - {"cpu_time_s", "wall_time_s"}
+    assert {name: result.summary[name] for name in same} == {name: recorded.summary[name] for name in same}

@@ -1,0 +1,72 @@
+"""A robot that is all in one's own hands: what the real devices promise, without a process or real time."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+
+
+class FakeDevice:
+    """Speaks at fixed rates from the host's time it is first asked for; what it was told is kept."""
+
+    PERIODS: ClassVar = {Odometry: 0.02, Hazards: 0.02, TagDetections: 0.1, LaserScan: 0.1}
+
+    def __init__(self):
+        self.begin = None
+        self.said = dict.fromkeys(self.PERIODS, 0)
+        self.silent = set()
+        self.bumper = 0
+        self.moving_at = ()  # numbers of the odometry messages that say that it moved
+        self.locked = "not enabled yet"
+        self.refuses = None
+        self.enabled = 0
+        self.commands = []
+        self.dead = False
+
+    def message(self, kind, number):
+        stamp = self.begin + number * self.PERIODS[kind]
+        if kind is Odometry:
+            return Odometry(stamp, np.array([0.01 * number, 0.0, 0.0]), np.zeros(2), number not in self.moving_at)
+        if kind is Hazards:
+            return Hazards(stamp, self.bumper, 0, 0)
+        if kind is TagDetections:
+            one = np.ones(1)
+            return TagDetections(stamp, np.array([number]), one, one, one, one)
+        return LaserScan(stamp, np.array([0.0]), np.array([number * 1.0 + 5.0]), 1e6, 0.01)
+
+    def newest(self, kind):
+        self.begin = 0.0
+        message, self.begin = self.message(kind, 7), None
+        return message
+
+    def take(self, kind, until):
+        if self.begin is None:
+            self.begin = until
+        taken = []
+        while self.begin + self.said[kind] * self.PERIODS[kind] <= until + 1e-9:
+            if kind not in self.silent:
+                taken.append(self.message(kind, self.said[kind]))
+            self.said[kind] += 1
+        return taken
+
+    def enable(self):
+        if self.refuses:
+            raise DeviceError(f"the robot is not enabled: {self.refuses}")
+        self.enabled, self.locked = self.enabled + 1, None
+
+    def lock(self, reason):
+        self.locked = reason
+
+    def command(self, speed, turn_rate, due):
+        if self.dead:
+            raise DeviceError("the robot's process has ended")
+        self.commands.append((due - self.begin if self.begin is not None else 0.0, speed, turn_rate))
+
+
+class SameClock:
+    """A host clock whose station began with the host."""
+
+    def host(self, station_time):
+        return station_time

@@ -1,0 +1,52 @@
+"""The operator's keyboard, on a terminal and on a pipe."""
+
+import os
+import termios
+import time
+
+import pytest
+
+from tfg_drake.hardware.keyboard import Keyboard
+
+
+def requests(keyboard, count):
+    """As many requests as are expected, or what came within five seconds."""
+    taken, end = [], time.monotonic() + 5.0
+    while len(taken) < count and time.monotonic() < end:
+        taken += keyboard.requests()
+        time.sleep(0.005)
+    return taken
+
+
+def test_keys_on_a_pipe():
+    read, write = os.pipe()
+    keyboard = Keyboard(read)
+    os.write(write, b"e\nx P sq")
+    assert requests(keyboard, 6) == ["enable", "stop", "pause", "stop", "stop", "end"]
+    keyboard.close()
+    os.close(write)
+    os.close(read)
+
+
+def test_a_terminal_gives_keys_without_enter_and_is_given_back():
+    master, slave = os.openpty()
+    before = termios.tcgetattr(slave)
+    keyboard = Keyboard(slave)
+    assert termios.tcgetattr(slave) != before
+    os.write(master, b"e")
+    assert requests(keyboard, 1) == ["enable"]
+    keyboard.close()
+    assert termios.tcgetattr(slave) == before
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.05])
+def test_the_end_of_the_input_ends_nothing_else(wait):
+    read, write = os.pipe()
+    keyboard = Keyboard(read)
+    os.close(write)
+    time.sleep(wait)
+    assert keyboard.requests() == []
+    keyboard.close()
+    os.close(read)

@@ -1,0 +1,106 @@
+"""`explore --robot` against an emulated robot in real time, from the first connection to the wheels' last stop."""
+
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
+from tfg_drake.geometry.se2 import compose
+from tfg_drake.hardware.kobuki.emulator import Emulator
+from tfg_drake.trajectory import read_tum
+
+WORLD = MakeWorld(LoadScenario("house").world)
+
+
+class Explorer:
+    """`tfg-drake explore --robot kobuki` in a process, whose lines are awaited and whose keys are pressed."""
+
+    def __init__(self, emulator, folder, max_time):
+        host, port = emulator.sensors
+        source = f"socket:{host}:{port}"
+        arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--out", str(folder)]
+        arguments += ["--headless", "--max-time", str(max_time)]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", "--robot", "kobuki", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.lines = []
+
+    def wait_for(self, words):
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+            if words in line:
+                return
+        pytest.fail("\n".join(["the explorer ended before it said " + words, *self.lines]))
+
+    def press(self, key):
+        self.process.stdin.write(key)
+        self.process.stdin.flush()
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory):
+    """Enabled, stopped, enabled anew, paused, resumed, and at its time limit."""
+    folder = tmp_path_factory.mktemp("run")
+    marks = {}
+    with Emulator(WORLD) as emulator:
+        explorer = Explorer(emulator, folder, 15.0)
+        explorer.wait_for("nothing moves before it is enabled")
+        begin, marks["start"] = time.monotonic(), emulator.base.pose
+        for at, name, key in ((0.5, "enabled", "e"), (5.0, "stopped", " "), (6.5, "again", "e"), (8.5, "paused", "p")):
+            time.sleep(max(0.0, begin + at - time.monotonic()))
+            marks[name] = time.monotonic(), emulator.base.pose
+            explorer.press(key)
+        time.sleep(1.5)
+        marks["resumed"] = time.monotonic(), emulator.base.pose
+        explorer.press("p")
+        explorer.wait_for("files")
+        assert explorer.process.wait(20.0) == 0
+        time.sleep(0.3)
+        marks["end"] = emulator.commands[-1]
+        marks["commands"] = [(when, (one.speed, one.radius)) for when, one in emulator.commands]
+        marks["pose"] = emulator.base.pose
+    return folder, marks, explorer.lines
+
+
+def test_it_turns_only_while_it_may(mission):
+    _, marks, lines = mission
+    np.testing.assert_allclose(marks["enabled"][1], marks["start"])
+    moving = [when for when, (speed, _) in marks["commands"] if speed]
+    intervals = [(marks["enabled"][0], marks["stopped"][0] + 0.6), (marks["again"][0], marks["paused"][0] + 0.8)]
+    intervals.append((marks["resumed"][0], np.inf))
+    assert all(any(a <= when <= b for a, b in intervals) for when in moving)
+    assert all(any(a <= when <= b for when in moving) for a, b in intervals)
+    assert [line.partition(": ")[2] for line in lines if line.endswith((": enable", ": stop"))] == [
+        "enable",
+        "stop",
+        "enable",
+    ]
+
+
+def test_it_maps_what_is_there(mission):
+    folder, _, _ = mission
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["outcome"] == "time_limit"
+    assert summary["landmark_rmse_m"] is None
+    assert summary["contacts"] is None
+
+
+def test_the_estimate_is_where_the_robot_is(mission):
+    folder, marks, _ = mission
+    _, X_MB = read_tum(folder / "trajectory.tum")
+    X_WB = compose(WORLD.start, X_MB[-1])
+    np.testing.assert_allclose(X_WB[:2], marks["pose"][:2], atol=0.1)
+    assert abs(np.angle(np.exp(1j * (X_WB[2] - marks["pose"][2])))) < 0.3
+
+
+def test_its_last_word_to_the_wheels_is_a_stop(mission):
+    _, marks, _ = mission
+    assert marks["end"][1].speed == 0

@@ -1,0 +1,68 @@
+"""The operator as a system: requests in, what base and mission are told out."""
+
+import pytest
+from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.systems.analysis import Simulator
+
+from tfg_drake.systems.meshcat_buttons import MeshcatButtons
+from tfg_drake.systems.operator import Operator
+
+
+class Run:
+    """An operator whose requests are given by hand."""
+
+    def __init__(self, enabled=False):
+        self.requests = []
+        self.operator = Operator([self.take], enabled)
+        self.simulator = Simulator(self.operator)
+        self.context = self.simulator.get_mutable_context()
+        self.say_enabled(False)
+
+    def take(self):
+        taken, self.requests = self.requests, []
+        return taken
+
+    def say_enabled(self, enabled):
+        self.operator.GetInputPort("enabled").FixValue(self.context, [float(enabled)])
+
+    def after(self, *requests):
+        self.requests = list(requests)
+        self.simulator.AdvanceTo(self.context.get_time() + 0.25)
+        return [self.operator.GetOutputPort(name).Eval(self.context)[0] for name in ("enable", "pause", "stop")]
+
+
+def test_requests_become_what_base_and_mission_are_told():
+    run = Run()
+    assert run.after() == [0, 0, 0]
+    assert run.after("enable") == [1, 0, 0]
+    assert run.after("pause") == [1, 1, 0]
+    assert run.after("stop", "enable", "pause") == [2, 0, 0]
+    assert run.after("end") == [0, 0, 1]
+
+
+def test_a_base_that_stopped_by_itself_is_enabled_by_hand_only():
+    run = Run(enabled=True)
+    assert run.after() == [1, 0, 0]
+    run.say_enabled(True)
+    assert run.after() == [1, 0, 0]
+    run.say_enabled(False)
+    assert run.after() == [0, 0, 0]
+    run.say_enabled(True)
+    assert run.after() == [0, 0, 0]
+    assert run.after("enable") == [2, 0, 0]
+
+
+def test_buttons_in_meshcat():
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    buttons = MeshcatButtons(meshcat)
+    assert buttons.requests() == []
+    meshcat._InjectWebsocketMessage(_click("STOP"))
+    meshcat._InjectWebsocketMessage(_click("Enable"))
+    meshcat._InjectWebsocketMessage(_click("Enable"))
+    assert buttons.requests() == ["stop", "enable", "enable"]
+    assert buttons.requests() == []
+
+
+def _click(name):
+    umsgpack = pytest.importorskip("umsgpack")
+    return umsgpack.packb({"type": "button", "name": name})

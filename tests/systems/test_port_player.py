@@ -1,0 +1,69 @@
+"""The recorder and the player: what one has heard the other says again."""
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.port_recording import MESSAGES, PortWriter, read_recording
+from tfg_drake.systems.port_player import PortPlayer
+from tfg_drake.systems.port_recorder import PERIOD, PortRecorder
+from tfg_drake.systems.ports import declare_message_output
+
+NONE = np.zeros(0)
+LATE = 0.15
+
+
+class LateStation(LeafSystem):
+    """Sensors whose messages are stamped LATE s before they come, ten times a second, and an explorer's command."""
+
+    def __init__(self):
+        super().__init__()
+        for name in MESSAGES:
+            declare_message_output(
+                self, name, lambda context, name=name: self.message(name, context), {self.time_ticket()}
+            )
+        self.DeclareVectorOutputPort("velocity_commanded", 2, lambda _, output: output.SetFromVector([0.25, 0.0]))
+
+    def message(self, name, context):
+        stamp = np.floor(10.0 * context.get_time()) / 10.0 - LATE
+        return {
+            "base.odometry": Odometry(stamp, np.full(3, stamp), np.zeros(2)),
+            "base.hazards": Hazards(stamp, 1, 0, 0),
+            "tags.detections": TagDetections(stamp, np.array([3]), *np.full((4, 1), stamp)),
+            "scan.ranges": LaserScan(stamp, NONE, NONE, 10.0, 0.01),
+        }[name]
+
+
+def test_the_player_says_at_every_time_what_the_recorder_heard_then(tmp_path):
+    builder = DiagramBuilder()
+    station = builder.AddNamedSystem("station", LateStation())
+    with PortWriter(tmp_path / "ports.mcap", "late") as writer:
+        PortRecorder.AddToBuilder(builder, station, station, writer)
+        Simulator(builder.Build()).AdvanceTo(2.0)
+    recording = read_recording(tmp_path)
+    assert recording.end_time == 2.0 - 2.0 % PERIOD
+    assert [len(recording.messages[name]) for name in MESSAGES] == [21] * 4
+    assert [(one.v, one.w) for one in recording.messages["base.velocity_commanded"]] == [(0.25, 0.0)]
+
+    player, original = PortPlayer(recording), station.CreateDefaultContext()
+    context = player.CreateDefaultContext()
+    for k in range(33):
+        for one in (context, original):
+            one.SetTime(k * PERIOD)
+        for name in MESSAGES:
+            heard, said = player.GetOutputPort(name).Eval(context), station.GetOutputPort(name).Eval(original)
+            assert heard.stamp == said.stamp
+
+
+def test_the_player_has_the_ports_of_a_station_and_no_state(tmp_path):
+    station = LateStation()
+    context = station.CreateDefaultContext()
+    with PortWriter(tmp_path / "ports.mcap", "late") as writer:
+        for name in MESSAGES:
+            writer.write(name, 0.0, station.message(name, context))
+    player = PortPlayer(read_recording(tmp_path))
+    context = player.CreateDefaultContext()
+    assert player.GetOutputPort("base.enabled").Eval(context).tolist() == [1.0]
+    assert context.num_total_states() == 0
+    assert not player.HasAnyDirectFeedthrough()

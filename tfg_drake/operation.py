@@ -1,0 +1,50 @@
+"""What an operator wants of a robot: nothing moves before it is enabled, and a stop holds until it is enabled anew."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from tfg_drake.messages import message, replace
+
+# enable: let the base move, also after a stop. stop: the emergency stop. pause: pause the mission, or resume it. end:
+# end the mission.
+Request = Literal["enable", "stop", "pause", "end"]
+
+
+@message
+class Operation:
+    """What the operator wants.
+
+    enabling: 0: the base must stand; n > 0: it may move, by the n-th time it was enabled. enablings: times so far.
+    paused, ended: the mission's. obeyed: the base has been enabled since it was last asked for.
+    """
+
+    enabling: int = 0
+    enablings: int = 0
+    paused: bool = False
+    ended: bool = False
+    obeyed: bool = False
+
+
+def requested(operation: Operation, request: Request) -> Operation:
+    """What is wanted after a request. An end stops the base too; nothing undoes it."""
+    if operation.ended:
+        return operation
+    if request == "enable":
+        again = operation.enablings + 1
+        return replace(operation, enabling=again, enablings=again, obeyed=False)
+    if request == "stop":
+        return replace(operation, enabling=0, obeyed=False)
+    if request == "pause":
+        return replace(operation, paused=not operation.paused)
+    return replace(operation, enabling=0, ended=True)
+
+
+def noticed(operation: Operation, enabled: bool) -> Operation:
+    """What is wanted where the base says whether it may move.
+
+    A base that stopped by itself stays so until it is enabled anew.
+    """
+    if operation.enabling == 0 or enabled == operation.obeyed:
+        return operation
+    return replace(operation, obeyed=True) if enabled else replace(operation, enabling=0, obeyed=False)
