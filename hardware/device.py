@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import collections
 import contextlib
-import pickle
 import select
 import subprocess
 import sys
 import threading
 import time
-import zlib
 from multiprocessing import Pipe
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from tfg_drake.hardware.announcements import Announcements
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message
 
@@ -81,14 +80,6 @@ class Driver(Protocol):
         """Lets go of the robot."""
 
 
-@runtime_checkable
-class Publisher(Protocol):
-    """A driver that can tell others what the explorer knows, too."""
-
-    def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message as a dictionary of its fields; a header's stamp is the host's time, s."""
-
-
 class DriverConfig(Protocol):
     """What the process is told: pickled, and opened there."""
 
@@ -106,15 +97,19 @@ class Device:
     def __init__(self, config: DriverConfig) -> None:
         """Starts the process and waits until odometry arrives; raises DeviceError."""
         self._connection, theirs = Pipe()
+        announced, announcing = Pipe(duplex=False)
+        given = (theirs, announced)
         # In a session of its own: an interrupt from the keyboard is for this process, which stops the robot by ending.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tfg_drake.hardware.driver_process", str(theirs.fileno())],
-            pass_fds=[theirs.fileno()],
+            [sys.executable, "-m", "tfg_drake.hardware.driver_process", *(str(one.fileno()) for one in given)],
+            pass_fds=[one.fileno() for one in given],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             start_new_session=True,
         )
-        theirs.close()
+        for one in given:
+            one.close()
+        self._announcements = Announcements(announcing)
         self._changed = threading.Condition()
         self._newest: dict[type, Message] = {}
         self._waiting: dict[type, collections.deque[Message]] = {}
@@ -170,9 +165,8 @@ class Device:
         self._put(("lock", reason))
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message, as Publisher has it, where the driver is one; raises DeviceError."""
-        # A map of a large building is mostly the same cell: so small that sending it never waits.
-        self._put(("publish", zlib.compress(pickle.dumps((key, message)), 1)))
+        """Publishes a message, as tfg_drake.hardware.announcements.Publisher has it, where the driver is one."""
+        self._announcements.put(key, message)
 
     def enable(self) -> None:
         """Lets the commands that follow move the robot; raises DeviceError where it may not."""
@@ -194,6 +188,7 @@ class Device:
             self._process.kill()
             self._process.wait()
         self._reader.join()
+        self._announcements.close()
         self._connection.close()
 
     def __enter__(self) -> Device:

@@ -1,25 +1,25 @@
-"""The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... FILE_DESCRIPTOR`.
+"""The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... ORDERS ANNOUNCEMENTS`.
 
-What arrives for it: the driver's configuration, then ("command", sent, speed, turn_rate), ("enable",),
-("lock", reason), ("publish", compressed key and message) and ("close",).
+ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive the driver's configuration,
+("command", sent, speed, turn_rate), ("enable",), ("lock", reason) and ("close",).
 What it says: ("ready", None), ("message", message), ("locked", reason or None), ("answer", reason or None) to an
 enable, and ("ended", line). When the other end is gone the robot stands and the process ends.
+What comes by the second is published, see announcements.py.
 """
 
 from __future__ import annotations
 
 import collections
 import os
-import pickle
 import signal
 import sys
 import threading
 import time
-import zlib
 from multiprocessing.connection import Connection
 from typing import Any
 
-from tfg_drake.hardware.device import WAITING, DeviceError, Driver, Publisher
+from tfg_drake.hardware.announcements import Publisher, announce
+from tfg_drake.hardware.device import WAITING, DeviceError, Driver
 from tfg_drake.hardware.watchdog import TICK, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
@@ -86,9 +86,6 @@ def serve(driver: Driver, connection: Connection) -> None:
                     outbox.put("answer", told)
                 elif order[0] == "lock":
                     watchdog.lock(order[1])
-                elif order[0] == "publish":
-                    if isinstance(driver, Publisher):
-                        driver.publish(*pickle.loads(zlib.decompress(order[1])))
                 else:
                     watchdog.command(*order[1:])
             velocity = watchdog.velocity(time.monotonic())
@@ -116,6 +113,8 @@ def main() -> None:
     except DeviceError as error:
         connection.send(("ended", str(error)))
         return
+    if isinstance(driver, Publisher):
+        threading.Thread(target=announce, args=(driver, Connection(int(sys.argv[2]))), daemon=True).start()
     try:
         serve(driver, connection)
     finally:

@@ -118,7 +118,7 @@ def _message_type(topic: Topic) -> Any:
 class Ros2Driver:
     """A node that subscribes to a preset's topics and publishes its command; see tfg_drake.hardware.device.Driver.
 
-    It publishes what the explorer knows, too: see tfg_drake.hardware.device.Publisher.
+    It publishes what the explorer knows, too: see tfg_drake.hardware.announcements.Publisher.
     """
 
     def __init__(self, preset: Preset) -> None:

@@ -130,7 +130,7 @@ def _in_json(message: dict[str, Any]) -> dict[str, Any]:
 class RosbridgeDriver:
     """A client that subscribes to a preset's topics and publishes its command; see tfg_drake.hardware.device.Driver.
 
-    It publishes what the explorer knows, too: see tfg_drake.hardware.device.Publisher.
+    It publishes what the explorer knows, too: see tfg_drake.hardware.announcements.Publisher.
     """
 
     def __init__(self, preset: Preset, host: str, port: int) -> None:

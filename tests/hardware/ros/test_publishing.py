@@ -14,7 +14,7 @@ from pydrake.systems.analysis import Simulator
 
 from tests.hardware.fake_robot import SameClock
 from tfg_drake.geometry import se2
-from tfg_drake.hardware.device import Publisher
+from tfg_drake.hardware.announcements import Publisher
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.hardware.ros.ros2 import Ros2Driver

@@ -1,0 +1,68 @@
+"""What the explorer tells others, on its way to the robot's process: a pipe of its own, with a thread at either end.
+
+So a map of a large building holds up neither the planner nor the watchdog.
+"""
+
+from __future__ import annotations
+
+import threading
+from multiprocessing.connection import Connection
+from typing import Any, Protocol, runtime_checkable
+
+
+@runtime_checkable
+class Publisher(Protocol):
+    """A driver that can tell others what the explorer knows."""
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message as a dictionary of its fields, from a thread of its own; a header's stamp is the host's
+        time, s."""
+
+
+class Announcements:
+    """The planner's end. Of what is put faster than it is taken the newest of each key goes out."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._waiting: dict[str, dict[str, Any]] = {}
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def put(self, key: str, message: dict[str, Any]) -> None:
+        """Has a message published."""
+        with self._changed:
+            self._waiting[key] = message
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Sends nothing more; the other end must be reading, or gone."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+        self._connection.close()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return
+                waiting, self._waiting = self._waiting, {}
+            try:
+                for one in waiting.items():
+                    self._connection.send(one)
+            except OSError:
+                return  # the process has ended; Device says so
+
+
+def announce(publisher: Publisher, connection: Connection) -> None:
+    """The process's end: publishes what arrives, until the other end is closed."""
+    while True:
+        try:
+            key, message = connection.recv()
+        except (EOFError, OSError):
+            return
+        publisher.publish(key, message)

@@ -1,0 +1,57 @@
+"""What is to be published waits for nobody, and nobody waits for it."""
+
+import threading
+import time
+from multiprocessing import Pipe
+
+from tfg_drake.hardware.announcements import Announcements, announce
+
+LARGE = {"data": bytes(5_000_000)}
+
+
+class Slow:
+    """Publishes a message in a tenth of a second."""
+
+    def __init__(self):
+        self.published = []
+
+    def publish(self, key, message):
+        time.sleep(0.1)
+        self.published.append((key, message))
+
+
+def test_of_what_is_too_fast_the_newest_is_published():
+    theirs, ours = Pipe(duplex=False)
+    publisher = Slow()
+    thread = threading.Thread(target=announce, args=(publisher, theirs))
+    thread.start()
+    announcements = Announcements(ours)
+    announcements.put("map", LARGE)
+    began = time.monotonic()
+    while time.monotonic() - began < 0.5:
+        announcements.put("pose", LARGE | {"number": time.monotonic()})
+        time.sleep(0.005)
+    last = time.monotonic()
+    announcements.put("pose", {"number": last})
+    while publisher.published[-1:] != [("pose", {"number": last})]:
+        assert time.monotonic() < last + 10.0
+        time.sleep(0.01)
+    announcements.close()
+    thread.join(5.0)
+    assert not thread.is_alive()
+    numbers = [message["number"] for key, message in publisher.published if key == "pose"]
+    assert numbers == sorted(numbers)
+    assert 2 <= len(numbers) < 20
+    assert publisher.published.count(("map", LARGE)) == 1
+
+
+def test_nobody_reads():
+    theirs, ours = Pipe(duplex=False)
+    announcements = Announcements(ours)
+    began = time.monotonic()
+    for _ in range(10):
+        announcements.put("map", LARGE)
+    assert time.monotonic() - began < 1.0
+    theirs.close()  # as the end of the process does
+    announcements.close()
+    announcements.put("map", LARGE)
