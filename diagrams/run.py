@@ -417,7 +417,6 @@ def MakeMissionDiagram(
 
     if robot.real:
         operator = builder.AddNamedSystem("operator", Operator(robot.operated))
-        builder.Connect(station.GetOutputPort("base.enabled"), operator.GetInputPort("enabled"))
         builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
         for name in ("pause", "stop"):
             if explorer.HasInputPort(name):

@@ -76,21 +76,31 @@ class Watchdog:
         self._command, self._sent = (speed, turn_rate) if finite else (0.0, 0.0), sent if finite else -math.inf
 
     def velocity(self, now: float) -> tuple[float, float]:
-        """What to send, m/s and rad/s: within the limits of speed and acceleration, or zero at once."""
+        """What to send, m/s and rad/s: within the limits of speed and of speeding up, or zero at once.
+
+        How hard the base brakes is for the command to say: whoever wants it to stop may have a reason to hurry.
+        """
         self._check(now)
         dt, self._when = min(max(0.0, now - self._when), 2.0 * TICK), now
         if self._locked is not None or self._hangs or not now - self._sent <= COMMAND_TIMEOUT:
             self._velocity = (0.0, 0.0)
         else:
             (v, w), limits = self._velocity, self._limits
-            v += _bounded(_bounded(self._command[0], limits.speed) - v, limits.acceleration * dt)
-            w += _bounded(_bounded(self._command[1], limits.turn_rate) - w, limits.turn_acceleration * dt)
+            v = _towards(_bounded(self._command[0], limits.speed), v, limits.acceleration * dt)
+            w = _towards(_bounded(self._command[1], limits.turn_rate), w, limits.turn_acceleration * dt)
             self._velocity = (min(v, 0.0) if self._blocked else v, w)
         return self._velocity
 
     def _check(self, now: float) -> None:
         if not now - self._heard <= ODOMETRY_TIMEOUT:
             self._locked = self._locked or _NO_ODOMETRY
+
+
+def _towards(target: float, value: float, change: float) -> float:
+    """The target, or what is nearest to it without speeding up by more than a change."""
+    slower = min(abs(target), abs(value)) if target * value > 0.0 else 0.0
+    begin = math.copysign(slower, target)
+    return begin + _bounded(target - begin, change)
 
 
 def _bounded(value: float, bound: float) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from tfg_drake.operation import Operation, Request, noticed, requested
+from tfg_drake.operation import Operation, Request, requested
 from tfg_drake.systems.ports import set_state_message, state_message
 
 PERIOD = 1.0 / 16.0
@@ -22,26 +22,22 @@ class Operator(LeafSystem):
     .. pydrake_system::
 
         name: Operator
-        input_ports:
-        - enabled
         output_ports:
         - enable
         - pause
         - stop
 
-    All are vectors of size 1. enabled: 1 while the base may move. enable: for the base; 0 while it must stand,
-    otherwise a number that is another one each time it is enabled. pause, stop: for the mission, 1 or 0.
+    All are vectors of size 1. enable: for the base; 0 while it must stand, otherwise a number that is another one each
+    time it is enabled. pause, stop: for the mission, 1 or 0.
 
     The requests come from outside the context: a run in which there were any repeats only with the same ones.
     """
 
-    def __init__(self, sources: Sequence[Callable[[], Sequence[Request]]], enabled: bool = False) -> None:
-        """sources: each returns the requests since it was last called. enabled: whether the base may move at once."""
+    def __init__(self, sources: Sequence[Callable[[], Sequence[Request]]]) -> None:
+        """sources: each returns the requests since it was last called."""
         super().__init__()
         self._sources = tuple(sources)
-        self._enabled = self.DeclareVectorInputPort("enabled", 1)
-        initial = requested(Operation(), "enable") if enabled else Operation()
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
+        self._state = self.DeclareAbstractState(AbstractValue.Make(Operation()))
         depends = {self.abstract_state_ticket(self._state)}
         for name, calc in (
             ("enable", lambda operation: operation.enabling),
@@ -55,10 +51,7 @@ class Operator(LeafSystem):
         return lambda context, output: output.SetAtIndex(0, float(calc(state_message(context, self._state, Operation))))
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        before = state_message(context, self._state, Operation)
-        after = noticed(before, bool(self._enabled.Eval(context)[0] > 0.5))
-        if before.enabling and not after.enabling:
-            _log.warning("%.2f s: the base has stopped; enable it anew", context.get_time())
+        before = after = state_message(context, self._state, Operation)
         for source in self._sources:
             for request in source():
                 _log.info("%.2f s: %s", context.get_time(), request)

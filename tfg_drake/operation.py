@@ -15,15 +15,14 @@ Request = Literal["enable", "stop", "pause", "end"]
 class Operation:
     """What the operator wants.
 
-    enabling: 0: the base must stand; n > 0: it may move, by the n-th time it was enabled. enablings: times so far.
-    paused, ended: the mission's. obeyed: the base has been enabled since it was last asked for.
+    enabling: 0: the base must stand; n > 0: it may move, by the n-th time it was enabled: a base that stops by itself
+    does not count that one any more. enablings: times so far. paused, ended: the mission's.
     """
 
     enabling: int = 0
     enablings: int = 0
     paused: bool = False
     ended: bool = False
-    obeyed: bool = False
 
 
 def requested(operation: Operation, request: Request) -> Operation:
@@ -32,19 +31,9 @@ def requested(operation: Operation, request: Request) -> Operation:
         return operation
     if request == "enable":
         again = operation.enablings + 1
-        return replace(operation, enabling=again, enablings=again, obeyed=False)
+        return replace(operation, enabling=again, enablings=again)
     if request == "stop":
-        return replace(operation, enabling=0, obeyed=False)
+        return replace(operation, enabling=0)
     if request == "pause":
         return replace(operation, paused=not operation.paused)
     return replace(operation, enabling=0, ended=True)
-
-
-def noticed(operation: Operation, enabled: bool) -> Operation:
-    """What is wanted where the base says whether it may move.
-
-    A base that stopped by itself stays so until it is enabled anew.
-    """
-    if operation.enabling == 0 or enabled == operation.obeyed:
-        return operation
-    return replace(operation, obeyed=True) if enabled else replace(operation, enabling=0, obeyed=False)

@@ -38,7 +38,8 @@ class Emulator:
     device: the path that a driver opens; it is there while the cable is plugged in, as udev's are. sensors: address
     (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands: what a driver told
     the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic(). corrupt: share of
-    frames that leave with a byte changed. silent: it says nothing, but obeys.
+    frames that leave with a byte changed. silent: it says nothing, but obeys. muted: which of "tags" and "scan" the
+    socket does not say.
 
     Stamps of tags and scans are s of time.monotonic(), too. There are no stamps of frames but the base's own.
     """
@@ -60,6 +61,7 @@ class Emulator:
         self.commands: collections.deque[tuple[float, BaseControl]] = collections.deque(maxlen=_REMEMBERED)
         self.corrupt = 0.0
         self.silent = False
+        self.muted: set[str] = set()
         self._folder = tempfile.TemporaryDirectory(prefix="kobuki-")
         self.device = str(Path(self._folder.name) / "kobuki")
         self._line: PseudoTerminal | None = None
@@ -148,10 +150,10 @@ class Emulator:
     def _sense(self, begin: float, before: float) -> None:
         """Tags and a scan, each when another of its periods is over since `before`, s."""
         now, pose, world = self.base.time, self.base.pose, self._world
-        if _count(now, self._tags.rate) > _count(before, self._tags.rate):
+        if "tags" not in self.muted and _count(now, self._tags.rate) > _count(before, self._tags.rate):
             normal = self._noise.normal(size=(len(world.tag_ids), NOISE_PER_TAG))
             self._socket.send(sensor_line(detect(world, pose, begin + now, normal, self._tags)))
-        if _count(now, self._scanner.rate) > _count(before, self._scanner.rate):
+        if "scan" not in self.muted and _count(now, self._scanner.rate) > _count(before, self._scanner.rate):
             normal = self._noise.normal(size=len(self._angles))
             seen = scan(world.walls, pose, begin + now, self._angles, normal, self._scanner)
             self._socket.send(sensor_line(seen))

@@ -23,6 +23,10 @@ def order(emulator: Emulator, line: str) -> str | None:
                 pass
             case ["silent", "on" | "off" as state]:
                 emulator.silent = state == "on"
+            case ["mute", "tags" | "scan" as sensor]:
+                emulator.muted.add(sensor)
+            case ["unmute", "tags" | "scan" as sensor]:
+                emulator.muted.discard(sensor)
             case ["corrupt", share] if 0.0 <= float(share) <= 1.0:
                 emulator.corrupt = float(share)
             case ["unplug"]:

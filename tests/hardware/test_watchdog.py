@@ -1,8 +1,12 @@
 """The watchdog on a clock of the test's own."""
 
+import itertools
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tfg_drake.hardware.watchdog import COMMAND_TIMEOUT, ODOMETRY_TIMEOUT, TICK, Limits, Watchdog
 from tfg_drake.messages import Hazards
@@ -78,7 +82,7 @@ def test_limits():
     assert sent[9] == pytest.approx((-0.1, 0.7))
     assert sent[-1] == pytest.approx((-0.3, 1.5))
     robot.command = (9.0, 0.0)
-    assert robot.run(TICK)[0] == pytest.approx((-0.3 + 0.5 * TICK, 1.5 - 3.5 * TICK))
+    assert robot.run(TICK)[0] == pytest.approx((0.5 * TICK, 0.0))
 
 
 def test_a_late_tick_does_not_jump():
@@ -168,3 +172,33 @@ def test_bumper_and_cliff_allow_to_turn_and_to_back(driving, hazards):
 def test_alarms_last_until_they_are_taken_back(driving):
     driving.watchdog.hear_hazards(Hazards(driving.now, 0, 0, 1))
     assert still(driving.run(5.0))
+
+
+def test_it_brakes_as_hard_as_it_is_told(driving):
+    driving.command = (0.1, 0.0)
+    assert driving.run(TICK) == [(0.1, 0.0)]
+    driving.command = (0.0, 0.0)
+    assert still(driving.run(TICK))
+
+
+def test_it_turns_back_from_standing_still(driving):
+    driving.command = (-0.3, 0.0)
+    sent = [v for v, _ in driving.run(1.0)]
+    assert sent[0] == pytest.approx(-0.5 * TICK)
+    assert np.diff(sent).min() >= -0.5 * TICK - 1e-12
+    assert sent[-1] == -0.3
+
+
+@given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), max_size=30))
+def test_it_speeds_up_within_its_limits(commands):
+    robot = Robot()
+    robot.run(TICK)
+    robot.watchdog.enable(robot.now)
+    sent = [(0.0, 0.0)]
+    for robot.command in commands:
+        sent += robot.run(TICK)
+    for before, after in itertools.pairwise(sent):
+        for i, (limit, gain) in enumerate(((0.3, 0.5), (1.5, 3.5))):
+            assert abs(after[i]) <= limit + 1e-12
+            from_rest = before[i] if before[i] * after[i] > 0.0 else 0.0
+            assert abs(after[i]) - abs(from_rest) <= gain * TICK + 1e-9

@@ -11,19 +11,15 @@ from tfg_drake.systems.operator import Operator
 class Run:
     """An operator whose requests are given by hand."""
 
-    def __init__(self, enabled=False):
+    def __init__(self):
         self.requests = []
-        self.operator = Operator([self.take], enabled)
+        self.operator = Operator([self.take])
         self.simulator = Simulator(self.operator)
         self.context = self.simulator.get_mutable_context()
-        self.say_enabled(False)
 
     def take(self):
         taken, self.requests = self.requests, []
         return taken
-
-    def say_enabled(self, enabled):
-        self.operator.GetInputPort("enabled").FixValue(self.context, [float(enabled)])
 
     def after(self, *requests):
         self.requests = list(requests)
@@ -38,18 +34,6 @@ def test_requests_become_what_base_and_mission_are_told():
     assert run.after("pause") == [1, 1, 0]
     assert run.after("stop", "enable", "pause") == [2, 0, 0]
     assert run.after("end") == [0, 0, 1]
-
-
-def test_a_base_that_stopped_by_itself_is_enabled_by_hand_only():
-    run = Run(enabled=True)
-    assert run.after() == [1, 0, 0]
-    run.say_enabled(True)
-    assert run.after() == [1, 0, 0]
-    run.say_enabled(False)
-    assert run.after() == [0, 0, 0]
-    run.say_enabled(True)
-    assert run.after() == [0, 0, 0]
-    assert run.after("enable") == [2, 0, 0]
 
 
 def test_buttons_in_meshcat():

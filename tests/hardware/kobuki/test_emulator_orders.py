@@ -38,6 +38,12 @@ def test_silence_and_corruption(emulator):
     assert (emulator.silent, emulator.corrupt) == (False, 0.0)
 
 
+def test_muted_sensors(emulator):
+    for line, muted in (("mute scan", {"scan"}), ("mute tags", {"scan", "tags"}), ("unmute scan", {"tags"})):
+        order(emulator, line)
+        assert emulator.muted == muted
+
+
 def test_the_cable(emulator):
     for line in ("unplug", "unplug", "plug", "plug"):
         assert order(emulator, line) is None
