@@ -45,7 +45,7 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
                 robot, scenario.odometry, scenario.tags, explorer, scenario.planner, seed=scenario.seed
             ),
             "follower": PurePursuitFollower(robot, explorer),
-            "mission_sequencer": MissionSequencer(robot),
+            "mission_sequencer": MissionSequencer(robot, explorer.glance_period),
         }
     )
 

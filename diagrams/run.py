@@ -304,7 +304,8 @@ class Mission:
         """
         choice = self._choice
         # No prediction for the start, nor for a place where the robot looks round because it could not reach its goal.
-        if choice is not None and (self.status.failures > 0 or choice.node not in choice.candidates):
+        # Nor for a glance.
+        if choice is not None and (self.status.moving or self.status.failures > 0 or choice.node not in choice.candidates):
             choice = None
         row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
         before = self.map

@@ -24,14 +24,14 @@ PATIENCE = 3.0
 # The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
 # began, s, how far it has turned and the last heading, rad; the path's id, the progress on it, m, and whether the robot
 # turns in place on it; whether it is finished; whether the robot is at rest, since when the command is zero, s, and
-# when the robot last did as it was told, s.
+# when the robot last did as it was told, s, and how much of the path is left, m.
 (
-    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, PATH, PROGRESS, TURNING, FINISHED, REST, ZERO_SINCE, OBEYED,
-) = range(13)  # fmt: skip
+    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, PATH, PROGRESS, TURNING, FINISHED, REST, ZERO_SINCE, OBEYED, LEFT,
+) = range(14)  # fmt: skip
 
 
 class PurePursuitFollower(LeafSystem):
-    """Follows the path in the mission's phase "follow", turns in place in "observe", and stands still otherwise.
+    """Follows the path while the mission says that the robot drives, turns in place in "observe", and stands still otherwise.
 
     .. pydrake_system::
 
@@ -53,7 +53,7 @@ class PurePursuitFollower(LeafSystem):
         self._pose = declare_message_input(self, "pose")
         self._path = declare_message_input(self, "path")
         self._mission = declare_message_input(self, "mission")
-        initial = np.zeros(13)
+        initial = np.zeros(14)
         initial[[TURN_SINCE, PATH]] = -1.0
         ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity, ticket)
@@ -72,6 +72,7 @@ class PurePursuitFollower(LeafSystem):
             turned=float(x[TURNED]),
             turn_done=bool(x[TURNED] >= 2.0 * math.pi and x[REST]),
             stalled=bool(x[STAMP] - x[OBEYED] > PATIENCE),
+            left=float(x[LEFT]),
         )
 
     @metered("follower")
@@ -83,7 +84,7 @@ class PurePursuitFollower(LeafSystem):
         x[SPEED] = x[TURN_RATE] = 0.0
         if mission.phase == "observe":
             self._Turn(x, mission, pose)
-        elif mission.phase == "follow":
+        elif mission.drives:
             self._Follow(x, eval_message(self._path, context, Path), pose)
         if x[SPEED] != 0.0 or x[TURN_RATE] != 0.0:
             x[ZERO_SINCE] = x[STAMP]
@@ -105,9 +106,11 @@ class PurePursuitFollower(LeafSystem):
 
     def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> None:
         if x[PATH] != path.id:
-            x[PATH], x[PROGRESS], x[TURNING], x[FINISHED], x[OBEYED] = path.id, 0.0, 1.0, 0.0, x[STAMP]
+            # A robot that stands turns on the spot to face its path; one that drives goes on if it can.
+            x[TURNING] = float(at_rest(*pose.speed))
+            x[PATH], x[PROGRESS], x[FINISHED] = path.id, 0.0, 0.0
         if x[FINISHED]:
             return
         command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)
         x[SPEED], x[TURN_RATE], x[PROGRESS] = command.speed, command.turn_rate, command.progress
-        x[TURNING], x[FINISHED] = command.turning, command.finished
+        x[TURNING], x[FINISHED], x[LEFT] = command.turning, command.finished, command.left

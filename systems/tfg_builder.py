@@ -30,6 +30,10 @@ from tfg_drake.tfg.graph import (
 from tfg_drake.tfg.panorama import build_panorama
 
 
+# Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
+GLANCE_SCANS = 3
+
+
 @message
 class _BuilderState:
     """The graph and it resolved in the map; since its last goal, scans of the running turn and tags sighted on the
@@ -103,7 +107,8 @@ class TfgBuilder(LeafSystem):
     def _Collect(self, context: Context, now: _BuilderState) -> _BuilderState:
         sightings = note_sightings(now.sightings, eval_message(self._pose, context, PoseEstimate))
         scans = now.scans
-        if eval_message(self._mission, context, MissionStatus).phase == "observe":
+        phase = eval_message(self._mission, context, MissionStatus).phase
+        if phase == "observe" or (phase == "glance" and len(scans) < GLANCE_SCANS):
             scan = eval_message(self._scan, context, LaserScan)
             if math.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
                 scans = (*scans, scan)

@@ -18,6 +18,7 @@ from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, barred_places, given_up_open, why_end
 from tfg_drake.tfg.drift import known_jointly
+from tfg_drake.tfg.star_polygon import looked_round
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
@@ -63,9 +64,10 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
     return np.sort(np.append(seeing, take(others, count - len(seeing))))
 
 
-def apart_from_goals(points: FloatArray, estimate: MapEstimate) -> BoolArray:
-    """Which of the points (n, 2), m in M, are no past goal's place, (n,)."""
-    distance, _ = cKDTree(estimate.X_MA[:, :2]).query(points, distance_upper_bound=APART)
+def apart_from_goals(points: FloatArray, tfg: TfgMap) -> BoolArray:
+    """Which of the points (n, 2), m in M, are no place where the robot has looked all round, (n,)."""
+    turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    distance, _ = cKDTree(tfg.star_centers[turned]).query(points, distance_upper_bound=APART)
     return np.asarray(np.isinf(distance))
 
 
@@ -93,7 +95,7 @@ def choose(
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
-    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, estimate))
+    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg))
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = known_jointly(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
     kept = ~here & np.isin(nodes, previous.candidates)

@@ -38,13 +38,15 @@ SEARCH = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class PathCommand:
-    """speed: m/s. turn_rate: rad/s. progress: m along the path. turning: the robot turns in place. finished."""
+    """speed: m/s. turn_rate: rad/s. progress: m along the path. turning: the robot turns in place. finished. left:
+    m of the path."""
 
     speed: float
     turn_rate: float
     progress: float
     turning: bool
     finished: bool
+    left: float = 0.0
 
 
 @njit(cache=True)
@@ -136,7 +138,7 @@ def follow(
     # So near the end a robot that drives must not turn round for a point beside it.
     near_end = remaining < 0.5 * LOOK_AHEAD_MIN
     if abs(error) > TURN_BELOW if turning else abs(error) > TURN_ABOVE and not near_end:
-        return PathCommand(0.0, _turn_towards(error, robot), progress, True, False)
+        return PathCommand(0.0, _turn_towards(error, robot), progress, True, False, remaining)
     curvature = 2.0 * math.sin(error) / max(math.hypot(px - x, py - y), 1e-3)
     limit = _speed_limit(
         points,
@@ -146,7 +148,7 @@ def follow(
         BRAKING_SHARE * robot.max_acceleration,
     )
     limit = min(limit, TURNING_SHARE * robot.max_turn_rate / max(abs(curvature), 1e-9))
-    return PathCommand(limit, limit * curvature, progress, False, False)
+    return PathCommand(limit, limit * curvature, progress, False, False, remaining)
 
 
 def turn_in_place(turned: float, target: float, turn_rate: float, robot: RobotConfig) -> float:

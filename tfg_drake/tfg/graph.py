@@ -46,7 +46,7 @@ from tfg_drake.tfg.frontier import (
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import panorama_links, segment
-from tfg_drake.tfg.star_polygon import star_polygon
+from tfg_drake.tfg.star_polygon import looked_round, star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
 
 # Goals tried within this distance of each other count for the same frontier point, m.
@@ -414,6 +414,10 @@ def _count_attempts(
     before: TfgGraph, after: TfgGraph, estimate: MapEstimate, tags: TagSensorConfig, explorer: ExplorerConfig
 ) -> TfgGraph:
     """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on."""
+    newest = after.star_vertices[after.star_offsets[-2] :]
+    if not looked_round(np.array([0, len(newest)]), newest, np.zeros((1, 2)))[0]:
+        # A glance is no attempt: the robot was on its way to look.
+        return after
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph) -> FloatArray:
