@@ -44,7 +44,7 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
             "prm_planner": PrmPlanner(
                 robot, scenario.odometry, scenario.tags, explorer, scenario.planner, seed=scenario.seed
             ),
-            "follower": PurePursuitFollower(robot, explorer),
+            "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),
             "mission_sequencer": MissionSequencer(robot, explorer.glance_period),
         }
     )

@@ -82,6 +82,11 @@ class Scenario:
     drive: list[list[float]] = dataclasses.field(default_factory=list)
     grid: GridConfig = dataclasses.field(default_factory=GridConfig)
 
+    @property
+    def field_of_view(self) -> float:
+        """What tag sensor and scanner both see of the surroundings, rad."""
+        return min(self.tags.field_of_view, self.scan.field_of_view)
+
 
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
 _BOUNDS: dict[str, tuple[float, float]] = {

@@ -98,7 +98,8 @@ class TfgBuilder(LeafSystem):
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = state_message(context, self._state, _BuilderState)
         estimate = eval_message(self._map, context, MapEstimate)
-        after = self._AddGoal(now, estimate) if estimate.stage > now.graph.stage else self._Collect(context, now)
+        mission = eval_message(self._mission, context, MissionStatus)
+        after = self._AddGoal(now, estimate, mission.moving) if estimate.stage > now.graph.stage else self._Collect(context, now)
         if after is now:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, after)
@@ -116,7 +117,9 @@ class TfgBuilder(LeafSystem):
             return now
         return replace(now, scans=scans, sightings=sightings)
 
-    def _AddGoal(self, now: _BuilderState, estimate: MapEstimate) -> _BuilderState:
+    def _AddGoal(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
         panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
-        graph = update(now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer)
+        graph = update(
+            now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
+        )
         return _BuilderState(graph, resolve(graph, estimate, self._robot, self._explorer), (), no_sightings())

@@ -273,7 +273,7 @@ class GoalChoice:
     value: (c,) what was maximised. verdict: "goal", or how the mission ends: "complete", "stuck" or "budget", where
     there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not
     at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
-    chosen at once.
+    chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
     """
 
     stage: int
@@ -289,6 +289,7 @@ class GoalChoice:
     reason: str
     latest_arrival: float = math.inf
     spent: bool = False
+    look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 @message

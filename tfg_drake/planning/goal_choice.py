@@ -64,10 +64,10 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
     return np.sort(np.append(seeing, take(others, count - len(seeing))))
 
 
-def apart_from_goals(points: FloatArray, tfg: TfgMap) -> BoolArray:
-    """Which of the points (n, 2), m in M, are no place where the robot has looked all round, (n,)."""
+def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
+    """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    distance, _ = cKDTree(tfg.star_centers[turned]).query(points, distance_upper_bound=APART)
+    distance, _ = cKDTree(np.vstack([tfg.star_centers[turned], p_MD])).query(points, distance_upper_bound=APART)
     return np.asarray(np.isinf(distance))
 
 
@@ -95,7 +95,7 @@ def choose(
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
-    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg))
+    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = known_jointly(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
     kept = ~here & np.isin(nodes, previous.candidates)
@@ -167,7 +167,13 @@ def choose(
         verdict=verdict,
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
+        look=_directions(tfg.frontiers[sees.of(candidates[[best]]).index] - p_MG) if best >= 0 else np.zeros(0),
     )
+
+
+def _directions(d: FloatArray) -> FloatArray:
+    """Headings (n,), rad, of displacements (n, 2), m."""
+    return np.arctan2(d[:, 1], d[:, 0])
 
 
 def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: FloatArray) -> Gains:

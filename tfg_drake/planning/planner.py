@@ -132,7 +132,7 @@ def grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: Ro
         # Where less is left than is worth a visit, no sample could see enough.
         if within or tfg.frontier_length.sum() < ENOUGH_FRONTIER or (effort > 0 and not beyond):
             break
-    shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, tfg)).any()
+    shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])).any()
     if len(state.obstacles) and (shut_in or (beyond and not within)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
@@ -158,7 +158,7 @@ def _roadmap(
 
 def with_frontiers(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> Roadmap:
     """The roadmap with what its nodes see of the live frontiers."""
-    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, tfg)
+    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])
     view = expected_frontiers(roadmap.points[asked], tfg, sensor).spread(np.flatnonzero(asked), len(roadmap.points))
     return replace(roadmap, frontier_offsets=view.offsets, frontier_index=view.index)
 

@@ -46,7 +46,7 @@ from tfg_drake.tfg.frontier import (
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import panorama_links, segment
-from tfg_drake.tfg.star_polygon import looked_round, star_polygon
+from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
 
 # Goals tried within this distance of each other count for the same frontier point, m.
@@ -146,11 +146,13 @@ def update(
     tags: TagSensorConfig,
     robot: RobotConfig,
     explorer: ExplorerConfig,
+    *,
+    glance: bool = False,
 ) -> TfgGraph:
     """The graph with the newest goal of the estimate added.
 
     estimate: the map at stage graph.stage + 1. panorama: what that goal's turn saw, in its arrival frame. sightings:
-    tags seen on the way to it.
+    tags seen on the way to it. glance: the goal is a glance on the way, no attempt at what was open there.
 
     Raises ValueError where the estimate is of another stage.
     """
@@ -227,7 +229,7 @@ def update(
         graph.tried,
         graph.tried_count,
     )
-    return _count_attempts(graph, updated, estimate, tags, explorer)
+    return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer)
 
 
 def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
@@ -411,13 +413,14 @@ def _update_sighted(
 
 
 def _count_attempts(
-    before: TfgGraph, after: TfgGraph, estimate: MapEstimate, tags: TagSensorConfig, explorer: ExplorerConfig
+    before: TfgGraph,
+    after: TfgGraph,
+    estimate: MapEstimate,
+    panorama: Panorama,
+    tags: TagSensorConfig,
+    explorer: ExplorerConfig,
 ) -> TfgGraph:
     """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on."""
-    newest = after.star_vertices[after.star_offsets[-2] :]
-    if not looked_round(np.array([0, len(newest)]), newest, np.zeros((1, 2)))[0]:
-        # A glance is no attempt: the robot was on its way to look.
-        return after
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph) -> FloatArray:
@@ -428,7 +431,9 @@ def _count_attempts(
         # A surface must be looked at from its front, as a tag on it must.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
         clear = line_of_sight(segments, center, points.p)
-        return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear])
+        in_A = transform(inverse(estimate.X_MA[-1]), points.p)
+        looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
+        return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear & looked])
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
     then, failed = in_view(before), in_view(after)
