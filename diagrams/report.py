@@ -20,7 +20,7 @@ from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
-from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap
 from tfg_drake.trajectory import poses_at, write_tum
 from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
 from tfg_drake.world.world import World
@@ -33,6 +33,8 @@ SCHEMA = 1
 # but corners that a scan happens to miss.
 EVERY = 4
 NEARLY_ALL = 0.99
+# Scans this near to where a goal's turn or glance began count, m.
+IN_PLACE = 0.1
 
 
 def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, world_name: str) -> dict[str, Any]:
@@ -84,7 +86,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
         **_consistency(mission.departures, compose(inverse(world.start), X_WD_true)),
         **_pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
         **_surfaces(scenario, world, grid, cells, _mapped_surfaces(world, tfg, mission.grid)),
-        **_area(scenario, world, grid, cells, mission, X_WD_true, true_stamps, X_WB_true),
+        **_area(scenario, world, grid, cells, mission, true_stamps, X_WB_true),
         "contacts": mission.contacts,
         "min_clearance_m": mission.clearance,
         "map_variables": _variables(mission, estimate),
@@ -183,14 +185,13 @@ def _area(
     grid: Grid,
     cells: BoolArray,
     mission: Mission,
-    X_WD: FloatArray,
     stamps: FloatArray,
     X_WB: FloatArray,
 ) -> dict[str, float]:
     """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
 
-    Seen from the goals, where the robot turns, by a method that maps only there; by the scanner on the whole way by one
-    that maps all along.
+    Seen from where the goals' turns and glances began, by a method that maps only there; by the scanner on the whole
+    way by one that maps all along.
     """
     scan = scenario.scan
     thinned = np.zeros_like(cells)
@@ -199,8 +200,18 @@ def _area(
     nearly = np.flatnonzero(share >= NEARLY_ALL)
     coverage = float(share[-1]) if len(share) else math.nan
     if mission.grid is None:
-        coverage = metrics.area_coverage(grid.centers(cells), world.walls, X_WD[:, :2], scan.range)
+        looked = np.concatenate(
+            [np.zeros(0, dtype=np.int64), *(_looked(one, stamps, X_WB) for one in mission.departures)]
+        )
+        _, share = scan_coverage(X_WB[looked], grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
+        coverage = float(share[-1]) if len(share) else 0.0
     return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
+
+
+def _looked(one: Departure, stamps: FloatArray, X_WB: FloatArray) -> IntArray:
+    """Rows of the true poses X_WB (n, 3) at stamps (n,) from which one goal's scans were kept."""
+    rows = np.flatnonzero((stamps >= one.since) & (stamps <= one.stamp))
+    return rows[np.hypot(*(X_WB[rows, :2] - X_WB[rows[:1], :2]).T) < IN_PLACE] if len(rows) else rows
 
 
 def _spread(values: list[float]) -> dict[str, float]:

@@ -23,10 +23,10 @@ LOOK_TIME = 0.75
 PATIENCE = 3.0
 
 # The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
-# began, s, how far it has turned and the last heading, rad; how far to turn first and then, rad, and which of the two is
-# done; the path's id, the progress on it, m, and whether the robot
-# turns in place on it; whether it is finished; whether the robot is at rest, since when the command is zero, s, and
-# when the robot last did as it was told, s, and how much of the path is left, m.
+# began, s, how far it has turned and the last heading, rad; how far it is to turn first and then, rad, and how many of
+# the two are done; the path's id, the progress on it, m, and whether the robot turns in place on it; whether it is
+# finished; whether the robot is at rest, since when the command is zero, s, when the robot last did as it was told, s,
+# and how much of the path is left, m.
 (
     SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, FIRST, THEN, LEGS, PATH, PROGRESS, TURNING, FINISHED, REST,
     ZERO_SINCE, OBEYED, LEFT,
@@ -34,7 +34,8 @@ PATIENCE = 3.0
 
 
 class PurePursuitFollower(LeafSystem):
-    """Follows the path while the mission says that the robot drives, turns in place in "observe", and stands still otherwise.
+    """Follows the path while the mission says that the robot drives, turns in place in its phase "observe", and stands
+    still otherwise.
 
     At a goal it turns as far as it takes to look in the directions that the goal names, anywhere else all round.
 
@@ -109,6 +110,9 @@ class PurePursuitFollower(LeafSystem):
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
             at_goal = goal.stage == mission.stage and mission.failures == 0
             x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)
+            if mission.stage == 0:
+                # All of it, for the map's heading: the end sees again what the beginning saw.
+                x[FIRST] = x[THEN] = 2.0 * np.pi
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
         if mission.stage == 0 and x[STAMP] < mission.since + self._first_look:

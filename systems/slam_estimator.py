@@ -48,8 +48,8 @@ class SlamEstimator(LeafSystem):
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the
     newest odometry. map: MapEstimate after the newest goal, of stage 0 and empty before the first. A turn is open while
-    the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's stage plus
-    one. Messages are taken once each, by their stamps.
+    the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's
+    stage plus one. Messages are taken once each, by their stamps.
     """
 
     def __init__(self, odometry_config: OdometryConfig, path_keyframe_period: float) -> None:

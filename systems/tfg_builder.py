@@ -29,7 +29,6 @@ from tfg_drake.tfg.graph import (
 )
 from tfg_drake.tfg.panorama import build_panorama
 
-
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
 GLANCE_SCANS = 3
 
@@ -99,7 +98,11 @@ class TfgBuilder(LeafSystem):
         now = state_message(context, self._state, _BuilderState)
         estimate = eval_message(self._map, context, MapEstimate)
         mission = eval_message(self._mission, context, MissionStatus)
-        after = self._AddGoal(now, estimate, mission.moving) if estimate.stage > now.graph.stage else self._Collect(context, now)
+        after = (
+            self._AddGoal(now, estimate, mission.moving)
+            if estimate.stage > now.graph.stage
+            else self._Collect(context, now)
+        )
         if after is now:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, after)

@@ -306,11 +306,11 @@ class MissionStatus:
     """Where the mission stands.
 
     phase: "observe" (turning in place at a goal), "glance" (looking ahead for a moment on the way), "map" (what was
-    seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: goals in the map, glances counted. since: s, when the phase began. resume_phase: where a pause goes back
-    to, "" otherwise. outcome: "" until done, then complete, stuck, time_limit, budget, interrupted or fault. reason:
-    one sentence. replans: paths asked for at this stage after the first. path_id: the path being followed.
-    failures: goals in a row that could not be reached. moving: the stage began with a glance: the robot drives on
-    along its path until there is a new one.
+    seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: goals in the map, glances counted.
+    since: s, when the phase began. resume_phase: where a pause goes back to, "" otherwise. outcome: "" until done, then
+    complete, stuck, time_limit, budget, interrupted or fault. reason: one sentence. replans: paths asked for after the
+    first since the robot last stood and looked. path_id: the path being followed. failures: goals in a row that could
+    not be reached. moving: after a glance; the robot drives on along its path until there is a new one.
     """
 
     phase: str

@@ -32,8 +32,8 @@ class MissionInputs:
     """What the sequencer sees at one instant.
 
     time: s. follower, goal, path, path_status: the newest messages. mapped_stage: goals in the map and in all that is
-    made of it. max_speed: the robot's, m/s. glance_period: s, as explorer.glance_period. bumper: the base reports contact. pause, enable,
-    stop: the operator's inputs.
+    made of it. max_speed: the robot's, m/s. glance_period: s, as explorer.glance_period. bumper: the base reports
+    contact. pause, enable, stop: the operator's inputs.
     """
 
     time: float

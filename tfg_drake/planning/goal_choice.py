@@ -112,7 +112,8 @@ def choose(
         return expected(roadmap.points[nodes], roadmap.travel_time[nodes], tags, sees.of(nodes))
 
     points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
-    stay = 2.0 * math.pi / explorer.turn_rate + OVERHEAD
+    # The robot arrives facing some of what it came for, and turns half round for the rest, on average.
+    stay = 0.5 * max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
     open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
     enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
     tags = expected_tags(points[ask], estimate, tfg, sensor)
