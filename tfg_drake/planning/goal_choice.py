@@ -129,7 +129,7 @@ def choose(
     worth = enough | (gains.gain > explorer.stop_gain)
     affordable = budget.affords(roadmap, candidates)
     open_to = worth & affordable
-    value = _values(gains, time, stay, open_ahead, open_to, candidates, tfg, roadmap, robot, explorer)
+    value = _values(gains, time, stay, open_ahead, open_to, candidates, previous.node, tfg, roadmap, robot, explorer)
     if explorer.goal == "random" and worth.any():
         # As long as any place is worth going to, every place will do.
         open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates))
@@ -194,6 +194,7 @@ def _values(
     open_ahead: FloatArray,
     open_to: BoolArray,
     candidates: IntArray,
+    previous_node: int,
     tfg: TfgMap,
     roadmap: Roadmap,
     robot: RobotConfig,
@@ -202,7 +203,7 @@ def _values(
     """What each of the candidates (c,) is worth by the rule explorer.goal.
 
     time: (c,) s to get there, stay: s at each. open_ahead: (c, f) m that each sees of each live frontier point.
-    open_to: (c,) those that may be chosen.
+    open_to: (c,) those that may be chosen. previous_node: what was chosen before.
     """
     paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
     if explorer.goal == "argmax":
@@ -213,7 +214,9 @@ def _values(
         return nearest_frontier(time, np.where((open_ahead > 0.0) & enough[:, None], apart, np.inf))
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
-        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
+        bound_for = int(np.flatnonzero(np.append(candidates, previous_node) == previous_node)[0])
+        bound_for = bound_for if bound_for < len(candidates) else -1
+        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed, bound_for)
     return gain_per_time(paid, time + stay)
 
 

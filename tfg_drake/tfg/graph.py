@@ -51,6 +51,8 @@ from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, 
 
 # Goals tried within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
+# From beyond this share of the sensor's range a small face may be missed though it is in view: no attempt at it.
+NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
 
@@ -433,7 +435,8 @@ def _count_attempts(
         clear = line_of_sight(segments, center, points.p)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
         looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
-        return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear & looked])
+        reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
+        return np.asarray(points.p[(distance <= reach) & ~(points.on_surface & slant) & clear & looked])
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
     then, failed = in_view(before), in_view(after)
