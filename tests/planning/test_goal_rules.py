@@ -48,12 +48,10 @@ def corridor(where):
     return Roadmap(1, points, edges, all_of, all_of, all_of, away, away)
 
 
-def tour_of(where, gain, frontier, bound_for=-1):
+def tour_of(where, gain, frontier):
     roadmap = corridor(where)
     frontier = np.asarray(frontier, dtype=float)
-    return tour(
-        np.asarray(gain), roadmap.travel_time, 2.0, frontier, 0.24, np.arange(len(where)), roadmap, 1.0, bound_for
-    )
+    return tour(np.asarray(gain), roadmap.travel_time, 2.0, frontier, 0.24, np.arange(len(where)), roadmap, 1.0)
 
 
 def test_a_tour_clears_the_short_end_before_it_leaves_for_the_long_one():
@@ -67,17 +65,6 @@ def test_a_tour_does_not_leave_what_is_near_for_last():
     # The shortest way to all would end at the near place, with the robot far away from it meanwhile.
     value = tour_of([1.0, -1.5, -4.0], [60.0, 20.0, 60.0], np.eye(3))
     np.testing.assert_array_equal(np.argsort(-value), [0, 1, 2])
-
-
-def test_a_robot_on_its_way_to_a_goal_does_not_turn_away_for_a_little():
-    gain, frontier = [20.0, 20.0, 60.0], np.eye(3)
-    # To the right first is shorter: by 4 s in the one case, by 6 s in the other.
-    for where, bound in (([-2.0, 2.5, -9.0], 0), ([-3.0, 2.5, -9.0], 1)):
-        assert np.argmax(tour_of(where, gain, frontier)) == 1
-        assert np.argmax(tour_of(where, gain, frontier, bound_for=0)) == bound
-    # What sees nothing open any more is no reason to go on.
-    frontier[0] = 0.0
-    assert np.argmax(tour_of([-2.0, 2.5, -9.0], gain, frontier, bound_for=0)) == 1
 
 
 def test_of_two_places_that_see_the_same_a_tour_visits_one():

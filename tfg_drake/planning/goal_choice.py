@@ -129,10 +129,12 @@ def choose(
     worth = enough | (gains.gain > explorer.stop_gain)
     affordable = budget.affords(roadmap, candidates)
     open_to = worth & affordable
-    value = _values(gains, time, stay, open_ahead, open_to, candidates, previous.node, tfg, roadmap, robot, explorer)
+    value = _values(gains, time, stay, open_ahead, open_to, candidates, tfg, roadmap, robot, explorer)
     if explorer.goal == "random" and worth.any():
         # As long as any place is worth going to, every place will do.
         open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates))
+        # It goes all the way there: what it comes to is no candidate any more.
+        value[candidates == previous.node] = 1.0
     best = pick(value, open_to, known >= explorer.least_tags)
     if best >= 0:
         node, p_MG, verdict = int(candidates[best]), points[best], "goal"
@@ -194,7 +196,6 @@ def _values(
     open_ahead: FloatArray,
     open_to: BoolArray,
     candidates: IntArray,
-    previous_node: int,
     tfg: TfgMap,
     roadmap: Roadmap,
     robot: RobotConfig,
@@ -203,7 +204,7 @@ def _values(
     """What each of the candidates (c,) is worth by the rule explorer.goal.
 
     time: (c,) s to get there, stay: s at each. open_ahead: (c, f) m that each sees of each live frontier point.
-    open_to: (c,) those that may be chosen. previous_node: what was chosen before.
+    open_to: (c,) those that may be chosen.
     """
     paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
     if explorer.goal == "argmax":
@@ -214,9 +215,7 @@ def _values(
         return nearest_frontier(time, np.where((open_ahead > 0.0) & enough[:, None], apart, np.inf))
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
-        bound_for = int(np.flatnonzero(np.append(candidates, previous_node) == previous_node)[0])
-        bound_for = bound_for if bound_for < len(candidates) else -1
-        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed, bound_for)
+        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
     return gain_per_time(paid, time + stay)
 
 

@@ -14,9 +14,6 @@ from tfg_drake.messages import FloatArray, IntArray, Roadmap
 
 # Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
 TOUR_GOALS = 11
-# A tour must be this much shorter, s, for the robot to turn away from the goal that it is driving to: what is seen on
-# the way changes the tours a little all the time.
-TURNING_AWAY = 5.0
 
 
 def gain_per_time(gain: FloatArray, time: FloatArray) -> FloatArray:
@@ -47,7 +44,6 @@ def tour(
     nodes: IntArray,
     roadmap: Roadmap,
     speed: float,
-    bound_for: int = -1,
 ) -> FloatArray:
     """Minus the time (c,), s, of arrival at each goal of a short tour, -inf for the others: the tour's first is best.
 
@@ -56,15 +52,11 @@ def tour(
     and the stay, s. Their order is the one that takes least time from the robot to the farthest of them, which comes
     last: exploring goes on from there, and what is nearer now would have to be come back for. frontier: (c, f)
     m that each candidate sees of each frontier point. least: m, less than this is not worth a goal. nodes: (c,) of the
-    roadmap; speed: m/s. bound_for: the candidate that the robot is driving to, if any. Where no frontier is left, gain
-    per time decides.
+    roadmap; speed: m/s. Where no frontier is left, gain per time decides.
     """
     left = np.ones(frontier.shape[1])
     seen = frontier.sum(axis=1)
     chosen: list[int] = []
-    if bound_for >= 0 and seen[bound_for] >= least:
-        chosen.append(bound_for)
-        left[frontier[bound_for] > 0.0] = 0.0
     while len(chosen) < TOUR_GOALS:
         new = frontier @ left
         rate = np.where(new >= least, gain * new / np.maximum(seen, 1e-9) / (time + stay), -np.inf)
@@ -78,9 +70,7 @@ def tour(
     between = _times_between(nodes[chosen], roadmap, speed)
     value = np.full(len(gain), -np.inf)
     arrival = 0.0
-    first = time[chosen]
-    away = np.array([TURNING_AWAY if bound_for in chosen and k != bound_for else 0.0 for k in chosen])
-    order = _shortest_order(first + away, between, int(np.argmax(first)))
+    order = _shortest_order(time[chosen], between, int(np.argmax(time[chosen])))
     for before, k in zip([-1, *order[:-1]], order, strict=True):
         arrival += (time[chosen[k]] if before < 0 else between[before, k]) + stay
         value[chosen[k]] = -arrival

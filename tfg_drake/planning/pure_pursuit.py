@@ -34,6 +34,8 @@ REST_TURN_RATE = 0.02
 HEADING_GAIN = 3.0
 # What the robot is to look at at a goal is brought this far within the field of view, rad.
 VIEW_MARGIN = math.radians(15.0)
+# To stop and turn back takes as long as turning so much farther, rad.
+TURNING_BACK = 0.3
 # All round, a heading every 5 degrees.
 ALL_ROUND = np.arange(72) * (math.pi / 36.0)
 # The path is searched this far ahead of the progress made so far, m.
@@ -167,7 +169,8 @@ def turn_to_see(look: FloatArray, heading: float, field_of_view: float) -> tuple
     # The first k are seen by turning to the left, the others by turning to the right.
     to_left = np.maximum(0.0, np.append(0.0, left) - half)
     to_right = np.maximum(0.0, np.append(2.0 * math.pi - left, 0.0) - half)
-    k = int(np.argmin(to_left + to_right + np.minimum(to_left, to_right)))
+    both = TURNING_BACK * ((to_left > 0.0) & (to_right > 0.0))
+    k = int(np.argmin(to_left + to_right + np.minimum(to_left, to_right) + both))
     a, b = float(to_left[k]), -float(to_right[k])
     if a == 0.0 or b == 0.0:
         return a + b, a + b
