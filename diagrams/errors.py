@@ -13,7 +13,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
-from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap
 from tfg_drake.trajectory import poses_at
 from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
 from tfg_drake.world.world import World
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 # but corners that a scan happens to miss.
 EVERY = 4
 NEARLY_ALL = 0.99
+# Scans this near to where a goal's turn or glance began count, m.
+IN_PLACE = 0.1
 
 
 class KnownWorld:
@@ -54,7 +56,7 @@ class KnownWorld:
         """How far the estimated poses X_WB (n, 3) at stamps (n,), s, are from the true ones (m, 3), and what was seen
         from those."""
         X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
-        area = _area(self._scenario, self._world, self._grid, self._cells, mission, X_WD_true, true_stamps, X_WB_true)
+        area = _area(self._scenario, self._world, self._grid, self._cells, mission, true_stamps, X_WB_true)
         return {
             "distance_m": path_length(X_WB_true),
             **_consistency(mission.departures, compose(inverse(self._world.start), X_WD_true)),
@@ -140,14 +142,13 @@ def _area(
     grid: Grid,
     cells: BoolArray,
     mission: Mission,
-    X_WD: FloatArray,
     stamps: FloatArray,
     X_WB: FloatArray,
 ) -> dict[str, float]:
     """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
 
-    Seen from the goals, where the robot turns, by a method that maps only there; by the scanner on the whole way by one
-    that maps all along.
+    Seen from where the goals' turns and glances began, by a method that maps only there; by the scanner on the whole
+    way by one that maps all along.
     """
     scan = scenario.scan
     thinned = np.zeros_like(cells)
@@ -156,5 +157,15 @@ def _area(
     nearly = np.flatnonzero(share >= NEARLY_ALL)
     coverage = float(share[-1]) if len(share) else math.nan
     if mission.grid is None:
-        coverage = metrics.area_coverage(grid.centers(cells), world.walls, X_WD[:, :2], scan.range)
+        looked = np.concatenate(
+            [np.zeros(0, dtype=np.int64), *(_looked(one, stamps, X_WB) for one in mission.departures)]
+        )
+        _, share = scan_coverage(X_WB[looked], grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
+        coverage = float(share[-1]) if len(share) else 0.0
     return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
+
+
+def _looked(one: Departure, stamps: FloatArray, X_WB: FloatArray) -> IntArray:
+    """Rows of the true poses X_WB (n, 3) at stamps (n,) from which one goal's scans were kept."""
+    rows = np.flatnonzero((stamps >= one.since) & (stamps <= one.stamp))
+    return rows[np.hypot(*(X_WB[rows, :2] - X_WB[rows[:1], :2]).T) < IN_PLACE] if len(rows) else rows

@@ -44,8 +44,8 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
             "prm_planner": PrmPlanner(
                 robot, scenario.odometry, scenario.tags, explorer, scenario.planner, seed=scenario.seed
             ),
-            "follower": PurePursuitFollower(robot, explorer),
-            "mission_sequencer": MissionSequencer(robot),
+            "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),
+            "mission_sequencer": MissionSequencer(robot, explorer.glance_period),
         }
     )
 

@@ -73,6 +73,8 @@ STAGE_FIELDS = (
 # Time between two looks at the mission, s, simulated or real; a stage takes several times as long.
 STEP = 1.0
 REAL_STEP = 0.25
+# A robot that observes this near to its goal was there, m.
+AT_GOAL = 0.3
 
 _log = logging.getLogger("tfg_drake.run")
 
@@ -157,8 +159,12 @@ def explore(
 
 @dataclasses.dataclass(frozen=True)
 class Departure:
-    """The pose at the end of one goal's turn as it was estimated then: stamp (s), X_MD (3,), covariance (3, 3)."""
+    """The pose at the end of one goal's turn or glance as it was estimated then.
 
+    since: s, when it began. stamp: s. X_MD: (3,). covariance: (3, 3).
+    """
+
+    since: float
     stamp: float
     X_MD: FloatArray
     covariance: FloatArray
@@ -322,7 +328,9 @@ class Mission:
             self.map = estimate
             # Copies: a view would keep the whole joint covariance of every stage.
             covariance = estimate.covariance[-3:, -3:].copy()
-            self.departures.append(Departure(estimate.stamp, estimate.X_MD, covariance))
+            self.departures.append(
+                Departure(float(estimate.observation.stamps[0]), estimate.stamp, estimate.X_MD, covariance)
+            )
         elif self.grid is not None and self.grid.stage > len(self.stages):
             record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
         if record is not None:
@@ -344,8 +352,9 @@ class Mission:
         had only the explorer's prior.
         """
         choice = self._choice
-        # No prediction for the start, nor for a place where the robot looks round because it could not reach its goal.
-        if choice is not None and (self.status.failures > 0 or choice.node not in choice.candidates):
+        # No prediction for the start, for a glance, nor where the robot looks round for it could not reach its goal.
+        arrived = choice is not None and np.hypot(*(choice.p_MG - estimate.X_MA[-1, :2])) < AT_GOAL
+        if choice is not None and (not arrived or choice.node not in choice.candidates):
             choice = None
         row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
         before = self.map

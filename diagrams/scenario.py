@@ -86,6 +86,11 @@ class Scenario:
     # Of a simulated robot it means nothing.
     hardware: HardwareConfig = dataclasses.field(default_factory=HardwareConfig)
 
+    @property
+    def field_of_view(self) -> float:
+        """What tag sensor and scanner both see of the surroundings, rad."""
+        return min(self.tags.field_of_view, self.scan.field_of_view)
+
 
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
 _BOUNDS: dict[str, tuple[float, float]] = {

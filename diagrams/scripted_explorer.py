@@ -27,7 +27,7 @@ def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
             "slam_estimator": SlamEstimator(scenario.odometry, explorer.path_keyframe_period),
             "tfg_builder": TfgBuilder(scenario.tags, scenario.scan, robot, explorer),
             "scripted_driver": ScriptedDriver(p_MG),
-            "follower": PurePursuitFollower(robot, explorer),
+            "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),
             "mission_sequencer": MissionSequencer(robot),
         }
     )

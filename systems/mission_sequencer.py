@@ -57,10 +57,11 @@ class MissionSequencer(LeafSystem):
     and stop are vectors of size 1, true above 0.5; unconnected they read 0, 1 and 0.
     """
 
-    def __init__(self, robot: RobotConfig, maps: Mapping[str, type] = MAPS):
-        """maps: the inputs that are maps and the kinds of their messages, which have a stage."""
+    def __init__(self, robot: RobotConfig, glance_period: float = 0.0, maps: Mapping[str, type] = MAPS):
+        """glance_period: s, as explorer.glance_period. maps: the inputs that are maps and the kinds of their messages,
+        which have a stage."""
         super().__init__()
-        self._max_speed = robot.max_speed
+        self._max_speed, self._glance_period = robot.max_speed, glance_period
         self._maps = {declare_message_input(self, name): kind for name, kind in maps.items()}
         self._goal = declare_message_input(self, "goal")
         self._path = declare_message_input(self, "path")
@@ -99,6 +100,7 @@ class MissionSequencer(LeafSystem):
             path_status=eval_message(self._path_status, context, PathStatus),
             mapped_stage=min(eval_message(port, context, kind).stage for port, kind in self._maps.items()),
             max_speed=self._max_speed,
+            glance_period=self._glance_period,
             bumper=eval_message(self._hazards, context, Hazards).bumper != 0,
             pause=_flag(self._pause, context, False),
             enable=_flag(self._enable, context, True),

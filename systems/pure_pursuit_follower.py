@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.messages import FollowerStatus, MissionStatus, Path, PoseEstimate
-from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place
+from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PoseEstimate
+from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn_to_see
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 
 PERIOD = 1 / 16
 # Commands this long zero, s, before measured speeds are believed to be those of rest.
 SETTLING = 0.25
 
+# An observation lasts this long at least, s: a tag is seen in several frames.
+LOOK_TIME = 0.75
+
 # A robot that was told to move and has not for this long is held up, s.
 PATIENCE = 3.0
 
 # The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
-# began, s, how far it has turned and the last heading, rad; the path's id, the progress on it, m, and whether the robot
-# turns in place on it; whether it is finished; whether the robot is at rest, since when the command is zero, s, and
-# when the robot last did as it was told, s.
+# began, s, how far it has turned and the last heading, rad; how far it is to turn first and then, rad, and how many of
+# the two are done; the path's id, the progress on it, m, and whether the robot turns in place on it; whether it is
+# finished; whether the robot is at rest, since when the command is zero, s, when the robot last did as it was told, s,
+# and how much of the path is left, m.
 (
-    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, PATH, PROGRESS, TURNING, FINISHED, REST, ZERO_SINCE, OBEYED,
-) = range(13)  # fmt: skip
+    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, FIRST, THEN, LEGS, PATH, PROGRESS, TURNING, FINISHED, REST,
+    ZERO_SINCE, OBEYED, LEFT,
+) = range(17)  # fmt: skip
 
 
 class PurePursuitFollower(LeafSystem):
-    """Follows the path in the mission's phase "follow", turns in place in "observe", and stands still otherwise.
+    """Follows the path while the mission says that the robot drives, turns in place in its phase "observe", and stands
+    still otherwise.
+
+    At a goal it turns as far as it takes to look in the directions that the goal names, anywhere else all round.
 
     .. pydrake_system::
 
@@ -39,6 +45,7 @@ class PurePursuitFollower(LeafSystem):
         input_ports:
         - pose
         - path
+        - goal
         - mission
         output_ports:
         - velocity_commanded
@@ -47,13 +54,16 @@ class PurePursuitFollower(LeafSystem):
     velocity_commanded: (2,) forward speed, m/s, and turn rate, rad/s.
     """
 
-    def __init__(self, robot: RobotConfig, explorer: ExplorerConfig):
+    def __init__(self, robot: RobotConfig, explorer: ExplorerConfig, field_of_view: float):
+        """field_of_view: rad, in which all sensors see that look round."""
         super().__init__()
+        self._field_of_view = field_of_view
         self._robot, self._turn_rate, self._first_look = robot, explorer.turn_rate, explorer.first_look
         self._pose = declare_message_input(self, "pose")
         self._path = declare_message_input(self, "path")
+        self._goal = declare_message_input(self, "goal")
         self._mission = declare_message_input(self, "mission")
-        initial = np.zeros(13)
+        initial = np.zeros(17)
         initial[[TURN_SINCE, PATH]] = -1.0
         ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity, ticket)
@@ -70,8 +80,9 @@ class PurePursuitFollower(LeafSystem):
             path_id=int(x[PATH]),
             arrived=bool(x[FINISHED] and x[REST]),
             turned=float(x[TURNED]),
-            turn_done=bool(x[TURNED] >= 2.0 * math.pi and x[REST]),
+            turn_done=bool(x[LEGS] == 2.0 and x[REST] and x[STAMP] - x[TURN_SINCE] >= LOOK_TIME),
             stalled=bool(x[STAMP] - x[OBEYED] > PATIENCE),
+            left=float(x[LEFT]),
         )
 
     @metered("follower")
@@ -82,8 +93,8 @@ class PurePursuitFollower(LeafSystem):
         x[STAMP] = context.get_time()
         x[SPEED] = x[TURN_RATE] = 0.0
         if mission.phase == "observe":
-            self._Turn(x, mission, pose)
-        elif mission.phase == "follow":
+            self._Turn(x, mission, eval_message(self._goal, context, GoalChoice), pose)
+        elif mission.drives:
             self._Follow(x, eval_message(self._path, context, Path), pose)
         if x[SPEED] != 0.0 or x[TURN_RATE] != 0.0:
             x[ZERO_SINCE] = x[STAMP]
@@ -93,21 +104,34 @@ class PurePursuitFollower(LeafSystem):
         discrete.get_mutable_vector().SetFromVector(x)
         return EventStatus.Succeeded()
 
-    def _Turn(self, x: list[float], mission: MissionStatus, pose: PoseEstimate) -> None:
+    def _Turn(self, x: list[float], mission: MissionStatus, goal: GoalChoice, pose: PoseEstimate) -> None:
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
-            x[TURN_SINCE], x[TURNED], x[HEADING] = mission.since, 0.0, heading
+            x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
+            at_goal = goal.stage == mission.stage and mission.failures == 0
+            x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)
+            if mission.stage == 0:
+                # All of it, for the map's heading: the end sees again what the beginning saw.
+                x[FIRST] = x[THEN] = 2.0 * np.pi
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
         if mission.stage == 0 and x[STAMP] < mission.since + self._first_look:
             return
-        x[TURN_RATE] = turn_in_place(x[TURNED], 2.0 * math.pi, self._turn_rate, self._robot)
+        before = 0.0
+        for leg, target in enumerate((x[FIRST], x[THEN])):
+            if x[LEGS] == leg:
+                x[LEGS] += (target - x[TURNED]) * (target - before) <= 0.0
+            if x[LEGS] == leg:
+                x[TURN_RATE] = turn_in_place(x[TURNED], target, self._turn_rate, self._robot)
+            before = target
 
     def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> None:
         if x[PATH] != path.id:
-            x[PATH], x[PROGRESS], x[TURNING], x[FINISHED], x[OBEYED] = path.id, 0.0, 1.0, 0.0, x[STAMP]
+            # A robot that stands turns on the spot to face its path; one that drives goes on if it can.
+            x[TURNING] = float(at_rest(*pose.speed))
+            x[PATH], x[PROGRESS], x[FINISHED] = path.id, 0.0, 0.0
         if x[FINISHED]:
             return
         command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)
         x[SPEED], x[TURN_RATE], x[PROGRESS] = command.speed, command.turn_rate, command.progress
-        x[TURNING], x[FINISHED] = command.turning, command.finished
+        x[TURNING], x[FINISHED], x[LEFT] = command.turning, command.finished, command.left

@@ -48,8 +48,8 @@ class SlamEstimator(LeafSystem):
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the
     newest odometry. map: MapEstimate after the newest goal, of stage 0 and empty before the first. A turn is open while
-    the mission is in phase "observe"; in phase "map" it is solved and the map's stage becomes the mission's stage plus
-    one. Messages are taken once each, by their stamps.
+    the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's
+    stage plus one. Messages are taken once each, by their stamps.
     """
 
     def __init__(self, odometry_config: OdometryConfig, path_keyframe_period: float) -> None:
@@ -95,7 +95,7 @@ class SlamEstimator(LeafSystem):
             estimator = process_detections(estimator, detections)
             set_state_message(state, self._detections_stamp, detections.stamp)
         stage = estimator.map.stage if estimator.map is not None else 0
-        if mission.phase == "observe" and estimator.turn is None and stage == mission.stage:
+        if mission.phase in ("observe", "glance") and estimator.turn is None and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
         elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:
             estimator = end_turn(estimator, odometry.stamp)

@@ -29,6 +29,9 @@ from tfg_drake.tfg.graph import (
 )
 from tfg_drake.tfg.panorama import build_panorama
 
+# Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
+GLANCE_SCANS = 3
+
 
 @message
 class _BuilderState:
@@ -94,7 +97,12 @@ class TfgBuilder(LeafSystem):
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = state_message(context, self._state, _BuilderState)
         estimate = eval_message(self._map, context, MapEstimate)
-        after = self._AddGoal(now, estimate) if estimate.stage > now.graph.stage else self._Collect(context, now)
+        mission = eval_message(self._mission, context, MissionStatus)
+        after = (
+            self._AddGoal(now, estimate, mission.moving)
+            if estimate.stage > now.graph.stage
+            else self._Collect(context, now)
+        )
         if after is now:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, after)
@@ -103,7 +111,8 @@ class TfgBuilder(LeafSystem):
     def _Collect(self, context: Context, now: _BuilderState) -> _BuilderState:
         sightings = note_sightings(now.sightings, eval_message(self._pose, context, PoseEstimate))
         scans = now.scans
-        if eval_message(self._mission, context, MissionStatus).phase == "observe":
+        phase = eval_message(self._mission, context, MissionStatus).phase
+        if phase == "observe" or (phase == "glance" and len(scans) < GLANCE_SCANS):
             scan = eval_message(self._scan, context, LaserScan)
             if math.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
                 scans = (*scans, scan)
@@ -111,7 +120,9 @@ class TfgBuilder(LeafSystem):
             return now
         return replace(now, scans=scans, sightings=sightings)
 
-    def _AddGoal(self, now: _BuilderState, estimate: MapEstimate) -> _BuilderState:
+    def _AddGoal(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
         panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
-        graph = update(now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer)
+        graph = update(
+            now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
+        )
         return _BuilderState(graph, resolve(graph, estimate, self._robot, self._explorer), (), no_sightings())

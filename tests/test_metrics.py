@@ -99,21 +99,6 @@ def test_surface_phantom_against_shapely():
     assert metrics.surface_phantom(np.zeros((0, 4)), walls) == 0.0
 
 
-def test_area_coverage_against_shapely():
-    cells = np.stack(np.meshgrid(np.arange(0, 5, 0.25), np.arange(0, 5, 0.25)), axis=-1).reshape(-1, 2)
-    walls = RANDOM.uniform(0, 5, (6, 4))
-    goals = np.array([[0.6, 0.7], [4.1, 3.3]])
-    lines = MultiLineString(walls.reshape(-1, 2, 2).tolist())
-
-    def seen(goal: np.ndarray, cell: np.ndarray) -> bool:
-        return np.hypot(*(cell - goal)) <= 3.0 and not LineString([goal, cell]).intersects(lines)
-
-    expected = np.mean([any(seen(goal, cell) for goal in goals) for cell in cells])
-    assert metrics.area_coverage(cells, walls, goals, 3.0) == pytest.approx(expected)
-    assert metrics.area_coverage(cells, walls, np.zeros((0, 2)), 3.0) == 0.0
-    assert np.isnan(metrics.area_coverage(np.zeros((0, 2)), walls, goals, 3.0))
-
-
 def test_min_clearance():
     walls = np.array([[0.0, 0.0, 4.0, 0.0]])
     assert metrics.min_clearance(np.array([[1.0, 2.0], [2.0, 0.5]]), walls, 0.18) == pytest.approx(0.32)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.messages import FollowerStatus, GoalChoice, Path, PathStatus
-from tfg_drake.mission import MAX_FAILURES, MAX_REPLANS, MissionInputs, initial_status, step
+from tfg_drake.mission import GLANCE_TIME, MAX_FAILURES, MAX_REPLANS, MissionInputs, initial_status, step
 
 
 def goal(stage: int, verdict: str = "goal", node: int | None = None, latest_arrival: float = np.inf) -> GoalChoice:
@@ -165,3 +165,52 @@ def test_a_goal_to_which_no_path_leads_is_chosen_anew():
     assert (status.phase, status.replans) == ("plan", 1)
     status = step(status, inputs(11.1, goal=dataclasses.replace(goal(1), spent=True)))
     assert (status.phase, status.stage) == ("map", 1)
+
+
+def driving(time: float, left: float = 5.0, path_id: int = 7) -> FollowerStatus:
+    return FollowerStatus(time, path_id, False, 0.0, False, left=left)
+
+
+def test_on_its_way_the_robot_glances_maps_and_chooses_anew_without_a_stop():
+    status = following(10.0)
+    still = step(status, inputs(11.9, glance_period=2.0, follower=driving(11.9)))
+    assert still is status
+    status = step(status, inputs(12.0, glance_period=2.0, follower=driving(12.0)))
+    assert (status.phase, status.drives) == ("glance", True)
+    assert step(status, inputs(12.5, follower=driving(12.5))) is status
+    status = step(status, inputs(12.0 + GLANCE_TIME, follower=driving(12.75)))
+    assert (status.phase, status.drives) == ("map", True)
+    status = step(status, inputs(13.0, mapped_stage=2))
+    assert (status.phase, status.stage, status.drives) == ("choose", 2, True)
+    status = step(status, inputs(13.1, goal=goal(2)))
+    assert (status.phase, status.drives) == ("plan", True)
+    status = step(status, inputs(13.2, path=Path(8, 2, np.ones((5, 2)))))
+    assert (status.phase, status.moving, status.drives) == ("follow", False, True)
+
+
+def test_no_glance_near_the_goal_nor_where_there_shall_be_none():
+    status = following(10.0)
+    assert step(status, inputs(15.0, glance_period=2.0, follower=driving(15.0, left=0.5))) is status
+    assert step(status, inputs(15.0, glance_period=0.0, follower=driving(15.0))) is status
+    assert step(status, inputs(15.0, glance_period=2.0, follower=driving(15.0, path_id=6))) is status
+
+
+def test_what_is_in_the_way_ends_a_glance_and_stops_the_robot():
+    status = step(following(10.0), inputs(12.0, glance_period=2.0, follower=driving(12.0)))
+    status = step(status, inputs(12.1, path_status=PathStatus(7, False), follower=driving(12.1)))
+    assert (status.phase, status.drives) == ("map", False)
+
+
+def test_replans_are_counted_on_over_glances():
+    status = dataclasses.replace(following(10.0), replans=3)
+    status = step(status, inputs(12.0, glance_period=2.0, follower=driving(12.0)))
+    status = step(status, inputs(13.0, follower=driving(13.0)))
+    assert step(status, inputs(13.1, mapped_stage=2)).replans == 3
+
+
+def test_a_pause_in_a_glance_ends_it_and_the_robot_stands_until_there_is_a_new_path():
+    status = step(following(10.0), inputs(12.0, glance_period=2.0, follower=driving(12.0)))
+    status = step(status, inputs(12.2, pause=True))
+    assert (status.phase, status.drives) == ("paused", False)
+    status = step(status, inputs(20.0))
+    assert (status.phase, status.drives) == ("map", False)

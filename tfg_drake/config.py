@@ -152,7 +152,7 @@ class ExplorerConfig:
     # The formula of the information gain, one of GAINS.
     gain: str = "exact"
     # The rule by which the next goal is picked, one of GOAL_RULES.
-    goal: str = "gain_per_time"
+    goal: str = "tour"
     # Whether the choice pays for arriving with an uncertain pose, and how many known tags a goal should have in view.
     pose_price: bool = True
     least_tags: int = 0
@@ -172,8 +172,10 @@ class ExplorerConfig:
     frontier_attempts: int = 3
     # Turn rate while observing at a goal, rad/s.
     turn_rate: float = 1.0
+    # On its way to a goal the robot maps what it has ahead once in this time, s, and chooses anew; 0: only at goals.
+    glance_period: float = 2.0
     # The way between goals is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
-    path_keyframe_period: float = 0.0
+    path_keyframe_period: float = 5.0
     # The robot stands and looks this long before its first turn, s: the map's heading is that of the start pose.
     first_look: float = 3.0
 

@@ -273,7 +273,7 @@ class GoalChoice:
     value: (c,) what was maximised. verdict: "goal", or how the mission ends: "complete", "stuck" or "budget", where
     there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not
     at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
-    chosen at once.
+    chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
     """
 
     stage: int
@@ -289,6 +289,7 @@ class GoalChoice:
     reason: str
     latest_arrival: float = math.inf
     spent: bool = False
+    look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 @message
@@ -304,11 +305,12 @@ class Path:
 class MissionStatus:
     """Where the mission stands.
 
-    phase: "observe" (turning in place at a goal), "map" (the turn is being solved), "choose", "plan", "follow",
-    "done", or "paused". stage: goals in the map. since: s, when the phase began. resume_phase: where a pause goes back
-    to, "" otherwise. outcome: "" until done, then complete, stuck, time_limit, budget, interrupted or fault. reason:
-    one sentence. replans: paths asked for at this stage after the first. path_id: the path being followed.
-    failures: goals in a row that could not be reached.
+    phase: "observe" (turning in place at a goal), "glance" (looking ahead for a moment on the way), "map" (what was
+    seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: goals in the map, glances counted.
+    since: s, when the phase began. resume_phase: where a pause goes back to, "" otherwise. outcome: "" until done, then
+    complete, stuck, time_limit, budget, interrupted or fault. reason: one sentence. replans: paths asked for after the
+    first since the robot last stood and looked. path_id: the path being followed. failures: goals in a row that could
+    not be reached. moving: after a glance; the robot drives on along its path until there is a new one.
     """
 
     phase: str
@@ -320,6 +322,12 @@ class MissionStatus:
     replans: int = 0
     path_id: int = 0
     failures: int = 0
+    moving: bool = False
+
+    @property
+    def drives(self) -> bool:
+        """Whether the robot is to follow its path."""
+        return self.phase in ("follow", "glance") or (self.moving and self.phase in ("map", "choose", "plan"))
 
 
 @message
@@ -327,7 +335,7 @@ class FollowerStatus:
     """What the follower has done. stamp: s. path_id: the path it follows. arrived: it stands at that path's end.
 
     turned: rad turned in the running observation. turn_done: that turn is complete and the robot is at rest. stalled:
-    it has been told to move for some time and has not: something holds it up.
+    it has been told to move for some time and has not: something holds it up. left: m of the path ahead.
     """
 
     stamp: float
@@ -336,6 +344,7 @@ class FollowerStatus:
     turned: float
     turn_done: bool
     stalled: bool = False
+    left: float = 0.0
 
 
 @message

@@ -11,8 +11,7 @@ import scipy.linalg
 
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import rotation, wrap_angle
-from tfg_drake.geometry.visibility import line_of_sight
-from tfg_drake.messages import BoolArray, FloatArray
+from tfg_drake.messages import FloatArray
 from tfg_drake.world.reachability import cut_walls
 
 # A true surface counts as mapped, and a mapped surface as true, within this distance, m.
@@ -113,21 +112,6 @@ def surface_phantom(segments: FloatArray, walls: FloatArray) -> float:
         far = point_distance(centers, np.ascontiguousarray(walls)) > SURFACE_TOLERANCE
         total += float(metres * np.mean(far))
     return total
-
-
-def area_coverage(p_WC: FloatArray, walls: FloatArray, p_WG: FloatArray, scan_range: float) -> float:
-    """Share of the reachable cells p_WC (c, 2) that some goal observation saw.
-
-    p_WG: (g, 2) true positions of the goal observations, all in W, m. A cell is seen from a goal if it is within
-    scan_range (m) and no wall (m, 4) lies between; the turn at a goal looks all round.
-    """
-    if not len(p_WC):
-        return float("nan")
-    seen: BoolArray = np.zeros(len(p_WC), dtype=np.bool_)
-    for goal in p_WG:
-        near = np.nonzero(~seen & (np.hypot(p_WC[:, 0] - goal[0], p_WC[:, 1] - goal[1]) <= scan_range))[0]
-        seen[near] = line_of_sight(np.ascontiguousarray(walls), goal, np.ascontiguousarray(p_WC[near]))
-    return float(np.mean(seen))
 
 
 def min_clearance(p_WB: FloatArray, walls: FloatArray, robot_radius: float) -> float:

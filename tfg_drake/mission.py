@@ -17,6 +17,10 @@ SETTLING_TIME = 0.125
 MAX_REPLANS = 5
 # Stages in a row without reaching the chosen goal before the mission is stuck.
 MAX_FAILURES = 6
+# A glance takes this long, s: a tag is seen in several frames, and the robot drives on.
+GLANCE_TIME = 0.75
+# No glance when less of the path than this is left, m: the goal's own observation follows.
+GLANCE_LEFT = 1.0
 # The base's own reflex needs this long before a bumper that still reports contact means anything new, s.
 BUMPER_PATIENCE = 2.0
 # A path that is not finished after this many times its time at full speed, plus a minute, is planned again.
@@ -28,8 +32,8 @@ class MissionInputs:
     """What the sequencer sees at one instant.
 
     time: s. follower, goal, path, path_status: the newest messages. mapped_stage: goals in the map and in all that is
-    made of it. max_speed: the robot's, m/s. bumper: the base reports contact. pause, enable,
-    stop: the operator's inputs.
+    made of it. max_speed: the robot's, m/s. glance_period: s, as explorer.glance_period. bumper: the base reports
+    contact. pause, enable, stop: the operator's inputs.
     """
 
     time: float
@@ -39,6 +43,7 @@ class MissionInputs:
     path_status: PathStatus
     mapped_stage: int
     max_speed: float = 0.5
+    glance_period: float = 0.0
     bumper: bool = False
     pause: bool = False
     enable: bool = True
@@ -63,15 +68,18 @@ def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
         # A path may have gone stale while the robot stood (or was carried): plan it anew.
         resume = "plan" if status.resume_phase == "follow" else status.resume_phase
         since = status.since if resume == "observe" else inputs.time
+        # What a glance was to see ahead is not where the robot drives any more: it stands until there is a new path.
+        resume = "map" if resume == "glance" else resume
         replans = status.replans + (status.resume_phase == "follow")
-        return replace(status, phase=resume, resume_phase="", since=since, replans=replans)
+        return replace(status, phase=resume, resume_phase="", since=since, replans=replans, moving=False)
     if held:
         return replace(status, phase="paused", resume_phase=status.phase)
     return _PHASES[status.phase](status, inputs)
 
 
 def _begin(status: MissionStatus, inputs: MissionInputs, phase: str, **changes: int) -> MissionStatus:
-    return replace(status, phase=phase, since=inputs.time, **changes)  # type: ignore[arg-type]
+    moving = status.moving and phase in ("map", "choose", "plan")
+    return replace(status, **{"phase": phase, "since": inputs.time, "moving": moving, **changes})  # type: ignore[arg-type]
 
 
 def _end(status: MissionStatus, inputs: MissionInputs, outcome: str, reason: str) -> MissionStatus:
@@ -83,10 +91,18 @@ def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     return _begin(status, inputs, "map") if fresh and inputs.follower.turn_done else status
 
 
+def _glance(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
+    held_up = _held_up(status, inputs)
+    if not held_up and inputs.time < status.since + GLANCE_TIME:
+        return status
+    return _begin(status, inputs, "map", moving=not held_up)
+
+
 def _map(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     stage = status.stage + 1
-    ready = inputs.mapped_stage == stage
-    return _begin(status, inputs, "choose", stage=stage, replans=0) if ready else status
+    if inputs.mapped_stage != stage:
+        return status
+    return _begin(status, inputs, "choose", stage=stage, replans=status.replans if status.moving else 0)
 
 
 def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
@@ -119,15 +135,25 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
         return _begin(status, inputs, "observe")
     if inputs.goal.spent:
         return _begin(status, inputs, "map", failures=0)
-    blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
-    bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE
-    stalled = follower.path_id == status.path_id and follower.stalled
-    if not (blocked or late or bumped or stalled):
-        return status
+    if not (late or _held_up(status, inputs)):
+        return _begin(status, inputs, "glance", moving=True) if _glance_due(status, inputs) else status
     if status.replans < MAX_REPLANS:
         return _begin(status, inputs, "plan", replans=status.replans + 1)
     return _give_up_goal(status, inputs)
+
+
+def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
+    """Whether something is in the way, seen or felt."""
+    follower = inputs.follower
+    blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
+    bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE
+    return blocked or bumped or (follower.path_id == status.path_id and follower.stalled)
+
+
+def _glance_due(status: MissionStatus, inputs: MissionInputs) -> bool:
+    due = 0.0 < inputs.glance_period <= inputs.time - status.since
+    return due and inputs.follower.path_id == status.path_id and inputs.follower.left > GLANCE_LEFT
 
 
 def _overdue(status: MissionStatus, inputs: MissionInputs) -> bool:
@@ -142,4 +168,4 @@ def _give_up_goal(status: MissionStatus, inputs: MissionInputs) -> MissionStatus
     return _begin(status, inputs, "observe", failures=status.failures + 1)
 
 
-_PHASES = {"observe": _observe, "map": _map, "choose": _choose, "plan": _plan, "follow": _follow}
+_PHASES = {"observe": _observe, "glance": _glance, "map": _map, "choose": _choose, "plan": _plan, "follow": _follow}

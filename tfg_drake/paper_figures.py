@@ -52,7 +52,7 @@ class Field:
 def gain_field(stage: Stage, field: Field, explorer: ExplorerConfig) -> tuple[IntArray, Gains]:
     """The nodes (c,) of the roadmap where the robot could turn, and what a turn at each is expected to gain."""
     roadmap = stage.roadmap
-    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, stage.estimate))
+    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, stage.tfg, stage.estimate.X_MD[:2]))
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
     tags = expected_tags(points, stage.estimate, stage.tfg, field.sensor)
     frontiers = expected_frontiers(points, stage.tfg, field.sensor)

@@ -1,10 +1,21 @@
+import itertools
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place
+from tfg_drake.planning.pure_pursuit import (
+    ALL_ROUND,
+    TURNING_BACK,
+    VIEW_MARGIN,
+    at_rest,
+    follow,
+    turn_in_place,
+    turn_to_see,
+)
 
 ROBOT = RobotConfig()
 DT = 1 / 32
@@ -85,12 +96,46 @@ def test_a_path_of_nothing_is_finished():
         assert follow(points, np.zeros(3), 0.0, 0.0, False, ROBOT).finished
 
 
-def test_turn_in_place_is_complete_and_not_much_more():
+@pytest.mark.parametrize("target", [2 * math.pi, 0.3, -1.0])
+def test_turn_in_place_comes_to_the_target_and_goes_hardly_beyond(target):
     turned, w = 0.0, 0.0
     for _ in range(round(20 / DT)):
-        command = turn_in_place(turned, 2 * math.pi, 1.0, ROBOT)
-        assert 0.0 <= command <= 1.0
+        command = turn_in_place(turned, target, 1.0, ROBOT) if (target - turned) * target > 0.0 else 0.0
+        assert 0.0 <= command * math.copysign(1.0, target) <= 1.0
         w += np.clip(command - w, -ROBOT.max_turn_acceleration * DT, ROBOT.max_turn_acceleration * DT)
         turned += w * DT
     assert w == 0.0
-    assert 2 * math.pi <= turned < 2 * math.pi + 0.05
+    assert 0.0 <= (turned - target) * math.copysign(1.0, target) < 0.05
+
+
+def swept(turns, view):
+    """Whether a robot has a heading in view (within +-view) on its turns from heading 0, and how far it turns, rad."""
+    stops = np.array([0.0, *turns])
+    poses = np.concatenate([np.linspace(a, b, 400) for a, b in itertools.pairwise(stops)])
+
+    def seen(look):
+        return (np.abs(np.angle(np.exp(1j * (look - poses)))) <= view + 1e-6).any()
+
+    return seen, float(np.abs(np.diff(stops)).sum())
+
+
+@settings(max_examples=30)
+@given(st.lists(st.floats(-math.pi, math.pi), max_size=5), st.floats(-3.0, 3.0))
+def test_a_turn_shows_all_there_is_to_look_at_and_none_is_shorter(look, heading):
+    field_of_view = 2.2
+    view = field_of_view / 2 - VIEW_MARGIN
+    first, then = turn_to_see(np.array(look), heading, field_of_view)
+    headings = (np.array(look) if look else ALL_ROUND) - heading
+    seen, length = swept((first, then), view)
+    assert all(seen(one) for one in headings)
+    grid = np.linspace(-2 * math.pi, 2 * math.pi, 41)
+    for a, b in itertools.product(grid, grid):
+        other_length = abs(a) + abs(b - a)
+        if other_length < length - 0.1 - TURNING_BACK:
+            low, high = min(0.0, a, b) - view, max(0.0, a, b) + view
+            assert not all(((one - low) % (2 * math.pi)) <= high - low for one in headings), (a, b)
+
+
+def test_what_is_in_view_needs_no_turn():
+    assert turn_to_see(np.array([0.3, 6.1]), 0.0, 2.2) == (0.0, 0.0)
+    assert turn_to_see(np.zeros(0), 1.0, 2 * math.pi) == (0.0, 0.0)

@@ -124,15 +124,42 @@ def test_where_nothing_was_ever_seen_the_mission_ends():
 
 
 def test_no_goal_is_chosen_where_the_robot_has_turned_before():
-    estimate, tfg = half_known_room()
+    _, tfg = half_known_room()
     first = Selector()
     first.ready()
     best = first.goal()
-    X_MA = np.vstack([np.zeros((1, 3)), np.append(best.p_MG, 0.0)])
-    again = Selector()
-    again.ready(map=dataclasses.replace(estimate, X_MA=X_MA), tfg=tfg)
+    square = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
     assert best.node in best.candidates
+    # A look all round, and a glance that shows hardly anything to one side.
+    for nearest, candidate in ((1.0, False), (0.01, True)):
+        star = best.p_MG + square * np.array([1.0, 1.0, 1.0, nearest])[:, None]
+        looked = dataclasses.replace(
+            tfg, star_offsets=np.array([0, 4]), star_vertices=star, star_centers=best.p_MG[None].copy()
+        )
+        again = Selector()
+        again.ready(tfg=looked)
+        assert (best.node in again.goal().candidates) == candidate
+
+
+def test_no_goal_is_chosen_where_the_robot_is():
+    estimate, _ = half_known_room()
+    first = Selector()
+    first.ready()
+    best = first.goal()
+    again = Selector()
+    again.ready(map=dataclasses.replace(estimate, X_MD=np.append(best.p_MG, 0.0)))
     assert best.node not in again.goal().candidates
+
+
+def test_a_goal_says_where_to_look_for_what_is_open():
+    _, tfg = half_known_room()
+    selector = Selector()
+    selector.ready()
+    goal = selector.goal()
+    towards = tfg.frontiers - goal.p_MG
+    bearings = np.arctan2(towards[:, 1], towards[:, 0])
+    assert len(goal.look)
+    assert np.abs(goal.look[:, None] - bearings).min(axis=1).max() < 1e-9
 
 
 def test_an_opening_tried_in_vain_counts_only_where_the_robot_can_come_up_to_it():

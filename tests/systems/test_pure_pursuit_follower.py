@@ -6,21 +6,25 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
-from tfg_drake.messages import MissionStatus, Path, PoseEstimate
-from tfg_drake.systems.pure_pursuit_follower import PERIOD, PurePursuitFollower
+from tfg_drake.messages import GoalChoice, MissionStatus, Path, PoseEstimate, replace
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.pure_pursuit import VIEW_MARGIN, turn_to_see
+from tfg_drake.systems.pure_pursuit_follower import LOOK_TIME, PERIOD, PurePursuitFollower
 
 ROBOT = RobotConfig()
+FIELD_OF_VIEW = 2.2
 
 
 class Rig:
     """A follower and a unicycle with the base's limits, stepped by hand."""
 
     def __init__(self, path=()):
-        self.follower = PurePursuitFollower(ROBOT, ExplorerConfig())
+        self.follower = PurePursuitFollower(ROBOT, ExplorerConfig(), FIELD_OF_VIEW)
         self.simulator = Simulator(self.follower)
         self.context = self.simulator.get_mutable_context()
         self.X, self.V = np.zeros(3), np.zeros(2)
         self.mission = MissionStatus(phase="observe", stage=1, since=0.0)
+        self.goal: GoalChoice = replace(empty_choice(), stage=1)
         self.path = Path(id=1, stage=1, points=np.reshape(path, (-1, 2)).astype(float))
         self._fix()
         self.simulator.Initialize()
@@ -28,7 +32,7 @@ class Rig:
     def _fix(self):
         none = np.zeros(0)
         pose = PoseEstimate(self.context.get_time(), self.X, np.eye(3), self.V, 0, none.astype(int), np.zeros((0, 2)))
-        for name, value in (("pose", pose), ("path", self.path), ("mission", self.mission)):
+        for name, value in (("pose", pose), ("path", self.path), ("goal", self.goal), ("mission", self.mission)):
             self.follower.GetInputPort(name).FixValue(self.context, AbstractValue.Make(value))
 
     def command(self):
@@ -55,13 +59,59 @@ class Rig:
         self.mission = MissionStatus(phase=phase, stage=1, since=self.context.get_time())
 
 
-def test_turns_once_and_stops():
+def test_turns_until_all_was_in_view_and_stops():
     rig = Rig()
+    first, then = turn_to_see(np.zeros(0), 0.0, FIELD_OF_VIEW)
+    assert first == then
     assert rig.run(12, lambda status: status.turn_done)
-    assert 2 * math.pi <= rig.X[2] < 2 * math.pi + 0.05
+    assert abs(first) <= abs(rig.X[2]) < abs(first) + 0.05
     assert rig.status().turned == pytest.approx(rig.X[2], abs=1e-9)
     assert abs(rig.V[1]) < 0.02
-    assert rig.context.get_time() < 2 * math.pi + 2.0
+    assert rig.context.get_time() < abs(first) + 2.0
+
+
+def test_looks_where_the_goal_says_to_either_side():
+    rig = Rig()
+    rig.goal = replace(rig.goal, look=np.array([1.2, -1.5]))
+    headings = []
+    assert rig.run(12, lambda status: headings.append(rig.X[2]) or status.turn_done)
+    assert np.max(headings) == pytest.approx(1.2 - (FIELD_OF_VIEW / 2 - VIEW_MARGIN), abs=0.05)
+    assert np.min(headings) == pytest.approx(-1.5 + (FIELD_OF_VIEW / 2 - VIEW_MARGIN), abs=0.05)
+
+
+def test_what_is_in_view_already_is_looked_at_for_a_moment():
+    rig = Rig()
+    rig.goal = replace(rig.goal, look=np.array([0.2]))
+    assert not rig.run(LOOK_TIME - PERIOD, lambda status: status.turn_done)
+    assert rig.run(2 * PERIOD, lambda status: status.turn_done)
+    assert rig.X[2] == 0.0
+
+
+def test_a_robot_that_could_not_reach_its_goal_looks_all_round():
+    rig = Rig()
+    rig.goal = replace(rig.goal, look=np.array([0.2]))
+    rig.mission = replace(rig.mission, failures=1)
+    rig._fix()
+    assert rig.run(12, lambda status: status.turn_done)
+    assert abs(rig.X[2]) > 3.0
+
+
+def test_drives_on_while_a_glance_is_mapped():
+    rig = Rig([[0.0, 0.0], [5.0, 0.0]])
+    for phase in ("follow", "glance", "map", "choose", "plan"):
+        rig.mission = MissionStatus(phase=phase, stage=1, since=rig.context.get_time(), moving=phase != "follow")
+        rig.run(1.0)
+        assert rig.V[0] > 0.3
+    left = rig.status().left
+    assert left == pytest.approx(5.0 - rig.X[0], abs=0.1)
+    # A new path is taken up without a stop.
+    rig.path = Path(id=2, stage=2, points=np.array([rig.X[:2], [6.0, 1.0]]))
+    rig.run(0.5)
+    assert rig.V[0] > 0.3
+    rig.phase("paused")
+    rig.mission = replace(rig.mission, moving=True)
+    rig.run(2.0)
+    assert not rig.V.any()
 
 
 def test_the_first_turn_of_a_mission_begins_with_a_look():
@@ -70,6 +120,7 @@ def test_the_first_turn_of_a_mission_begins_with_a_look():
     rig._fix()
     assert not rig.run(ExplorerConfig().first_look, lambda _: rig.V[1] != 0.0)
     assert rig.run(12, lambda status: status.turn_done)
+    assert 2 * math.pi <= rig.X[2] < 2 * math.pi + 0.05
 
 
 def test_every_observation_turns_anew():
@@ -78,11 +129,12 @@ def test_every_observation_turns_anew():
     rig.phase("map")
     rig.run(0.5)
     assert rig.status().turn_done
+    before = rig.X[2]
     rig.phase("observe")
     rig.run(0.1)
     assert not rig.status().turn_done
     assert rig.run(12, lambda status: status.turn_done)
-    assert rig.X[2] >= 4 * math.pi
+    assert abs(rig.X[2] - before) > 4.0
 
 
 def test_follows_the_path_and_says_so():

@@ -7,8 +7,9 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.visibility import cast_rays
-from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, MissionStatus, PoseEstimate
+from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, MissionStatus, PoseEstimate, replace
 from tfg_drake.systems.tfg_builder import TfgBuilder
+from tfg_drake.tfg.star_polygon import looked_round
 
 ROOM = np.array([[-3.0, -2.0, 3.0, -2.0], [3.0, -2.0, 3.0, 2.0], [3.0, 2.0, -3.0, 2.0], [-3.0, 2.0, -3.0, -2.0]])
 TAGS = np.array([[0.0, -1.99], [2.99, 0.0], [0.0, 1.99], [-2.99, 0.0]])
@@ -123,3 +124,26 @@ def test_all_state_is_in_the_context(builder: Builder) -> None:
     assert tfg is not builder.tfg()
     np.testing.assert_array_equal(tfg.segments, builder.tfg().segments)
     np.testing.assert_array_equal(tfg.star_vertices, builder.tfg().star_vertices)
+
+
+def test_of_a_glance_the_first_scans_count(builder: Builder) -> None:
+    builder.turn()
+    builder.fix(map=estimate(1), mission=MissionStatus("map", 0, 6.5))
+    builder.run_to(7.0)
+    builder.fix(mission=MissionStatus("glance", 1, 7.0, moving=True))
+    for n in range(8):
+        builder.fix(scan=replace(builder.scan(0.0), stamp=7.0 + 0.1 * n))
+        builder.run_to(7.1 + 0.1 * n)
+    second = estimate(2)
+    stamps = np.arange(7.0, 7.8, 0.1)
+    observation = replace(second.observation, stamps=stamps, X_AB=np.zeros((len(stamps), 3)))
+    builder.fix(map=replace(second, observation=observation), mission=MissionStatus("map", 1, 7.8, moving=True))
+    builder.run_to(8.2)
+    tfg = builder.tfg()
+    assert looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers).tolist() == [True, False]
+    star = tfg.star_vertices[tfg.star_offsets[1] :]
+    far = np.hypot(*star.T) > 0.5
+    widest = np.abs(np.arctan2(star[far, 1], star[far, 0])).max()
+    assert widest == pytest.approx(ANGLES.max(), abs=0.02)
+    # What lies beside the glance was seen by the turn before.
+    assert len(tfg.frontiers) == 0

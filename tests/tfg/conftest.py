@@ -58,9 +58,10 @@ class Simulation:
     def panorama(self, X_WA: np.ndarray) -> Panorama:
         return build_panorama(*self.turn(X_WA))
 
-    def observe(self, X_WA: np.ndarray, sightings: Sightings | None = None) -> TfgMap:
-        """Adds a goal with an exact pose and landmarks that are exact, but for `error`."""
+    def observe(self, X_WA: np.ndarray, sightings: Sightings | None = None, glance: bool = False) -> TfgMap:
+        """Adds a goal with an exact pose and landmarks that are exact, but for `error`. glance: its first scan only."""
         scans, stamps, X_AB = self.turn(X_WA)
+        scans = scans[:1] if glance else scans
         seen = self.visible(X_WA[:2])
         self.mapped |= set(seen.tolist())
         self.X_MA.append(X_WA)
@@ -92,6 +93,7 @@ class Simulation:
             self.tags,
             self.robot,
             self.explorer,
+            glance=glance,
         )
         return resolve(self.graph, self.estimate, self.robot, self.explorer)
 

@@ -9,7 +9,7 @@ from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import PoseEstimate, replace
-from tfg_drake.tfg.frontier import frontier_length_total, place_points
+from tfg_drake.tfg.frontier import PUSH, frontier_length_total, place_points
 from tfg_drake.tfg.graph import Sightings, empty_graph, empty_map, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.polyline import sample
 from tfg_drake.tfg.surfaces import EDGE, END, LOOSE
@@ -290,3 +290,29 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed(simulate) -> None:
         assert (np.hypot(*(tfg.segments[far_face, 2:] - tfg.segments[far_face, :2]).T).sum() > 6.0) == held
         missed = (np.abs(tfg.frontiers[:, 0]) < 3.0) & (np.abs(tfg.frontiers[:, 1] - 2.0) < 1.0)
         assert missed.any() != held
+
+
+def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
+    """In the middle of the left room, to the right: the room goes on behind the borders of the view."""
+    tfg = two_rooms.observe(np.array([3.0, 3.0, 0.0]), glance=True)
+    half = 62.0 * np.pi / 180.0
+    for side in (1.0, -1.0):
+        border = np.array([np.cos(half), side * np.sin(half)])
+        beyond = side * np.array([-border[1], border[0]])
+        d = tfg.frontiers - [3.0, 3.0]
+        on_border = (np.abs(d @ beyond - PUSH) < 0.02) & (d @ border > 0.0) & (d @ border < 3.2)
+        assert tfg.frontier_length[on_border].sum() > 2.0
+    assert len(two_rooms.graph.tried_count) == 0
+    # A look all round leaves only the door.
+    assert (two_rooms.observe(np.array([3.0, 3.0, 0.0])).frontiers[:, 0] > 6.0).all()
+
+
+def test_a_glance_is_no_attempt_at_what_it_did_not_settle(two_rooms) -> None:
+    ghost = Sightings(np.array([10_000]), np.array([[4.0, 3.0]]), np.array([[3.0, 3.0]]))
+    start = np.array([2.0, 3.0, 0.0])
+    two_rooms.observe(start, ghost)
+    tried = two_rooms.graph.tried_count.sum()
+    two_rooms.observe(start, glance=True)
+    assert two_rooms.graph.tried_count.sum() == tried
+    two_rooms.observe(start)
+    assert two_rooms.graph.tried_count.sum() > tried

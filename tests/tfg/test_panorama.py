@@ -48,6 +48,13 @@ def test_free_and_unseen_bins() -> None:
     assert free.sum() == pytest.approx(BINS / (2.0 * np.pi), abs=3)
 
 
+def test_where_a_turn_looked() -> None:
+    scan = LaserScan(0.0, np.linspace(-0.5, 0.5, 400), np.full(400, 3.0), 10.0, 0.01)
+    panorama = build_panorama([scan], np.array([0.0]), np.zeros((1, 3)))
+    assert panorama.looked_at(np.array([0.0, -0.49, 0.49, 2.0 * np.pi - 0.3])).all()
+    assert not panorama.looked_at(np.array([-0.52, 0.52, np.pi, -np.pi, 2.0])).any()
+
+
 def test_scans_are_placed_by_the_pose_at_their_stamp() -> None:
     """Half way between two poses, across the jump of the heading at pi."""
     scan = LaserScan(0.5, np.array([0.0]), np.array([2.0]), 10.0, 0.01)

@@ -5,7 +5,7 @@ import shapely
 
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.tfg.panorama import BINS, Panorama
-from tfg_drake.tfg.star_polygon import MOST_VERTICES, star_polygon
+from tfg_drake.tfg.star_polygon import MOST_VERTICES, looked_round, star_polygon
 
 
 def test_star_is_free_and_almost_all_of_what_was_seen(two_rooms) -> None:
@@ -31,3 +31,17 @@ def test_free_space_reaches_the_scan_range_and_the_unseen_is_not_free() -> None:
     assert len(free) < 60
     unseen = star_polygon(Panorama(angles, np.where(angles < np.pi, np.inf, np.nan), 10.0, 0.015))
     assert (np.hypot(*unseen.T)[unseen[:, 1] < -1e-3] < 0.1).all()
+
+
+def test_a_look_all_round_is_told_from_a_glance() -> None:
+    angles = (np.arange(BINS) + 0.5) * 2.0 * np.pi / BINS
+    near = np.full(BINS, 0.25)
+    stars = [
+        star_polygon(Panorama(angles, ranges, 10.0, 0.015))
+        for ranges in (near, np.where(np.abs(angles - 3.0) < 0.1, np.nan, near), np.full(BINS, np.inf))
+    ]
+    offsets = np.cumsum([0, *map(len, stars)])
+    centers = np.array([[0.0, 0.0], [3.0, 1.0], [-2.0, 5.0]])
+    packed = np.concatenate([star + center for star, center in zip(stars, centers, strict=True)])
+    assert looked_round(offsets, packed, centers).tolist() == [True, False, True]
+    assert looked_round(np.zeros(1, dtype=int), np.zeros((0, 2)), np.zeros((0, 2))).tolist() == []

@@ -18,6 +18,7 @@ from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, barred_places, given_up_open, why_end
 from tfg_drake.tfg.drift import known_jointly
+from tfg_drake.tfg.star_polygon import looked_round
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
@@ -63,9 +64,10 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
     return np.sort(np.append(seeing, take(others, count - len(seeing))))
 
 
-def apart_from_goals(points: FloatArray, estimate: MapEstimate) -> BoolArray:
-    """Which of the points (n, 2), m in M, are no past goal's place, (n,)."""
-    distance, _ = cKDTree(estimate.X_MA[:, :2]).query(points, distance_upper_bound=APART)
+def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
+    """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round nor its own (2,)."""
+    turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    distance, _ = cKDTree(np.vstack([tfg.star_centers[turned], p_MD])).query(points, distance_upper_bound=APART)
     return np.asarray(np.isinf(distance))
 
 
@@ -93,7 +95,7 @@ def choose(
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
-    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, estimate))
+    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = known_jointly(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
     kept = ~here & np.isin(nodes, previous.candidates)
@@ -110,7 +112,8 @@ def choose(
         return expected(roadmap.points[nodes], roadmap.travel_time[nodes], tags, sees.of(nodes))
 
     points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
-    stay = 2.0 * math.pi / explorer.turn_rate + OVERHEAD
+    # The robot arrives facing some of what it came for, and turns half round for the rest, on average.
+    stay = 0.5 * max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
     open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
     enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
     tags = expected_tags(points[ask], estimate, tfg, sensor)
@@ -130,6 +133,8 @@ def choose(
     if explorer.goal == "random" and worth.any():
         # As long as any place is worth going to, every place will do.
         open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates))
+        # It goes all the way there: what it comes to is no candidate any more.
+        value[candidates == previous.node] = 1.0
     best = pick(value, open_to, known >= explorer.least_tags)
     if best >= 0:
         node, p_MG, verdict = int(candidates[best]), points[best], "goal"
@@ -165,7 +170,13 @@ def choose(
         verdict=verdict,
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
+        look=_directions(tfg.frontiers[sees.of(candidates[[best]]).index] - p_MG) if best >= 0 else np.zeros(0),
     )
+
+
+def _directions(d: FloatArray) -> FloatArray:
+    """Headings (n,), rad, of displacements (n, 2), m."""
+    return np.arctan2(d[:, 1], d[:, 0])
 
 
 def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: FloatArray) -> Gains:

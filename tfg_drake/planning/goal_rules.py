@@ -49,7 +49,8 @@ def tour(
 
     The tour's goals look through all that is open near the robot: one after the other, the candidate that adds most
     gain (c,), nats, by what it sees of the frontier that those before do not, over the time (c,), s, of going there
-    and the stay, s. Their order is the one that takes least time from the robot to the last of them. frontier: (c, f)
+    and the stay, s. Their order is the one that takes least time from the robot to the farthest of them, which comes
+    last: exploring goes on from there, and what is nearer now would have to be come back for. frontier: (c, f)
     m that each candidate sees of each frontier point. least: m, less than this is not worth a goal. nodes: (c,) of the
     roadmap; speed: m/s. Where no frontier is left, gain per time decides.
     """
@@ -69,7 +70,7 @@ def tour(
     between = _times_between(nodes[chosen], roadmap, speed)
     value = np.full(len(gain), -np.inf)
     arrival = 0.0
-    order = _shortest_order(time[chosen], between)
+    order = _shortest_order(time[chosen], between, int(np.argmax(time[chosen])))
     for before, k in zip([-1, *order[:-1]], order, strict=True):
         arrival += (time[chosen[k]] if before < 0 else between[before, k]) + stay
         value[chosen[k]] = -arrival
@@ -85,27 +86,26 @@ def _times_between(nodes: IntArray, roadmap: Roadmap, speed: float) -> FloatArra
 
 
 @njit(cache=True)
-def _shortest_order(first: FloatArray, between: FloatArray) -> list[int]:
-    """The order in which to visit n places so that the last is reached soonest: first (n,) s to each from the start,
-    between (n, n) s. By dynamic programming over subsets (Held and Karp)."""
+def _shortest_order(first: FloatArray, between: FloatArray, last: int) -> list[int]:
+    """The order in which to visit n places so that the one to be the last is reached soonest: first (n,) s to each from
+    the start, between (n, n) s. By dynamic programming over subsets (Held and Karp)."""
     n = len(first)
     cost = np.full((1 << n, n), np.inf)
     before = np.full((1 << n, n), -1)
     for k in range(n):
         cost[1 << k, k] = first[k]
     for visited in range(1, 1 << n):
-        for last in range(n):
-            here = cost[visited, last]
+        for at in range(n):
+            here = cost[visited, at]
             if not here < np.inf:
                 continue
             for k in range(n):
                 if visited & (1 << k):
                     continue
                 then = visited | (1 << k)
-                if here + between[last, k] < cost[then, k]:
-                    cost[then, k], before[then, k] = here + between[last, k], last
+                if here + between[at, k] < cost[then, k]:
+                    cost[then, k], before[then, k] = here + between[at, k], at
     visited = (1 << n) - 1
-    last = int(np.argmin(cost[visited]))
     order = []
     while last >= 0:
         order.append(last)

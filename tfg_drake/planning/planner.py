@@ -105,7 +105,7 @@ def step(
     chosen = goal.stage == mission.stage == state.nodes.stage == estimate.stage and goal.node >= 0
     if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
         return _plan(state, estimate, tfg, pose, goal, mission, parameters)
-    if mission.phase == "follow" and state.status.free and scan.stamp > state.scan_stamp:
+    if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
         state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
     if pose.stage == state.nodes.stage and _moved(state, pose):
@@ -132,7 +132,7 @@ def grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: Ro
         # Where less is left than is worth a visit, no sample could see enough.
         if within or tfg.frontier_length.sum() < ENOUGH_FRONTIER or (effort > 0 and not beyond):
             break
-    shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, estimate)).any()
+    shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])).any()
     if len(state.obstacles) and (shut_in or (beyond and not within)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
@@ -158,7 +158,7 @@ def _roadmap(
 
 def with_frontiers(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> Roadmap:
     """The roadmap with what its nodes see of the live frontiers."""
-    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, estimate)
+    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])
     view = expected_frontiers(roadmap.points[asked], tfg, sensor).spread(np.flatnonzero(asked), len(roadmap.points))
     return replace(roadmap, frontier_offsets=view.offsets, frontier_index=view.index)
 

@@ -32,19 +32,27 @@ REST_SPEED = 0.01
 REST_TURN_RATE = 0.02
 # Gain of the turn towards a heading, 1/s.
 HEADING_GAIN = 3.0
+# What the robot is to look at at a goal is brought this far within the field of view, rad.
+VIEW_MARGIN = math.radians(15.0)
+# To stop and turn back takes as long as turning so much farther, rad.
+TURNING_BACK = 0.3
+# All round, a heading every 5 degrees.
+ALL_ROUND = np.arange(72) * (math.pi / 36.0)
 # The path is searched this far ahead of the progress made so far, m.
 SEARCH = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class PathCommand:
-    """speed: m/s. turn_rate: rad/s. progress: m along the path. turning: the robot turns in place. finished."""
+    """speed: m/s. turn_rate: rad/s. progress: m along the path. turning: the robot turns in place. finished. left:
+    m of the path."""
 
     speed: float
     turn_rate: float
     progress: float
     turning: bool
     finished: bool
+    left: float = 0.0
 
 
 @njit(cache=True)
@@ -136,7 +144,7 @@ def follow(
     # So near the end a robot that drives must not turn round for a point beside it.
     near_end = remaining < 0.5 * LOOK_AHEAD_MIN
     if abs(error) > TURN_BELOW if turning else abs(error) > TURN_ABOVE and not near_end:
-        return PathCommand(0.0, _turn_towards(error, robot), progress, True, False)
+        return PathCommand(0.0, _turn_towards(error, robot), progress, True, False, remaining)
     curvature = 2.0 * math.sin(error) / max(math.hypot(px - x, py - y), 1e-3)
     limit = _speed_limit(
         points,
@@ -146,19 +154,37 @@ def follow(
         BRAKING_SHARE * robot.max_acceleration,
     )
     limit = min(limit, TURNING_SHARE * robot.max_turn_rate / max(abs(curvature), 1e-9))
-    return PathCommand(limit, limit * curvature, progress, False, False)
+    return PathCommand(limit, limit * curvature, progress, False, False, remaining)
+
+
+def turn_to_see(look: FloatArray, heading: float, field_of_view: float) -> tuple[float, float]:
+    """The shortest turn in place from a heading (rad) that brings all headings to look in (l,), rad, into view.
+
+    field_of_view: rad. Without any to look in, all round: no more than what the field of view does not hold already.
+    Returns how far to turn first and then, both from the heading, rad: to one side, and where less turning so, back
+    past it to the other.
+    """
+    half = 0.5 * field_of_view - VIEW_MARGIN if field_of_view < 2.0 * math.pi else math.pi
+    left = np.sort(np.mod((look if len(look) else ALL_ROUND) - heading, 2.0 * math.pi))
+    # The first k are seen by turning to the left, the others by turning to the right.
+    to_left = np.maximum(0.0, np.append(0.0, left) - half)
+    to_right = np.maximum(0.0, np.append(2.0 * math.pi - left, 0.0) - half)
+    both = TURNING_BACK * ((to_left > 0.0) & (to_right > 0.0))
+    k = int(np.argmin(to_left + to_right + np.minimum(to_left, to_right) + both))
+    a, b = float(to_left[k]), -float(to_right[k])
+    if a == 0.0 or b == 0.0:
+        return a + b, a + b
+    return (a, b) if a <= -b else (b, a)
 
 
 def turn_in_place(turned: float, target: float, turn_rate: float, robot: RobotConfig) -> float:
-    """Turn rate, rad/s, of a turn of target (rad), of which `turned` (rad) is done; 0 from the target on.
+    """Turn rate, rad/s, towards a target (rad), where `turned` (rad) is done; slow in the end.
 
-    Smooth at the end: it brakes at a share of the base's limit. The base's own limit shapes the start.
+    Smooth: it brakes at a share of the base's limit. The base's own limit shapes the start.
     """
     left = target - turned
-    if left <= 0.0:
-        return 0.0
     braking = BRAKING_SHARE * robot.max_turn_acceleration
-    return min(turn_rate, robot.max_turn_rate, max(0.05, math.sqrt(2.0 * braking * left)))
+    return math.copysign(min(turn_rate, robot.max_turn_rate, max(0.05, math.sqrt(2.0 * braking * abs(left)))), left)
 
 
 def at_rest(speed: float, turn_rate: float) -> bool:

@@ -14,6 +14,7 @@ from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, segment_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability, required_clearance
+from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
 from tfg_drake.planning.roadmap import (
     COMFORT,
     EDGE_LENGTH,
@@ -90,8 +91,9 @@ def routes(
     predecessor = np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
     cost = cost[:n]
     order = np.argsort(cost, kind="stable")
-    length, time = _travel(state.points, X_MB, predecessor, order, robot.max_speed, robot.max_turn_rate)
-    time[np.isfinite(time)] += robot.max_speed / robot.max_acceleration
+    stop = robot.max_speed / robot.max_acceleration
+    length, time = _travel(state.points, X_MB, predecessor, order, robot.max_speed, robot.max_turn_rate, stop)
+    time[np.isfinite(time)] += stop
     if planner.risk == "path":
         taken = csr_matrix((np.maximum(risk, 1e-300), (source, target)), shape=(n + 1, n + 1))
         too_risky = _risk_to(predecessor, order, taken) > planner.collision_probability
@@ -130,8 +132,13 @@ def _travel(
     order: IntArray,
     speed: float,
     turn_rate: float,
+    stop: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Length (m) and time (s) along the tree of routes; order: nodes by increasing cost."""
+    """Length (m) and time (s) along the tree of routes; order: nodes by increasing cost.
+
+    stop: s that it costs to stop and start again, as a robot must that does not face its way. It turns in place then,
+    and on the way it rounds corners.
+    """
     n = len(points)
     length, time, heading = np.full(n, np.inf), np.full(n, np.inf), np.zeros(n)
     for i in order:
@@ -146,7 +153,10 @@ def _travel(
         turn = heading[i] - (X_MB[2] if at_robot else heading[before])
         turn = abs(math.atan2(math.sin(turn), math.cos(turn)))
         length[i] = step + (0.0 if at_robot else length[before])
-        time[i] = step / speed + turn / turn_rate + (0.0 if at_robot else time[before])
+        if at_robot:
+            time[i] = step / speed + turn / (TURNING_SHARE * turn_rate) + (stop if turn > TURN_ABOVE else 0.0)
+        else:
+            time[i] = step / speed + turn / turn_rate + time[before]
     return length, time
 
 

@@ -64,6 +64,8 @@ CONTRADICTIONS = 3
 CONFIRMATIONS = 3
 # Goals in a row that must contradict the map about a tag before it is taken to have been moved.
 MOVED = 2
+# A turn that ends this near to where it began was one in place, m.
+IN_PLACE = 0.1
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
 NO_TAGS = np.empty((0, 2))
@@ -310,7 +312,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     graph = goal_graph.rescaled(graph, correction(state.scale))
     graph, estimate = solve(graph, state.stamp, solution.observation)
     model = state.model
-    if state.turn is not None:
+    if state.turn is not None and np.hypot(*solution.observation.X_AD[:2]) < IN_PLACE:
         # A turn in place ends where it began and tells the gyro's scale; on the way a slip could pass for a scale.
         model = learnt(model, solution.calibration, solution.calibration_covariance)
     state = replace(

@@ -149,6 +149,15 @@ def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tu
         arc_p.append((panorama.range_max + PUSH) * outwards)
         arc_normal.append(-outwards)
         arc_share.append(np.full(count, sweep * panorama.range_max / count))
+    # On the border of what was never looked at, on that side of it: what is free there may go on.
+    seen = ~np.isnan(ranges)
+    for sign in (1, -1):
+        last = np.flatnonzero(seen & np.roll(~seen, -sign))
+        beyond = sign * np.stack([-ends[last, 1], ends[last, 0]], axis=1) / np.maximum(reach[last], 1e-9)[:, None]
+        p, normal, share = _along(np.zeros_like(ends[last]), ends[last], beyond)
+        arc_p.append(p)
+        arc_normal.append(normal)
+        arc_share.append(share)
     return np.concatenate(arc_p), np.concatenate(arc_normal), np.concatenate(arc_share)
 
 

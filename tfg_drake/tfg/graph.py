@@ -51,6 +51,8 @@ from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, 
 
 # Goals tried within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
+# From beyond this share of the sensor's range a small face may be missed though it is in view: no attempt at it.
+NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
 
@@ -146,11 +148,13 @@ def update(
     tags: TagSensorConfig,
     robot: RobotConfig,
     explorer: ExplorerConfig,
+    *,
+    glance: bool = False,
 ) -> TfgGraph:
     """The graph with the newest goal of the estimate added.
 
     estimate: the map at stage graph.stage + 1. panorama: what that goal's turn saw, in its arrival frame. sightings:
-    tags seen on the way to it.
+    tags seen on the way to it. glance: the goal is a glance on the way, no attempt at what was open there.
 
     Raises ValueError where the estimate is of another stage.
     """
@@ -227,7 +231,7 @@ def update(
         graph.tried,
         graph.tried_count,
     )
-    return _count_attempts(graph, updated, estimate, tags, explorer)
+    return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer)
 
 
 def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
@@ -411,7 +415,12 @@ def _update_sighted(
 
 
 def _count_attempts(
-    before: TfgGraph, after: TfgGraph, estimate: MapEstimate, tags: TagSensorConfig, explorer: ExplorerConfig
+    before: TfgGraph,
+    after: TfgGraph,
+    estimate: MapEstimate,
+    panorama: Panorama,
+    tags: TagSensorConfig,
+    explorer: ExplorerConfig,
 ) -> TfgGraph:
     """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on."""
     center = estimate.X_MA[-1, :2]
@@ -424,7 +433,10 @@ def _count_attempts(
         # A surface must be looked at from its front, as a tag on it must.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
         clear = line_of_sight(segments, center, points.p)
-        return np.asarray(points.p[(distance <= tags.range) & ~(points.on_surface & slant) & clear])
+        in_A = transform(inverse(estimate.X_MA[-1]), points.p)
+        looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
+        reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
+        return np.asarray(points.p[(distance <= reach) & ~(points.on_surface & slant) & clear & looked])
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
     then, failed = in_view(before), in_view(after)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import FloatArray, LaserScan, message
+from tfg_drake.messages import BoolArray, FloatArray, LaserScan, message
 
 # Bins of 0.5 degrees.
 BINS = 720
@@ -35,6 +35,12 @@ class Panorama:
     def points(self) -> FloatArray:
         """p_AP (b, 2), m, not finite where a bin has no point."""
         return np.asarray(self.ranges[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1))
+
+    def looked_at(self, bearing: FloatArray) -> BoolArray:
+        """Whether the turn looked in the directions of bearings (n,), rad in A."""
+        bins = len(self.ranges)
+        index = (np.mod(bearing, 2.0 * np.pi) * (bins / (2.0 * np.pi))).astype(np.int64)
+        return np.asarray(~np.isnan(self.ranges[np.minimum(index, bins - 1)]))
 
 
 @njit(cache=True)

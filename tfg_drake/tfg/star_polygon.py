@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import BoolArray, FloatArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.tfg.panorama import Panorama
 
 # How far the polygon stays in front of surfaces, m.
@@ -46,6 +46,14 @@ def _simplify(reach: FloatArray, limit: FloatArray, angles: FloatArray, toleranc
             best = j
         i = best
     return keep
+
+
+def looked_round(star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray) -> BoolArray:
+    """Which of k star polygons, packed as in `tfg_drake.geometry.star`, show a look all round, (k,)."""
+    if not len(star_centers):
+        return np.zeros(0, dtype=np.bool_)
+    reach = np.hypot(*(star_vertices - np.repeat(star_centers, np.diff(star_offsets), axis=0)).T)
+    return np.asarray(np.minimum.reduceat(reach, star_offsets[:-1]) > 1.5 * UNSEEN)
 
 
 def star_polygon(panorama: Panorama) -> FloatArray:
