@@ -96,7 +96,7 @@ def test_without_a_world_all_is_in_the_map_frame(simulated, worldless):
 def test_the_closing_table_shows_what_is_known(truthless, worldless):
     rows = dict(cli.table_rows(truthless.summary))
     assert rows["pose error"] == rows["safety"] == "-"
-    assert rows["coverage"].startswith("- % of the area, ")
+    assert rows["coverage"] == "100.0 % of the surface"
     rows = dict(cli.table_rows(worldless.summary))
     assert rows["landmarks"] == str(worldless.summary["landmarks_mapped"])
     assert rows["coverage"] == "-"
