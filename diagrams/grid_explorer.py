@@ -39,7 +39,7 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
             "grid_mapper": GridMapper(scenario.grid, scenario.odometry, scenario.seed),
             "goal_selector": FrontierGoalSelector(choose, robot, scenario.grid.eager),
             "grid_planner": GridPlanner(robot),
-            "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),
+            "follower": PurePursuitFollower(robot, explorer, None),
             "mission_sequencer": MissionSequencer(robot, maps={"grid": GridMap}),
         }
     )

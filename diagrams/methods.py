@@ -44,15 +44,19 @@ class Method:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
 
 
-def _TfgWith(goal: str) -> Callable[[Scenario], Diagram]:
-    return lambda scenario: MakeTfgExplorer(ApplySettings(scenario, [f"explorer.goal={goal}"]))
+def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:
+    return lambda scenario: MakeTfgExplorer(ApplySettings(scenario, [f"explorer.goal={goal}", *settings]))
 
 
 METHODS = {
     method.name: method
     for method in (
-        Method("tfg", "the scenario's own rule on the TFG, by default gain per expected time", MakeTfgExplorer),
-        Method("tfg-argmax", "the paper's rule on the TFG: most information gain", _TfgWith("argmax")),
+        Method("tfg", "the scenario's own rule on the TFG, by default a tour of what is open", MakeTfgExplorer),
+        Method(
+            "tfg-argmax",
+            "the paper's rule on the TFG: most information gain, and nothing is mapped on the way there",
+            _TfgWith("argmax", "explorer.glance_period=0", "explorer.path_keyframe_period=0"),
+        ),
         Method("tfg-nearest", "the nearest frontier on the TFG", _TfgWith("nearest_frontier")),
         Method("grid-nearest", "the paper's baseline: GMapping and the nearest frontier", MakeGridExplorer),
         Method(

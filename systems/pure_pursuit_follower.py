@@ -54,8 +54,8 @@ class PurePursuitFollower(LeafSystem):
     velocity_commanded: (2,) forward speed, m/s, and turn rate, rad/s.
     """
 
-    def __init__(self, robot: RobotConfig, explorer: ExplorerConfig, field_of_view: float):
-        """field_of_view: rad, in which all sensors see that look round."""
+    def __init__(self, robot: RobotConfig, explorer: ExplorerConfig, field_of_view: float | None):
+        """field_of_view: rad, in which all sensors see that look round; None to turn all round at every goal."""
         super().__init__()
         self._field_of_view = field_of_view
         self._robot, self._turn_rate, self._first_look = robot, explorer.turn_rate, explorer.first_look
@@ -108,11 +108,11 @@ class PurePursuitFollower(LeafSystem):
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
-            at_goal = goal.stage == mission.stage and mission.failures == 0
-            x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)
-            if mission.stage == 0:
-                # All of it, for the map's heading: the end sees again what the beginning saw.
-                x[FIRST] = x[THEN] = 2.0 * np.pi
+            # First of all all of it, for the map's heading: the end sees again what the beginning saw.
+            x[FIRST] = x[THEN] = 2.0 * np.pi
+            if mission.stage > 0 and self._field_of_view is not None:
+                at_goal = goal.stage == mission.stage and mission.failures == 0
+                x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
         if mission.stage == 0 and x[STAMP] < mission.since + self._first_look:

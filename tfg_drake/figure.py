@@ -21,6 +21,8 @@ from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
 _MAPPED, _MISSED = "#12876f", "#d62728"
+# Goals nearer to each other than this are not both numbered, m.
+NUMBER_SPACING = 1.5
 _ESTIMATE, _TRUTH = "#1f4e9c", "#7fb2e5"
 _FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
 _POINTS_PER_INCH = 72.0
@@ -189,18 +191,17 @@ def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
 
 
 def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]
-    goals = compose(X_WM, X_MA)
+    """A dot where each goal's turn or glance began, in a circle with its number where there is room for one."""
+    goals = compose(X_WM, X_MA)[:, :2] if len(X_MA) else np.zeros((0, 2))
     if not len(goals):
         return
-    axes.plot(
-        *goals[:, :2].T,
-        "o",
-        markersize=10,
-        color="white",
-        markeredgecolor=_ESTIMATE,
-        linewidth=0,
-        label="goal",
-        zorder=5,
-    )
-    for number, X_WA in enumerate(goals, start=1):
-        axes.text(X_WA[0], X_WA[1], str(number), fontsize=6, color=_ESTIMATE, ha="center", va="center", zorder=5.1)
+    numbered: list[int] = []
+    # The last first: where the robot came back, the newer number says so.
+    for number in range(len(goals) - 1, -1, -1):
+        if all(np.hypot(*(goals[number] - goals[other])) > NUMBER_SPACING for other in numbered):
+            numbered.append(number)
+    axes.plot(*goals.T, "o", markersize=3, color=_ESTIMATE, linewidth=0, label="goal or glance", zorder=4.9)
+    ring = {"markersize": 10, "color": "white", "markeredgecolor": _ESTIMATE, "linewidth": 0}
+    axes.plot(*goals[numbered].T, "o", **ring, zorder=5)
+    for number in numbered:
+        axes.text(*goals[number], str(number + 1), fontsize=6, color=_ESTIMATE, ha="center", va="center", zorder=5.1)

@@ -18,8 +18,8 @@ FIELD_OF_VIEW = 2.2
 class Rig:
     """A follower and a unicycle with the base's limits, stepped by hand."""
 
-    def __init__(self, path=()):
-        self.follower = PurePursuitFollower(ROBOT, ExplorerConfig(), FIELD_OF_VIEW)
+    def __init__(self, path=(), field_of_view=FIELD_OF_VIEW):
+        self.follower = PurePursuitFollower(ROBOT, ExplorerConfig(), field_of_view)
         self.simulator = Simulator(self.follower)
         self.context = self.simulator.get_mutable_context()
         self.X, self.V = np.zeros(3), np.zeros(2)
@@ -181,3 +181,10 @@ def test_a_robot_that_does_not_move_when_told_to_is_held_up():
         rig._fix()
         rig.simulator.AdvanceTo(rig.context.get_time() + PERIOD)
     assert rig.status().stalled
+
+
+def test_without_a_field_of_view_it_turns_all_round():
+    rig = Rig(field_of_view=None)
+    rig.goal = replace(rig.goal, look=np.array([1.2]))
+    assert rig.run(12, lambda status: status.turn_done)
+    assert rig.status().turned == pytest.approx(2.0 * np.pi, abs=0.05)
