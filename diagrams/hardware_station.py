@@ -20,7 +20,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     """
     builder, clock = DiagramBuilder(), devices.clock
     safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety))
-    wheels = builder.AddNamedSystem("base", HardwareBase(devices.base, clock))
+    wheels = builder.AddNamedSystem("base", HardwareBase(devices))
     tags = HardwareSensor("detections", devices.tags, no_detections(), clock)
     tag_sensor = builder.AddNamedSystem("tag_sensor", tags)
     ranges = HardwareSensor("ranges", devices.scan, no_scan(scenario.scan), clock)

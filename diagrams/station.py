@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pydrake.common import RandomDistribution
+from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
 from pydrake.systems.primitives import RandomSource
 
@@ -15,13 +16,17 @@ from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.systems.odometry import Odometry
 from tfg_drake.systems.safety_filter import SafetyFilter
 from tfg_drake.systems.tag_sensor import TagSensor
+from tfg_drake.systems.visualizer import TfgVisualizer
 
 # Longer than any run: drawn once.
 _ONCE = 2.0**30
 
 
-def MakeTurtlebotStation(scenario: Scenario, *, hardware: bool = False) -> Diagram:
+def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, hardware: bool = False) -> Diagram:
     """The station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
+
+    A meshcat shows a simulated robot in its world, for a station without an explorer; a mission's picture is
+    TfgVisualizer's.
 
     .. pydrake_system::
 
@@ -50,7 +55,8 @@ def MakeTurtlebotStation(scenario: Scenario, *, hardware: bool = False) -> Diagr
     All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
     RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
 
-    Raises DeviceError where the robot cannot be used.
+    A real robot's devices are closed by RobotDevices.close, or when the program ends. Raises DeviceError where the
+    robot cannot be used.
     """
     if hardware:
         return MakeHardwareStation(scenario, open_devices(scenario.hardware, scenario.robot))
@@ -75,6 +81,11 @@ def MakeTurtlebotStation(scenario: Scenario, *, hardware: bool = False) -> Diagr
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
     _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
     _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
+
+    if meshcat is not None:
+        picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, "station")
+        builder.AddNamedSystem("visualizer", picture)
+        builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")

@@ -8,8 +8,8 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from tfg_drake.hardware.device import Device, DeviceError
-from tfg_drake.hardware.host_clock import HostClock
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -66,18 +66,16 @@ class HardwareBase(LeafSystem):
     Raises DeviceError in a simulation when the robot is lost for good.
     """
 
-    def __init__(self, device: Device, clock: HostClock) -> None:
-        """device: has said where the base is."""
+    def __init__(self, devices: RobotDevices) -> None:
+        """devices: the base among them has said where it is."""
         super().__init__()
-        self._device, self._clock = device, clock
+        self.devices = devices
+        self._device, self._clock = devices.base, devices.clock
         self._velocity = self.DeclareVectorInputPort("velocity", 2)
         self._enable = self.DeclareVectorInputPort("enable", 1)
         self._detections = declare_message_input(self, "detections")
         self._scan = declare_message_input(self, "scan")
-        begin = device.newest(Odometry)
-        if begin is None:
-            raise DeviceError("the base has not said where it is")
-        begin = replace(begin, stamp=0.0, V_B=np.zeros(2), at_rest=True)
+        begin = replace(self._device.first(Odometry), stamp=0.0, V_B=np.zeros(2), at_rest=True)
         self._odometry = self.DeclareAbstractState(AbstractValue.Make(begin))
         self._state = self.DeclareAbstractState(AbstractValue.Make(_BaseState(Hazards(0.0, 0, 0, 0))))
         declare_message_output(

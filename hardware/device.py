@@ -132,6 +132,15 @@ class Device:
         message = self._newest.get(kind)
         return message if isinstance(message, kind) else None
 
+    def first(self, kind: type[T]) -> T:
+        """The newest message of a kind, waited for where none has arrived yet; raises DeviceError where none comes."""
+        with self._changed:
+            self._changed.wait_for(lambda: kind in self._newest or self._ended is not None, ANSWER_TIMEOUT)
+        message = self.newest(kind)
+        if message is None:
+            raise DeviceError(self._ended or f"no {kind.__name__} in {ANSWER_TIMEOUT:.0f} s: is the robot switched on?")
+        return message
+
     def take(self, kind: type[T], until: float) -> list[T]:
         """The messages of a kind that are stamped `until` (s) or before and were not taken yet, in order."""
         taken: list[T] = []

@@ -4,13 +4,15 @@ import logging
 
 import numpy as np
 import pytest
+from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
 from tests.hardware.fake_robot import FakeDevice
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.kobuki.emulator import Emulator
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
@@ -64,6 +66,32 @@ def test_the_ports_are_the_simulated_ones_but_for_the_truth():
     truth = [port for port in simulated[1] if port[0].startswith("truth.")]
     assert len(truth) == 3
     assert [port for port in simulated[1] if port not in truth] == real[1]
+
+
+def test_hardware_is_one_word_away():
+    """The robot that the scenario names, here an emulated one, and nothing else in the scenario changes."""
+    with Emulator(MakeWorld(LoadScenario("house").world)) as emulator:
+        scenario = Scenario()
+        scenario.hardware.port = emulator.device
+        scenario.hardware.tags = scenario.hardware.scan = "socket:{}:{}".format(*emulator.sensors)
+        station = MakeTurtlebotStation(scenario, hardware=True)
+        assert port_names(station) == port_names(Station().diagram)
+        simulator = Simulator(station)
+        simulator.set_target_realtime_rate(1.0)
+        simulator.AdvanceTo(1.0)
+        context = simulator.get_context()
+        assert len(station.GetOutputPort("tags.detections").Eval(context).ids) > 3
+        assert station.GetOutputPort("scan.ranges").Eval(context).stamp == pytest.approx(0.9, abs=0.2)
+        assert not station.GetOutputPort("base.enabled").Eval(context)[0]
+        station.GetSubsystemByName("base").devices.close()
+
+
+def test_the_station_alone_in_meshcat():
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    station = MakeTurtlebotStation(LoadScenario("house"), meshcat)
+    Simulator(station).AdvanceTo(0.5)
+    assert meshcat.HasPath("/tfg/walls")
+    assert meshcat.HasPath("/tfg/truth")
 
 
 @pytest.mark.parametrize("enable", [None, 0.0])

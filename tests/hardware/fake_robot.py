@@ -36,7 +36,7 @@ class FakeDevice:
             return TagDetections(stamp, np.array([number]), one, one, one, one)
         return LaserScan(stamp, np.array([0.0]), np.array([number * 1.0 + 5.0]), 1e6, 0.01)
 
-    def newest(self, kind):
+    def first(self, kind):
         self.begin = 0.0
         message, self.begin = self.message(kind, 7), None
         return message
