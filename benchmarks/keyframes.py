@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tfg_drake.diagrams.run import explore
-from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld
+from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.metrics import landmark_rmse
 from tfg_drake.slam import estimator
@@ -49,7 +49,9 @@ def newest_only(messages: list) -> tuple:
 
 def run_seed(name: str, seed: int, period: float) -> tuple[int, list[float]]:
     """Landmark RMSE, m: goals only, path keyframes, batch smoother."""
-    scenario = LoadScenario(FindScenario(name))
+    scenario = ApplySettings(
+        LoadScenario(FindScenario(name)), ["explorer.path_keyframe_period=0", "explorer.glance_period=0"]
+    )
     scenario.seed = seed
     world = MakeWorld(scenario.world)
     steps: list[tuple[str, object]] = []
