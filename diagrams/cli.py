@@ -321,6 +321,8 @@ def _interrupt(_signal: int, _frame: object) -> None:
     The second one leaves at once: an exception might be lost in a callback or end in a traceback.
     """
     if _interrupted.is_set():
+        if keyboard := sys.modules.get("tfg_drake.hardware.keyboard"):
+            keyboard.restore_terminals()
         os.write(2, b"\ntfg-drake: interrupted; nothing more is written\n")
         os._exit(EXIT_CODES["interrupted"])
     _interrupted.set()
@@ -444,9 +446,11 @@ def _open_robot(name: str, scenario: Scenario, method: Method, meshcat: Any) -> 
         except DeviceError as error:
             _bad_input(str(error))
         print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
-        Rehearse(scenario, method)
+        for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what is known is written
+            signal.signal(number, _interrupt)
+        Rehearse(scenario, method, _interrupted)
         stack.enter_context(_remarks_on_screen())
-        print(f"nothing moves before it is enabled; {HELP}", flush=True)
+        print(HELP, flush=True)
         yield opened
 
 
@@ -455,7 +459,7 @@ def _remarks_on_screen() -> Iterator[None]:
     """What base and operator remark is shown, too."""
     import logging
 
-    handler = logging.StreamHandler()
+    handler = logging.StreamHandler(sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
     loggers = [logging.getLogger(f"tfg_drake.{name}") for name in ("hardware", "operator")]
     for logger in loggers:

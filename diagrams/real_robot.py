@@ -61,10 +61,10 @@ def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diag
     )
 
 
-def Rehearse(scenario: Scenario, method: Method) -> None:
+def Rehearse(scenario: Scenario, method: Method, interrupted: threading.Event) -> None:
     """Runs the beginning of a simulated mission of the same explorer: all its kernels are compiled then, and a real
     robot need not wait for them in the middle of its way."""
     rehearsed = copy.deepcopy(scenario)
     rehearsed.world = LoadScenario("paper").world
     mission = Mission(rehearsed, method, None, "rehearsal")
-    mission.run(0.0, REHEARSAL, threading.Event(), lambda _: None, None)
+    mission.run(0.0, REHEARSAL, interrupted, lambda _: None, None)

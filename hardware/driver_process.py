@@ -10,6 +10,7 @@ What comes by the second is published, see announcements.py.
 from __future__ import annotations
 
 import collections
+import contextlib
 import os
 import signal
 import sys
@@ -99,8 +100,9 @@ def serve(driver: Driver, connection: Connection) -> None:
         pass  # the other end is gone
     finally:
         for _ in range(_LAST_ZEROS if moved else 0):
-            driver.send(0.0, 0.0)
-            driver.spin(TICK)
+            with contextlib.suppress(Exception):  # whatever has happened, the next one may arrive
+                driver.send(0.0, 0.0)
+                driver.spin(TICK)
 
 
 def main() -> None:

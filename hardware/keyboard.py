@@ -11,11 +11,22 @@ import sys
 import termios
 import threading
 import tty
+import weakref
 
 from tfg_drake.operation import Request
 
 KEYS: dict[str, Request] = {"e": "enable", " ": "stop", "s": "stop", "p": "pause", "q": "end"}
 HELP = "keys: e enable the wheels, space (or s) emergency stop, p pause or resume, q end"
+
+
+_open: weakref.WeakSet[Keyboard] = weakref.WeakSet()
+
+
+@atexit.register
+def restore_terminals() -> None:
+    """Gives all terminals back as they were: for whoever ends the program at once."""
+    for keyboard in list(_open):
+        keyboard.restore()
 
 
 class Keyboard:
@@ -31,7 +42,7 @@ class Keyboard:
         if os.isatty(self._descriptor):
             self._before = termios.tcgetattr(self._descriptor)
             tty.setcbreak(self._descriptor)
-            atexit.register(self._restore)
+            _open.add(self)
         self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._wake, self._end = os.pipe()
         self._thread = threading.Thread(target=self._read, daemon=True)
@@ -50,7 +61,7 @@ class Keyboard:
         os.close(self._end)
         self._thread.join()
         os.close(self._wake)
-        self._restore()
+        self.restore()
 
     def _read(self) -> None:
         while True:
@@ -67,7 +78,8 @@ class Keyboard:
                 if request := KEYS.get(key.lower()):
                     self._requests.put(request)
 
-    def _restore(self) -> None:
+    def restore(self) -> None:
+        """Gives the terminal back as it was."""
         if self._before is not None:
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
             self._before = None

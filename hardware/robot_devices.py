@@ -14,6 +14,9 @@ from tfg_drake.hardware.sensor import Source
 from tfg_drake.hardware.sensor_source import open_sources, parse_source
 from tfg_drake.hardware.watchdog import Limits
 
+# Whose mounts and topics hold where nobody says otherwise.
+PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
+
 
 @dataclasses.dataclass(frozen=True)
 class RobotDevices:
@@ -46,7 +49,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     speed = min(robot.max_speed, config.max_speed)
     limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
     try:
-        preset = load_preset(config.preset)
+        preset = load_preset(config.preset or PRESET_OF[config.robot])
     except PresetError as error:
         raise DeviceError(str(error)) from None
     specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
@@ -60,10 +63,11 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     for use in own:
         if use not in specs and not own[use]:
             raise DeviceError(f"{config.robot}: no source of {use}; give --{use} socket:HOST:PORT or ros2:/TOPIC")
+    # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
+    sources = open_sources(specs, preset)
     if "tags" in specs:
         topics = dataclasses.replace(preset.topics, detections=None, camera_info=None)
         preset = dataclasses.replace(preset, topics=topics)
-    sources = open_sources(specs, preset)
     try:
         base = _open_base(config, preset, limits)
     except DeviceError:

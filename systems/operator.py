@@ -52,10 +52,17 @@ class Operator(LeafSystem):
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         before = after = state_message(context, self._state, Operation)
-        for source in self._sources:
-            for request in source():
-                _log.info("%.2f s: %s", context.get_time(), request)
-                after = requested(after, request)
+        requests = [request for source in self._sources for request in source()]
+        if context.get_time() < 0.5 * PERIOD:
+            # What was asked for before the mission began was not meant for it, unless it was to stop.
+            requests = [request for request in requests if request in ("stop", "end")]
+            _log.info("nothing moves before it is enabled")
+        if "stop" in requests or "end" in requests:
+            # Nobody knows in which order they came: who asked for a stop gets it.
+            requests = [request for request in requests if request != "enable"]
+        for request in requests:
+            _log.info("%.2f s: %s", context.get_time(), request)
+            after = requested(after, request)
         if after is before:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, after)

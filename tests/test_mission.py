@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.messages import FollowerStatus, GoalChoice, Path, PathStatus
-from tfg_drake.mission import GLANCE_TIME, MAX_FAILURES, MAX_REPLANS, MissionInputs, initial_status, step
+from tfg_drake.mission import GLANCE_TIME, MAX_CHANGES, MAX_FAILURES, MAX_REPLANS, MissionInputs, initial_status, step
 
 
 def goal(stage: int, verdict: str = "goal", node: int | None = None, latest_arrival: float = np.inf) -> GoalChoice:
@@ -214,3 +214,27 @@ def test_a_pause_in_a_glance_ends_it_and_the_robot_stands_until_there_is_a_new_p
     assert (status.phase, status.drives) == ("paused", False)
     status = step(status, inputs(20.0))
     assert (status.phase, status.drives) == ("map", False)
+
+
+def test_two_goals_do_not_send_the_robot_to_and_fro_for_ever():
+    """At each glance the other goal looks better; after a few the robot goes to the end of its way."""
+    status, stage, time = following(10.0), 1, 10.0
+    places = np.array([[1.0, 1.0], [5.0, 5.0]])
+    for glance in range(2 * MAX_CHANGES):
+        time += 2.0
+        after = step(status, inputs(time, glance_period=2.0, follower=driving(time, path_id=status.path_id)))
+        if after is status:
+            break
+        path = Path(status.path_id, stage, np.tile(places[glance % 2], (5, 1)))
+        stage, time = stage + 1, time + GLANCE_TIME
+        status = step(after, inputs(time, follower=driving(time, path_id=status.path_id)))
+        status = step(status, inputs(time, mapped_stage=stage))
+        other = dataclasses.replace(goal(stage), p_MG=places[(glance + 1) % 2])
+        status = step(status, inputs(time, goal=other, path=path))
+        points = np.tile(places[(glance + 1) % 2], (5, 1))
+        status = step(status, inputs(time, goal=other, path=Path(status.path_id + 1, stage, points)))
+        assert status.phase == "follow"
+    assert glance == MAX_CHANGES
+    observing = dataclasses.replace(status, phase="observe", since=time)
+    done = FollowerStatus(time + 5.0, 7, True, 7.0, True)
+    assert step(observing, inputs(time + 5.0, follower=done)).changes == 0

@@ -120,12 +120,13 @@ class HardwareConfig:
     max_speed: float = 0.3
     # kobuki: the serial port.
     port: str = "/dev/kobuki"
-    # ros2, rosbridge: a shipped preset or a YAML file that says what the robot's topics are.
-    preset: str = "turtlebot4"
+    # A shipped preset or a YAML file that says what the robot's topics are and where its sensors sit; empty: that of a
+    # turtlebot2 for a kobuki, else of a turtlebot4.
+    preset: str = ""
     # rosbridge: HOST:PORT of the server.
     bridge: str = "localhost:9090"
-    # Where tags and scans come from: ros2:TOPIC, rosbridge:TOPIC, socket:HOST:PORT, or empty for the topics of the
-    # preset; a kobuki has none of its own.
+    # Where tags and scans come from: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, or empty for the topics
+    # of the preset; a kobuki has none of its own.
     tags: str = ""
     scan: str = ""
 

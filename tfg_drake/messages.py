@@ -310,7 +310,8 @@ class MissionStatus:
     since: s, when the phase began. resume_phase: where a pause goes back to, "" otherwise. outcome: "" until done, then
     complete, stuck, time_limit, budget, interrupted or fault. reason: one sentence. replans: paths asked for after the
     first since the robot last stood and looked. path_id: the path being followed. failures: goals in a row that could
-    not be reached. moving: after a glance; the robot drives on along its path until there is a new one.
+    not be reached. moving: after a glance; the robot drives on along its path until there is a new one. changes: goals
+    left for others on the way since the robot last stood and looked.
     """
 
     phase: str
@@ -323,6 +324,7 @@ class MissionStatus:
     path_id: int = 0
     failures: int = 0
     moving: bool = False
+    changes: int = 0
 
     @property
     def drives(self) -> bool:

@@ -21,6 +21,10 @@ MAX_FAILURES = 6
 GLANCE_TIME = 0.75
 # No glance when less of the path than this is left, m: the goal's own observation follows.
 GLANCE_LEFT = 1.0
+# A robot that has turned to another goal on its way so often, this far from the one before, m, goes to the end of its
+# way before it looks for another: two goals could send it to and fro for ever.
+MAX_CHANGES = 5
+OTHER_GOAL = 0.5
 # The base's own reflex needs this long before a bumper that still reports contact means anything new, s.
 BUMPER_PATIENCE = 2.0
 # A path that is not finished after this many times its time at full speed, plus a minute, is planned again.
@@ -88,7 +92,7 @@ def _end(status: MissionStatus, inputs: MissionInputs, outcome: str, reason: str
 
 def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     fresh = inputs.follower.stamp > status.since + SETTLING_TIME
-    return _begin(status, inputs, "map") if fresh and inputs.follower.turn_done else status
+    return _begin(status, inputs, "map", changes=0) if fresh and inputs.follower.turn_done else status
 
 
 def _glance(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
@@ -110,7 +114,9 @@ def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     if goal.stage != status.stage:
         return status
     if goal.node >= 0:
-        return _begin(status, inputs, "plan")
+        points = inputs.path.points
+        other = status.moving and len(points) and np.hypot(*(goal.p_MG - points[-1])) > OTHER_GOAL
+        return _begin(status, inputs, "plan", changes=status.changes + bool(other))
     return _end(status, inputs, goal.verdict, goal.reason)
 
 
@@ -152,7 +158,7 @@ def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
 
 
 def _glance_due(status: MissionStatus, inputs: MissionInputs) -> bool:
-    due = 0.0 < inputs.glance_period <= inputs.time - status.since
+    due = 0.0 < inputs.glance_period <= inputs.time - status.since and status.changes < MAX_CHANGES
     return due and inputs.follower.path_id == status.path_id and inputs.follower.left > GLANCE_LEFT
 
 

@@ -14,14 +14,16 @@ from tfg_drake.hardware.kobuki.guardian import Guardian
 from tfg_drake.hardware.kobuki.serial_port import open_port
 from tfg_drake.hardware.watchdog import TICK, Limits
 
-# Between two attempts to connect: at first, twice as long each time, at most; s.
-FIRST_RETRY, LAST_RETRY = 0.5, 5.0
+# Between two attempts to connect, s: until then a base whose cable was pulled drives on.
+RETRY = 0.5
 # Between two requests of the versions, s.
 _ASK_EVERY = 0.2
 _VERSIONS = p.RequestExtra(0x0B)
 # Every power rail on, and the first LED: orange (red and green) while it may not move, green while it may.
 _POWER, _ORANGE, _GREEN = 0x00F0, 0x0300, 0x0200
 _TUNE_ON, _TUNE_OFF = p.SoundSequence(0), p.SoundSequence(1)
+# B0, among the bits of CoreSensors.
+STOP_BUTTON = 1
 _STOP = p.BaseControl(0, 0)
 
 
@@ -61,7 +63,7 @@ class KobukiDriver:
         self._trouble = ""
         self._lights = _ORANGE
         # When the versions were asked for last, when to connect again and after what delay after that, s.
-        self._asked, self._retry_at, self._retry_after = 0.0, 0.0, FIRST_RETRY
+        self._asked, self._retry_at = 0.0, 0.0
         while self._guardian is None:
             self.spin(TICK)
             if self._trouble:
@@ -102,7 +104,7 @@ class KobukiDriver:
 
     def _begin(self, connection: Connection) -> None:
         self._guardian = Guardian(connection.fileno())
-        self._trouble, self._retry_after = "", FIRST_RETRY
+        self._trouble = ""
         connection.say(_STOP, _TUNE_ON, p.GeneralOutput(_POWER | self._lights))
 
     def _lose(self, why: str) -> None:
@@ -112,7 +114,7 @@ class KobukiDriver:
     def _retry(self, trouble: str) -> None:
         """Later is soon enough to try again."""
         self._trouble = trouble
-        self._retry_at, self._retry_after = time.monotonic() + self._retry_after, min(LAST_RETRY, 2 * self._retry_after)
+        self._retry_at = time.monotonic() + RETRY
 
     def _disconnect(self, *last: p.SubPayload) -> None:
         if self._connection is None:
@@ -129,7 +131,10 @@ class KobukiDriver:
         return [] if self._connection is None or self._guardian is None else self._connection.take()
 
     def fault(self) -> str | None:
-        """Why there is no base, as long as there is none."""
+        """Why there is no base, as long as there is none, or that its stop button B0 is pressed."""
+        core = self._connection.core if self._connection is not None else None
+        if not self._trouble and core is not None and core.buttons & STOP_BUTTON:
+            return "stopped by the button B0"
         return self._trouble or None
 
     def send(self, speed: float, turn_rate: float) -> None:

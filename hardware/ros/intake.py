@@ -8,13 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from tfg_drake.geometry.se2 import compose, inverse
 from tfg_drake.hardware.device import Message
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.stamps import SENSOR_SILENCE, ClockJump, StampClock
-from tfg_drake.messages import Hazards, Odometry
+from tfg_drake.messages import Hazards, Odometry, replace
 
 _log = logging.getLogger(__name__)
+
+# No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset.
+FASTEST, LEAP = 1.5, 0.5
 
 
 class Intake:
@@ -26,7 +30,10 @@ class Intake:
         self.clock = StampClock() if sensors is None else StampClock(SENSOR_SILENCE)
         self._preset, self._sensors = preset, sensors
         self._messages: list[Message] = []
+        # The newest odometry, as it is passed on and as it was told, in frames O and R.
         self._odometry: Odometry | None = None
+        self._odometry_told: Odometry | None = None
+        self._X_OR = np.zeros(3)
         self._hazards = Hazards(-math.inf, 0, 0, 0)
         self._camera_info: Any = None
         self._fault: str | None = None
@@ -51,7 +58,7 @@ class Intake:
             if (stamp := self._host_stamp(key, topic, message, arrival)) is not None:
                 self._messages.append(self._convert(key, topic, message, stamp))
         except ClockJump as jump:
-            self._fault, self._odometry = str(jump), None
+            self._fault = str(jump)
         except (ValueError, TypeError, LookupError) as error:
             if topic.name not in self._refused:
                 _log.warning("%s: messages are not used: %s", topic.name, error)
@@ -64,15 +71,15 @@ class Intake:
         if self._sensors is not None and stamp is not None:
             return self.clock.learn(topic.name, stamp, arrival)
         if stamp is None:
-            return arrival if self.clock.ready else None
+            # An alarm without a stamp is of now, and comes once: it must not be lost.
+            return arrival if self.clock.ready or key == "hazards" else None
         return self.clock.host(topic.name, stamp, arrival)
 
     def _convert(self, key: str, topic: Topic, message: Any, stamp: float) -> Message:
         if key == "odometry":
             if self._odometry is None:
                 self._check_frame(topic, message)
-            self._odometry = conversions.odometry(message, stamp, self._odometry)
-            return self._odometry
+            return self._continued(topic, conversions.odometry(message, stamp, self._odometry_told))
         if key == "scan":
             V_B = np.zeros(2) if self._odometry is None else self._odometry.V_B
             return conversions.laser_scan(message, stamp, self._preset.scanner, V_B)
@@ -84,6 +91,20 @@ class Intake:
         if self._camera_info is None:
             raise ValueError("no camera_info yet")
         return conversions.apriltag_detections(message, self._camera_info, stamp, self._preset.camera)
+
+    def _continued(self, topic: Topic, told: Odometry) -> Odometry:
+        """The odometry, going on where it was when the base has begun to count anew."""
+        before = self._odometry
+        if before is not None and self._odometry_told is not None:
+            reach = FASTEST * max(0.0, told.stamp - before.stamp) + LEAP
+            if np.hypot(*(told.X_OB[:2] - self._odometry_told.X_OB[:2])) > reach:
+                self._fault = (
+                    f"{topic.name} was reset, its base was started anew; see that the robot stands where it was"
+                )
+                self._X_OR = compose(before.X_OB, inverse(told.X_OB))
+        self._odometry_told = told
+        self._odometry = replace(told, X_OB=compose(self._X_OR, told.X_OB))
+        return self._odometry
 
     def _check_frame(self, topic: Topic, message: Any) -> None:
         """Where the odometry is in another frame than the preset says, our map -> odom would join nothing."""

@@ -25,6 +25,10 @@ from tfg_drake.hardware.watchdog import TICK
 
 # How long to look for the robot, s, and for the node rosapi, which lists its topics.
 PATIENCE = 10.0
+# Between two attempts to connect again, s.
+LONGEST_RETRY = 2.0
+# What of a slow connection only the newest is wanted.
+STREAMS = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CameraInfo")
 ROSAPI_PATIENCE = 3.0
 
 Receive = Callable[[Any, float], None]
@@ -62,6 +66,8 @@ class RosbridgeGraph:
         self._roslibpy = roslibpy
         self._arrived: queue.SimpleQueue[tuple[Receive, Any, float]] = queue.SimpleQueue()
         self._ros = roslibpy.Ros(host, port, transport="asyncio")
+        # It would wait longer each time, for up to an hour.
+        self._ros.factory.set_max_delay(LONGEST_RETRY)
         try:
             self._ros.run(PATIENCE)
         except TimeoutError:
@@ -78,8 +84,9 @@ class RosbridgeGraph:
 
     def subscribe(self, topic: Topic, receive: Receive) -> None:
         """receive(message, arrival), by `spin`; arrival s of the host's clock."""
-        # The bridge keeps the newest message of a client that is slow.
-        subscriber = self._roslibpy.Topic(self._ros, topic.name, topic.type, queue_length=1)
+        # The bridge keeps the newest messages for a client that is slow: one of what streams, more of what happens.
+        length = 1 if topic.type in STREAMS else 10
+        subscriber = self._roslibpy.Topic(self._ros, topic.name, topic.type, queue_length=length)
         subscriber.subscribe(lambda message: self._arrived.put((receive, message, time.monotonic())))
 
     def publisher(self, topic: Topic) -> Callable[[dict[str, Any]], None]:

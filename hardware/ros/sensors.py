@@ -113,7 +113,7 @@ class SensorDriver:
         if silent := sorted(names - self._intake.arrived):
             raise DeviceError(f"{self._graph.label}: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: start it")
         if not self._intake.clock.ready:
-            raise DeviceError(f"{self._graph.label}: too little arrives in {PATIENCE:.0f} s: it needs 1 Hz or more")
+            raise DeviceError(f"{self._graph.label}: too little arrives in {PATIENCE:.0f} s: it needs 2 Hz or more")
         if line := self._intake.clock.skew():
             raise DeviceError(f"{self._graph.label}: {line}")
 

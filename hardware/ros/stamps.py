@@ -24,7 +24,7 @@ SILENCE = 0.5
 SENSOR_SILENCE = 2.0
 # The robot's clock may differ from the host's by this, s; what a camera sees may be this old when it arrives.
 MAX_SKEW = 0.25
-MAX_AGE = 1.0
+MAX_AGE = 0.5
 
 
 class ClockJump(Exception):

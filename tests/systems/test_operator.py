@@ -32,8 +32,22 @@ def test_requests_become_what_base_and_mission_are_told():
     assert run.after() == [0, 0, 0]
     assert run.after("enable") == [1, 0, 0]
     assert run.after("pause") == [1, 1, 0]
-    assert run.after("stop", "enable", "pause") == [2, 0, 0]
+    assert run.after("stop") == [0, 1, 0]
+    assert run.after("enable", "pause") == [2, 0, 0]
     assert run.after("end") == [0, 0, 1]
+
+
+def test_of_a_stop_and_an_enabling_at_once_the_stop_counts():
+    run = Run()
+    run.after()
+    assert run.after("enable") == [1, 0, 0]
+    assert run.after("stop", "enable") == run.after("enable", "stop") == [0, 0, 0]
+    assert run.after("enable") == [2, 0, 0]
+
+
+def test_what_was_asked_for_before_the_mission_began_does_not_count():
+    assert Run().after("enable", "pause") == [0, 0, 0]
+    assert Run().after("end") == [0, 0, 1]
 
 
 def test_buttons_in_meshcat():
