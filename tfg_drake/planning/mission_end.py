@@ -67,5 +67,5 @@ def why_end(
         return "stuck", f"{barred_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
     if given_up_length > 0.0:
         return "stuck", f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
-    but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length > 0.0 else ""
+    but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length >= 0.05 else ""
     return "complete", f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."
