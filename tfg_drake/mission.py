@@ -23,7 +23,7 @@ GLANCE_TIME = 0.75
 GLANCE_LEFT = 1.0
 # A robot that has turned to another goal on its way so often, this far from the one before, m, goes to the end of its
 # way before it looks for another: two goals could send it to and fro for ever.
-MAX_CHANGES = 5
+MAX_CHANGES = 12
 OTHER_GOAL = 0.5
 # The base's own reflex needs this long before a bumper that still reports contact means anything new, s.
 BUMPER_PATIENCE = 2.0
