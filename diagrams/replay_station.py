@@ -10,20 +10,7 @@ from tfg_drake.systems.port_player import PortPlayer
 
 
 def MakeReplayStation(recording: PortRecording) -> Diagram:
-    """The station that plays a recording.
-
-    .. pydrake_system::
-
-        name: station
-        input_ports:
-        - base.velocity_commanded
-        - base.enable
-        output_ports:
-        - base.odometry
-        - base.hazards
-        - tags.detections
-        - scan.ranges
-        - base.enabled
+    """The station that plays a recording, with the ports of PortPlayer: those of any station but for the truth.
 
     At any time its outputs are those of the recorded station; what was late then is as late again. The recorded robot
     cannot be told anything: the inputs are ignored.

@@ -132,16 +132,16 @@ class PortWriter:
 
     def write_command(self, time: float, velocity: FloatArray) -> None:
         """Records the velocity (2,), m/s and rad/s, that the base is told at a time, s, where it is another."""
-        v, w = velocity.tolist()
-        newest = self._newest.get(COMMAND)
-        if not isinstance(newest, Velocity) or (newest.v, newest.w) != (v, w):
-            self.write(COMMAND, time, Velocity(v, w))
+        self._write_changed(COMMAND, time, Velocity(*velocity.tolist()))
 
     def write_enabled(self, time: float, enabled: float) -> None:
         """Records at a time, s, whether the base may move, where that has changed."""
-        newest = self._newest.get(ENABLED)
-        if not isinstance(newest, Enabled) or newest.enabled != enabled:
-            self.write(ENABLED, time, Enabled(enabled))
+        self._write_changed(ENABLED, time, Enabled(enabled))
+
+    def _write_changed(self, port: str, time: float, value: object) -> None:
+        newest = self._newest.get(port)
+        if newest is None or vars(newest) != vars(value):
+            self.write(port, time, value)
 
     def close(self) -> None:
         """Writes what is left, and the index."""
