@@ -15,9 +15,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from tfg_drake.hardware.device import Device, DeviceError, Message
-from tfg_drake.hardware.ros import conversions
+from tfg_drake.hardware.device import Device, DeviceError
 from tfg_drake.hardware.ros.announcer import Announcer
+from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver
 from tfg_drake.hardware.ros.intake import Intake, mistyped
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.stamps import SILENCE
@@ -134,11 +134,13 @@ def _in_json(message: dict[str, Any]) -> dict[str, Any]:
     return {key: value.tolist() if isinstance(value, array.array) else value for key, value in message.items()}
 
 
-class RosbridgeDriver:
+class RosbridgeDriver(GraphBaseDriver):
     """A client that subscribes to a preset's topics and publishes its command; see tfg_drake.hardware.device.Driver.
 
     It publishes what the explorer knows, too: see tfg_drake.hardware.announcements.Publisher.
     """
+
+    _graph: RosbridgeGraph
 
     def __init__(self, preset: Preset, host: str, port: int) -> None:
         """Waits until odometry and scan arrive; raises DeviceError."""
@@ -179,32 +181,3 @@ class RosbridgeDriver:
             raise DeviceError(f"rosbridge: {odometry} falls silent for more than {SILENCE} s at times")
         if line := self._intake.clock.skew():
             raise DeviceError(f"rosbridge: {line}")
-
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s."""
-        self._graph.spin(duration)
-
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        return self._intake.take()
-
-    def fault(self) -> str | None:
-        """Why the robot must stop until it is enabled anew, once; None when all is well."""
-        return self._intake.fault()
-
-    def send(self, speed: float, turn_rate: float) -> None:
-        """Publishes a velocity, m/s and rad/s."""
-        kind, now = self._preset.topics.command.type, self._intake.clock.robot(time.monotonic())
-        self._send(conversions.velocity(kind, speed, turn_rate, now, self._preset.frames.base))
-
-    def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message on the preset's topic for it."""
-        self._announcer.publish(key, message)
-
-    def show(self, enabled: bool) -> None:
-        """These robots have nothing to show it with."""
-
-    def close(self) -> None:
-        """Leaves the server."""
-        self._announcer.close()
-        self._graph.close()
