@@ -13,9 +13,6 @@ from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 
 PERIOD = 1 / 16
-# Commands this long zero, s, before measured speeds are believed to be those of rest.
-SETTLING = 0.25
-
 # An observation lasts this long at least, s: a tag is seen in several frames.
 LOOK_TIME = 0.75
 
@@ -25,12 +22,11 @@ PATIENCE = 3.0
 # The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
 # began, s, how far it has turned and the last heading, rad; how far it is to turn first and then, rad, and how many of
 # the two are done; the path's id, the progress on it, m, and whether the robot turns in place on it; whether it is
-# finished; whether the robot is at rest, since when the command is zero, s, when the robot last did as it was told, s,
-# and how much of the path is left, m.
+# finished; when the robot last did as it was told, s, and how much of the path is left, m.
 (
-    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, FIRST, THEN, LEGS, PATH, PROGRESS, TURNING, FINISHED, REST,
-    ZERO_SINCE, OBEYED, LEFT,
-) = range(17)  # fmt: skip
+    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, FIRST, THEN, LEGS, PATH, PROGRESS, TURNING, FINISHED, OBEYED,
+    LEFT,
+) = range(15)  # fmt: skip
 
 
 class PurePursuitFollower(LeafSystem):
@@ -63,7 +59,7 @@ class PurePursuitFollower(LeafSystem):
         self._path = declare_message_input(self, "path")
         self._goal = declare_message_input(self, "goal")
         self._mission = declare_message_input(self, "mission")
-        initial = np.zeros(17)
+        initial = np.zeros(15)
         initial[[TURN_SINCE, PATH]] = -1.0
         ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity, ticket)
@@ -78,9 +74,9 @@ class PurePursuitFollower(LeafSystem):
         return FollowerStatus(
             stamp=float(x[STAMP]),
             path_id=int(x[PATH]),
-            arrived=bool(x[FINISHED] and x[REST]),
+            arrived=bool(x[FINISHED]),
             turned=float(x[TURNED]),
-            turn_done=bool(x[LEGS] == 2.0 and x[REST] and x[STAMP] - x[TURN_SINCE] >= LOOK_TIME),
+            turn_done=bool(x[LEGS] == 2.0 and x[STAMP] - x[TURN_SINCE] >= LOOK_TIME),
             stalled=bool(x[STAMP] - x[OBEYED] > PATIENCE),
             left=float(x[LEFT]),
         )
@@ -96,11 +92,8 @@ class PurePursuitFollower(LeafSystem):
             self._Turn(x, mission, eval_message(self._goal, context, GoalChoice), pose)
         elif mission.drives:
             self._Follow(x, eval_message(self._path, context, Path), pose)
-        if x[SPEED] != 0.0 or x[TURN_RATE] != 0.0:
-            x[ZERO_SINCE] = x[STAMP]
-        if x[ZERO_SINCE] != x[STAMP] or not at_rest(*pose.speed):
+        if (x[SPEED] == 0.0 and x[TURN_RATE] == 0.0) or not at_rest(*pose.speed):
             x[OBEYED] = x[STAMP]
-        x[REST] = x[STAMP] - x[ZERO_SINCE] >= SETTLING and at_rest(*pose.speed)
         discrete.get_mutable_vector().SetFromVector(x)
         return EventStatus.Succeeded()
 
@@ -127,9 +120,7 @@ class PurePursuitFollower(LeafSystem):
 
     def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> None:
         if x[PATH] != path.id:
-            # A robot that stands turns on the spot to face its path; one that drives goes on if it can.
-            x[TURNING] = float(at_rest(*pose.speed))
-            x[PATH], x[PROGRESS], x[FINISHED] = path.id, 0.0, 0.0
+            x[TURNING], x[PATH], x[PROGRESS], x[FINISHED] = 0.0, path.id, 0.0, 0.0
         if x[FINISHED]:
             return
         command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)

@@ -188,6 +188,13 @@ def test_on_its_way_the_robot_glances_maps_and_chooses_anew_without_a_stop():
     assert (status.phase, status.moving, status.drives) == ("follow", False, True)
 
 
+def test_the_last_glance_is_a_metre_before_the_goal_once_a_way():
+    long, short = (Path(7, 1, np.array([[0.0, 0.0], [length, 0.0]])) for length in (5.0, 0.9))
+    near = {"glance_period": 2.0, "follower": driving(10.5, left=0.9)}
+    assert step(following(10.0), inputs(10.5, path=long, **near)).phase == "glance"
+    assert step(following(10.0), inputs(15.0, path=short, **near)).phase == "follow"
+
+
 def test_no_glance_near_the_goal_nor_where_there_shall_be_none():
     status = following(10.0)
     assert step(status, inputs(15.0, glance_period=2.0, follower=driving(15.0, left=0.5))) is status

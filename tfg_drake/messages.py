@@ -334,10 +334,10 @@ class MissionStatus:
 
 @message
 class FollowerStatus:
-    """What the follower has done. stamp: s. path_id: the path it follows. arrived: it stands at that path's end.
+    """What the follower has done. stamp: s. path_id: the path it follows. arrived: it is at that path's end.
 
-    turned: rad turned in the running observation. turn_done: that turn is complete and the robot is at rest. stalled:
-    it has been told to move for some time and has not: something holds it up. left: m of the path ahead.
+    turned: rad turned in the running observation. turn_done: that turn is complete. stalled: it has been told to move
+    for some time and has not: something holds it up. left: m of the path ahead.
     """
 
     stamp: float

@@ -19,8 +19,9 @@ MAX_REPLANS = 5
 MAX_FAILURES = 6
 # A glance takes this long, s: a tag is seen in several frames, and the robot drives on.
 GLANCE_TIME = 0.75
-# No glance when less of the path than this is left, m: the goal's own observation follows.
-GLANCE_LEFT = 1.0
+# The last glance of a way when so much of it is left, m: what is still to be looked for at its end, or whether anything
+# is, is known before the robot brakes.
+LAST_GLANCE = 1.0
 # A robot that has turned to another goal on its way so often, this far from the one before, m, goes to the end of its
 # way before it looks for another: two goals could send it to and fro for ever.
 MAX_CHANGES = 12
@@ -158,13 +159,21 @@ def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
 
 
 def _glance_due(status: MissionStatus, inputs: MissionInputs) -> bool:
-    due = 0.0 < inputs.glance_period <= inputs.time - status.since and status.changes < MAX_CHANGES
-    return due and inputs.follower.path_id == status.path_id and inputs.follower.left > GLANCE_LEFT
+    follower = inputs.follower
+    if not inputs.glance_period or status.changes >= MAX_CHANGES or follower.path_id != status.path_id:
+        return False
+    if follower.left > LAST_GLANCE:
+        return inputs.time - status.since >= inputs.glance_period
+    # Once a way: a path that began nearer than this was planned after that glance.
+    return _length(inputs.path) > LAST_GLANCE
+
+
+def _length(path: Path) -> float:
+    return float(np.hypot(*np.diff(path.points, axis=0).T).sum())
 
 
 def _overdue(status: MissionStatus, inputs: MissionInputs) -> bool:
-    length = np.hypot(*np.diff(inputs.path.points, axis=0).T).sum()
-    return bool(inputs.time - status.since > 60.0 + PATIENCE * length / inputs.max_speed)
+    return inputs.time - status.since > 60.0 + PATIENCE * _length(inputs.path) / inputs.max_speed
 
 
 def _give_up_goal(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:

@@ -56,22 +56,33 @@ def tour_of(where, gain, frontier):
 
 def test_a_tour_clears_the_short_end_before_it_leaves_for_the_long_one():
     # By gain per time the rich end to the right would come first, and the robot would have to come back.
-    value = tour_of([-3.0, 5.0, 9.0], [5.0, 60.0, 60.0], np.eye(3))
+    value, look = tour_of([-3.0, 5.0, 9.0], [5.0, 60.0, 60.0], np.eye(3))
     assert np.argmax(value) == 0
     np.testing.assert_array_equal(value, [-5.0, -15.0, -21.0])
+    np.testing.assert_array_equal(look, [True, False, False])
 
 
 def test_a_tour_does_not_leave_what_is_near_for_last():
     # The shortest way to all would end at the near place, with the robot far away from it meanwhile.
-    value = tour_of([1.0, -1.5, -4.0], [60.0, 20.0, 60.0], np.eye(3))
+    value, _ = tour_of([1.0, -1.5, -4.0], [60.0, 20.0, 60.0], np.eye(3))
     np.testing.assert_array_equal(np.argsort(-value), [0, 1, 2])
 
 
 def test_of_two_places_that_see_the_same_a_tour_visits_one():
-    value = tour_of([1.0, 1.5, 9.0], [30.0, 20.0, 20.0], [[1, 0], [1, 0], [0, 1]])
+    value, _ = tour_of([1.0, 1.5, 9.0], [30.0, 20.0, 20.0], [[1, 0], [1, 0], [0, 1]])
     assert np.isfinite(value).tolist() == [True, False, True]
 
 
+def test_of_the_places_that_see_what_a_goal_is_for_the_one_on_the_way_is_visited():
+    # The richest place is far inside a dead end to the left; its mouth sees 96 % of the same.
+    frontier = [[1.0, 0.0], [0.96, 0.0], [0.5, 0.0], [0.0, 1.0]]
+    value, look = tour_of([-5.0, -2.0, -1.0, 9.0], [50.0, 10.0, 10.0, 10.0], frontier)
+    assert np.argmax(value) == 1
+    assert value[0] == -np.inf
+    np.testing.assert_array_equal(look, [True, False])
+
+
 def test_without_a_frontier_gain_per_time_decides():
-    value = tour_of([1.0, 8.0], [30.0, 40.0], np.zeros((2, 1)))
+    value, look = tour_of([1.0, 8.0], [30.0, 40.0], np.zeros((2, 1)))
     np.testing.assert_array_equal(value, [10.0, 4.0])
+    assert look.all()

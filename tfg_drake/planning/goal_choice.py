@@ -129,7 +129,7 @@ def choose(
     worth = enough | (gains.gain > explorer.stop_gain)
     affordable = budget.affords(roadmap, candidates)
     open_to = worth & affordable
-    value = _values(gains, time, stay, open_ahead, open_to, candidates, tfg, roadmap, robot, explorer)
+    value, look = _values(gains, time, stay, open_ahead, open_to, candidates, tfg, roadmap, robot, explorer)
     if explorer.goal == "random" and worth.any():
         # As long as any place is worth going to, every place will do.
         open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates))
@@ -170,8 +170,14 @@ def choose(
         verdict=verdict,
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
-        look=_directions(tfg.frontiers[sees.of(candidates[[best]]).index] - p_MG) if best >= 0 else np.zeros(0),
+        look=_directions(tfg.frontiers[_seen(sees, candidates[best], look)] - p_MG) if best >= 0 else np.zeros(0),
     )
+
+
+def _seen(sees: View, node: int, look: BoolArray) -> IntArray:
+    """The frontier points that a node sees, of these only those to look at (f,) if it sees any of them."""
+    seen = sees.of(np.array([node])).index
+    return seen[look[seen]] if look[seen].any() else seen
 
 
 def _directions(d: FloatArray) -> FloatArray:
@@ -200,23 +206,25 @@ def _values(
     roadmap: Roadmap,
     robot: RobotConfig,
     explorer: ExplorerConfig,
-) -> FloatArray:
-    """What each of the candidates (c,) is worth by the rule explorer.goal.
+) -> tuple[FloatArray, BoolArray]:
+    """What each of the candidates (c,) is worth by the rule explorer.goal, and which of the live frontier points (f,) are
+    to be looked at from the best.
 
     time: (c,) s to get there, stay: s at each. open_ahead: (c, f) m that each sees of each live frontier point.
     open_to: (c,) those that may be chosen.
     """
+    all_of_it = np.ones(len(tfg.frontiers), dtype=np.bool_)
     paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
     if explorer.goal == "argmax":
-        return paid
+        return paid, all_of_it
     if explorer.goal == "nearest_frontier":
         apart = np.hypot(*(roadmap.points[candidates][:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
         enough = open_to & (open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
-        return nearest_frontier(time, np.where((open_ahead > 0.0) & enough[:, None], apart, np.inf))
+        return nearest_frontier(time, np.where((open_ahead > 0.0) & enough[:, None], apart, np.inf)), all_of_it
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
         return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
-    return gain_per_time(paid, time + stay)
+    return gain_per_time(paid, time + stay), all_of_it
 
 
 def _best(gains: Gains, time: FloatArray) -> IntArray:

@@ -10,10 +10,12 @@ from numba import njit
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from tfg_drake.messages import FloatArray, IntArray, Roadmap
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 
 # Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
 TOUR_GOALS = 11
+# A place that sees this share of what a goal of the tour is to look at sees as good as all of it.
+AS_GOOD_AS_ALL = 0.95
 
 
 def gain_per_time(gain: FloatArray, time: FloatArray) -> FloatArray:
@@ -44,45 +46,55 @@ def tour(
     nodes: IntArray,
     roadmap: Roadmap,
     speed: float,
-) -> FloatArray:
+) -> tuple[FloatArray, BoolArray]:
     """Minus the time (c,), s, of arrival at each goal of a short tour, -inf for the others: the tour's first is best.
+    And what that goal is there to look at, (f,) of the frontier points.
 
     The tour's goals look through all that is open near the robot: one after the other, the candidate that adds most
     gain (c,), nats, by what it sees of the frontier that those before do not, over the time (c,), s, of going there
     and the stay, s. Their order is the one that takes least time from the robot to the farthest of them, which comes
-    last: exploring goes on from there, and what is nearer now would have to be come back for. frontier: (c, f)
-    m that each candidate sees of each frontier point. least: m, less than this is not worth a goal. nodes: (c,) of the
-    roadmap; speed: m/s. Where no frontier is left, gain per time decides.
+    last: exploring goes on from there, and what is nearer now would have to be come back for. The place of the first
+    is then the one that lies best on the way to the second, among those that see as good as all it was chosen for.
+    frontier: (c, f) m that each candidate sees of each frontier point. least: m, less than this is not worth a goal.
+    nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides.
     """
-    left = np.ones(frontier.shape[1])
+    left = np.ones(frontier.shape[1], dtype=np.bool_)
     seen = frontier.sum(axis=1)
     chosen: list[int] = []
+    looked_at: list[BoolArray] = []
     while len(chosen) < TOUR_GOALS:
         new = frontier @ left
         rate = np.where(new >= least, gain * new / np.maximum(seen, 1e-9) / (time + stay), -np.inf)
         if not len(rate) or rate.max() <= 0.0:
             break
-        best = int(np.argmax(rate))
-        chosen.append(best)
-        left[frontier[best] > 0.0] = 0.0
+        chosen.append(int(np.argmax(rate)))
+        looked_at.append(left & (frontier[chosen[-1]] > 0.0))
+        left = left & ~looked_at[-1]
     if not chosen:
-        return gain_per_time(gain, time + stay)
-    between = _times_between(nodes[chosen], roadmap, speed)
+        return gain_per_time(gain, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
+    to_nodes = _times_to(nodes[chosen], nodes, roadmap, speed)
+    between = to_nodes[:, chosen]
     value = np.full(len(gain), -np.inf)
     arrival = 0.0
     order = _shortest_order(time[chosen], between, int(np.argmax(time[chosen])))
     for before, k in zip([-1, *order[:-1]], order, strict=True):
         arrival += (time[chosen[k]] if before < 0 else between[before, k]) + stay
         value[chosen[k]] = -arrival
-    return value
+    first, look = chosen[order[0]], looked_at[order[0]]
+    wanted = frontier[first, look]
+    sees_it = np.minimum(frontier[:, look], wanted).sum(axis=1) >= AS_GOOD_AS_ALL * wanted.sum()
+    onward = to_nodes[order[1]] if len(order) > 1 else np.zeros(len(time))
+    best = int(np.argmin(np.where(sees_it, time + onward, np.inf)))
+    value[first], value[best] = -np.inf, value[first]
+    return value, look
 
 
-def _times_between(nodes: IntArray, roadmap: Roadmap, speed: float) -> FloatArray:
-    """Seconds (n, n) between nodes (n,) of the roadmap, by the shortest way."""
+def _times_to(sources: IntArray, nodes: IntArray, roadmap: Roadmap, speed: float) -> FloatArray:
+    """Seconds (k, n) between nodes (k,) of the roadmap and others (n,), by the shortest way."""
     a, b = roadmap.edges.T
     length = np.hypot(*(roadmap.points[a] - roadmap.points[b]).T)
     graph = csr_matrix((np.maximum(length, 1e-9), (a, b)), shape=2 * (len(roadmap.points),))
-    return np.asarray(dijkstra(graph, directed=False, indices=nodes)[:, nodes] / speed)
+    return np.asarray(dijkstra(graph, directed=False, indices=sources)[:, nodes] / speed)
 
 
 @njit(cache=True)
