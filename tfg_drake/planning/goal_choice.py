@@ -207,8 +207,8 @@ def _values(
     robot: RobotConfig,
     explorer: ExplorerConfig,
 ) -> tuple[FloatArray, BoolArray]:
-    """What each of the candidates (c,) is worth by the rule explorer.goal, and which of the live frontier points (f,) are
-    to be looked at from the best.
+    """What each of the candidates (c,) is worth by the rule explorer.goal, and which of the live frontier points (f,)
+    are to be looked at from the best.
 
     time: (c,) s to get there, stay: s at each. open_ahead: (c, f) m that each sees of each live frontier point.
     open_to: (c,) those that may be chosen.
