@@ -15,6 +15,7 @@ from tfg_drake.slam.map_window import (
     boundary_goals,
     link,
     smoothed_block,
+    travelled_about_origin,
     travelled_covariance,
     window_goals,
     with_travel,
@@ -164,7 +165,7 @@ def test_goals_beyond_the_window_tell_what_they_have_seen_of_its_edge(windows, m
 def test_travel_told_anew_adds_up_and_each_leg_keeps_its_share(windows):
     graph, _, _ = block(12)
     told = 0.5 * link(graph, travelled_covariance(graph), 2, 10)[1]
-    again = with_travel(graph, 2, 10, told)
+    again = with_travel(graph, 2, 10, travelled_about_origin(graph, 2, 10, told))
     legs = again.travel_covariance[2:10] / graph.travel_covariance[2:10]
     assert 0.3 < legs[:, 0, 0].min() < legs[:, 0, 0].max() < 0.8
     np.testing.assert_array_equal(again.travel_covariance[:2], graph.travel_covariance[:2])
@@ -184,11 +185,11 @@ def test_each_block_of_the_way_is_told_anew_once():
     for k in range(3, 34):
         short = replace(graph, observations=graph.observations[:k], is_goal=graph.is_goal[:k])
         blocks.append(smoothed_block(short, goals[:k]))
-    assert [found for found in blocks if found is not None] == [(0, 8), (8, 16), (16, 24)]
-    assert (
-        smoothed_block(replace(graph, observations=graph.observations[:33], is_goal=graph.is_goal[:33]), goals[20:33])
-        is None
-    )
+    assert [found for found in blocks if found] == [(0, 8), (0, 8, 16), (8, 16, 24)]
+    # Where the window does not reach back to the block before, the newest is told by itself.
+    short = replace(graph, observations=graph.observations[:33], is_goal=graph.is_goal[:33])
+    assert smoothed_block(short, goals[16:33]) == (16, 24)
+    assert smoothed_block(short, goals[20:33]) == ()
 
 
 def test_a_link_is_what_its_legs_add_up_to(windows):

@@ -29,6 +29,7 @@ from tfg_drake.slam.map_window import (
     nearest_observer,
     seen_by,
     smoothed_block,
+    travelled_about_origin,
     travelled_covariance,
     window_goals,
     with_travel,
@@ -43,6 +44,9 @@ RIM_STEP = 0.01
 NOTHING = 1e-150
 # What hangs looser than this, m or rad, may as well hang by this.
 LOOSEST = 100.0
+# A block of the way adds at least this share of its own uncertainty to that of the way before it: rounding, and errors
+# of two blocks that make up for each other, may leave less than nothing of it.
+LEAST_ADDED = 0.01
 # Poses and landmarks of more unknowns than this are never known jointly: it would take gigabytes.
 MOST_JOINT = 12_000
 
@@ -61,15 +65,14 @@ def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple
         # The goal may turn out to lie elsewhere, as after the robot was carried.
         goals = window_goals(graph, graph.X_MA[-1, :2])
     windowed = len(goals) < len(graph.observations)
-    block = smoothed_block(graph, goals) if windowed else None
+    block = smoothed_block(graph, goals) if windowed else ()
     rows, covariance, entropy = _joint(graph, goals, ends=block)
     if windowed:
         entropy += graph.entropy - _entropy_before(graph, goals)
-    if block is not None:
-        # On arrival a leg is known by what came before alone; what is seen afterwards makes it surer, and the legs'
-        # errors make up for each other.
-        graph = with_travel(graph, *block, _between(graph, *block, covariance[-9:-3, -9:-3]))
-        kept = np.r_[: len(covariance) - 9, -3:0]
+    if block:
+        ends = slice(-3 * len(block) - 3, -3)
+        graph = with_travel(graph, block[-2], block[-1], _added_by_last(graph, block, covariance[ends, ends]))
+        kept = np.r_[: 2 * len(rows), -3:0]
         covariance = covariance[np.ix_(kept, kept)]
     return _noted(graph, rows, covariance, entropy, stamp, observation)
 
@@ -234,16 +237,16 @@ def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
 
 
 def _joint(
-    graph: GoalGraph, goals: IntArray, pose: int | None = None, ends: tuple[int, int] | None = None
+    graph: GoalGraph, goals: IntArray, pose: int | None = None, ends: tuple[int, ...] = ()
 ) -> tuple[IntArray, FloatArray, float]:
     """Rows (m,) of the landmarks that some goals (w,) have seen; the covariance (2m + 3, 2m + 3) of those and the
     departure pose of one of the goals, by default the last, of (x, y) in M and theta; and the landmarks' entropy,
     nats.
 
-    ends: two more goals whose departure poses come before that pose, (2m + 9, 2m + 9).
+    ends: e more goals whose departure poses come before that pose, (2m + 3e + 3, 2m + 3e + 3).
     """
     pose = int(goals[-1]) if pose is None else pose
-    poses = (*(ends or ()), pose)
+    poses = (*ends, pose)
     rows, information = _information(graph, goals, boundary_goals(graph, goals, graph.X_MD[pose, :2]), poses)
     factor = _cholesky(information)
     entropy = _entropy(factor, 2 * len(rows))
@@ -279,6 +282,30 @@ def _between(graph: GoalGraph, i: int, j: int, covariance: FloatArray) -> FloatA
     J[:2, 2] = lever[1], -lever[0]
     J[:2] = se2.rotation(float(graph.X_MD[i, 2])).T @ J[:2]
     return np.asarray(J @ covariance @ J.T)
+
+
+def _added_by_last(graph: GoalGraph, block: tuple[int, ...], covariance: FloatArray) -> FloatArray:
+    """(3, 3) what travel from D_i to D_j adds, about M's origin, to that from D_h to D_i, where the block is (h, i, j),
+    or by itself where it is (i, j); from the covariance of those poses (9, 9) or (6, 6) in M.
+
+    On arrival a leg is known by what came before alone; what is seen afterwards makes it surer, and the errors of legs
+    and blocks make up for each other.
+    """
+
+    def travelled(i: int, j: int) -> FloatArray:
+        both = np.r_[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
+        between = _between(graph, block[i], block[j], covariance[np.ix_(both, both)])
+        return travelled_about_origin(graph, block[i], block[j], between)
+
+    if len(block) == 2:
+        return travelled(0, 1)
+    alone = travelled(1, 2)
+    try:
+        share, mode = scipy.linalg.eigh(travelled(0, 2) - travelled(0, 1), alone)
+    except scipy.linalg.LinAlgError:
+        return alone
+    mode = alone @ mode
+    return np.asarray(mode * np.clip(share, LEAST_ADDED, 1.0) @ mode.T)
 
 
 def _entropy(factor: FloatArray, n: int) -> float:

@@ -111,21 +111,34 @@ def _to_origin(theta: FloatArray, end: FloatArray) -> FloatArray:
     return T
 
 
-def smoothed_block(graph: GoalGraph, goals: IntArray) -> tuple[int, int] | None:
-    """The first and the last goal of the newest block of the way that a window's goals (w,) know well, by what came
-    before and after; each block once, when the robot is a block farther on."""
+def smoothed_block(graph: GoalGraph, goals: IntArray) -> tuple[int, ...]:
+    """Where the newest block of the way begins and ends that a window's goals (w,) know well, by what came before and
+    after, behind where the block before it began, if they hold that too; none but once a block, when the robot is a
+    block farther on."""
     last, before = ((int(k) // BLOCK - 1) * BLOCK for k in np.flatnonzero(graph.is_goal)[[-1, -2]])
-    whole = np.isin(np.arange(last - BLOCK, len(graph.observations)), goals).all()
-    return (last - BLOCK, last) if last != before and last >= BLOCK and whole else None
+    begin, first = last - BLOCK, last - 2 * BLOCK
+    if last == before or begin < 0 or not _holds(goals, begin, len(graph.observations)):
+        return ()
+    return (first, begin, last) if first >= 0 and _holds(goals, first, begin) else (begin, last)
 
 
-def with_travel(graph: GoalGraph, i: int, j: int, covariance: FloatArray) -> GoalGraph:
-    """The graph with travel from D_i to D_j, i < j, that adds up to this covariance (3, 3), of (x, y) in D_i and theta:
-    each leg keeps its share. As it was where rounding leaves no covariance, as of what hangs on nothing."""
+def _holds(goals: IntArray, i: int, j: int) -> bool:
+    """Whether all goals from i to before j are among some (w,)."""
+    return bool(np.isin(np.arange(i, j), goals).all())
+
+
+def travelled_about_origin(graph: GoalGraph, i: int, j: int, covariance: FloatArray) -> FloatArray:
+    """(3, 3) what travel from D_i to D_j adds up to, about M's origin, where its covariance is (3, 3), of (x, y) in D_i
+    and theta."""
+    return np.asarray(_about_origin(covariance[None], graph.X_MD[i : i + 1, 2], graph.X_MD[j : j + 1, :2])[0])
+
+
+def with_travel(graph: GoalGraph, i: int, j: int, whole: FloatArray) -> GoalGraph:
+    """The graph with travel from D_i to D_j, i < j, that adds up to this covariance (3, 3) about M's origin: each leg
+    keeps its share. As it was where rounding leaves no covariance, as of what hangs on nothing."""
     theta, end = graph.X_MD[i:j, 2], graph.X_MD[i + 1 : j + 1, :2]
     T = _to_origin(theta, end)
     legs = T @ graph.travel_covariance[i:j] @ T.transpose(0, 2, 1)
-    whole = _about_origin(covariance[None], theta[:1], graph.X_MD[j : j + 1, :2])[0]
     try:
         A = np.linalg.cholesky(whole) @ np.linalg.inv(np.linalg.cholesky(legs.sum(axis=0)))
     except np.linalg.LinAlgError:
