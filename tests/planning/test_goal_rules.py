@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tfg_drake.messages import Roadmap
+from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.goal_rules import _shortest_order, gain_per_time, nearest_frontier, tour
 
 
@@ -66,6 +66,15 @@ def test_a_tour_does_not_leave_what_is_near_for_last():
     # The shortest way to all would end at the near place, with the robot far away from it meanwhile.
     value, _ = tour_of([1.0, -1.5, -4.0], [60.0, 20.0, 60.0], np.eye(3))
     np.testing.assert_array_equal(np.argsort(-value), [0, 1, 2])
+
+
+def test_a_tour_begins_with_what_is_near_though_only_the_robot_is_joined_to_it():
+    # No edge of the roadmap leads to the place beside the robot.
+    roadmap = corridor([0.5, 5.0, 9.0])
+    roadmap = replace(roadmap, edges=np.array([[1, 2]]))
+    gain = np.array([5.0, 60.0, 60.0])
+    value, _ = tour(gain, roadmap.travel_time, 2.0, np.eye(3), 0.24, np.arange(3), roadmap, 1.0)
+    np.testing.assert_array_equal(value, [-2.5, -10.0, -16.0])
 
 
 def test_of_two_places_that_see_the_same_a_tour_visits_one():

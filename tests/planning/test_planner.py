@@ -1,8 +1,9 @@
 import numpy as np
 
-from tfg_drake.config import TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.planner import frontier_in_sight, with_frontiers
+from tfg_drake.planning.planner import frontier_in_sight, grow, initial_state, with_frontiers
+from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import goal_graph
 from tfg_drake.tfg.graph import empty_map
 
@@ -30,3 +31,26 @@ def test_a_past_goal_is_no_place_to_see_a_frontier_from():
     assert seen([1, 0, 1]) == (False, True)
     assert seen([0, 0, 0]) == (False, True)
     assert seen([1, 1, 0]) == (True, False)
+
+
+def test_what_the_robot_drives_while_it_glances_is_travelled():
+    parameters = RoadmapParameters(
+        RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PlannerConfig(), seed=1
+    )
+    X_MA = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]])
+    X_MD = X_MA + np.array([0.375, 0.0, 0.0])
+    circle = 3.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    state = initial_state()
+    for k in (1, 2):
+        estimate = replace(goal_graph.empty_map(), stage=k, covariance=np.eye(3), X_MA=X_MA[:k], X_MD=X_MD[k - 1])
+        tfg = replace(
+            empty_map(),
+            stage=k,
+            star_offsets=4 * np.arange(k + 1),
+            star_vertices=np.vstack([A[:2] + circle for A in X_MA[:k]]),
+            star_centers=X_MA[:k, :2],
+        )
+        state = grow(state, estimate, tfg, parameters)
+    a, b = state.nodes.points[state.nodes.edges[state.nodes.travelled]].transpose(1, 0, 2)
+    assert np.hypot(*(a - b).T).sum() > 0.7
+    assert state.driven_before == 0.375

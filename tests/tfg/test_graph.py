@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import PoseEstimate, replace
+from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.tfg.frontier import PUSH, frontier_length_total, place_points
 from tfg_drake.tfg.graph import Sightings, empty_graph, empty_map, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.polyline import sample
@@ -197,6 +199,19 @@ def test_surface_seen_at_grazing_incidence_stays_a_frontier(simulate) -> None:
         assert tfg.frontier_length[ahead].sum() > 3.0
     for x in (3.0, 6.0, 8.5):
         tfg = world.observe(np.array([x, 0.6, 0.0]))
+    assert len(tfg.frontiers) == 0
+
+
+def test_the_sides_of_a_narrow_alley_can_be_inspected_from_its_middle(simulate) -> None:
+    """An alley 4 m long and 0.5 m wide: what its sides show is seen from nowhere else."""
+    sensor = TagSensorConfig()
+    world = simulate([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 0.5], [4.0, 0.5, 0.0, 0.5], [0.0, 0.5, 0.0, 0.0]])
+    tfg = world.observe(np.array([0.3, 0.25, 0.0]))
+    assert frontier_length_total(tfg) > 2.0
+    middle = np.stack([np.arange(0.3, 3.8, 0.1), np.full(35, 0.25)], axis=1)
+    assert set(expected_frontiers(middle, tfg, sensor).index) == set(range(len(tfg.frontiers)))
+    for x in (1.1, 1.9, 2.7, 3.5):
+        tfg = world.observe(np.array([x, 0.25, 0.0]))
     assert len(tfg.frontiers) == 0
 
 

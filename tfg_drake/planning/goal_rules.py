@@ -72,7 +72,9 @@ def tour(
         left = left & ~looked_at[-1]
     if not chosen:
         return gain_per_time(gain, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
-    to_nodes = _times_to(nodes[chosen], nodes, roadmap, speed)
+    # From a place that only the robot is joined to, as it stands near it, the way leads back past where it stands.
+    past_robot = time[chosen][:, None] + time
+    to_nodes = np.minimum(_times_to(nodes[chosen], nodes, roadmap, speed), past_robot)
     between = to_nodes[:, chosen]
     value = np.full(len(gain), -np.inf)
     arrival = 0.0

@@ -137,7 +137,8 @@ def grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: Ro
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         roadmap = _roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before)
-    return replace(state, nodes=nodes, roadmap=roadmap, driven=estimate.X_MD[None, :2])
+    # The robot drives on while it glances: that is part of its way, too.
+    return replace(state, nodes=nodes, roadmap=roadmap, driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]))
 
 
 def _roadmap(

@@ -34,7 +34,7 @@ from tfg_drake.planning.chance_constraint import predicted_deviation, required_c
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
 FRONTIER_SPACING = 0.5
-PASSAGE_SPACING = 0.3
+PASSAGE_SPACING = 0.15
 # Neighbours that a new node is joined to, and how far they may be, m.
 NEIGHBOURS = 10
 EDGE_LENGTH = 3.0
@@ -323,7 +323,10 @@ def extend(
     travelled, chain = _travelled_nodes(nodes, path, estimate, tfg.segments, parameters.robot.radius)
     nodes = np.vstack([nodes, travelled])
     proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, density)
-    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes)]])
+    # Old nodes that the newest map leaves too little room must not keep better ones out of the middle of a passage.
+    room = parameters.robot.radius + NODE_MARGIN
+    roomy = clearance(np.hstack([nodes, nodes]), tfg.segments, room) >= room
+    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
 
     first_new = len(state.anchor)
     _, nearest = cKDTree(estimate.X_MA[:, :2]).query(points[first_new:])

@@ -34,6 +34,10 @@ SURFACE_DISTANCE = 0.1
 UNINSPECTED_SPACING = 0.1
 UNINSPECTED_LIFT = 0.2
 UNINSPECTED_STANDOFF = 0.3
+# Where another surface lies opposite, nearer than this, m, the two are this share of that: a robot between the two
+# would stand nearer to a surface than its frontier points, and could never look at them from in front.
+NARROW = 1.0
+NARROW_SHARE = 1.0 / 3.0
 # Shorter stretches of uninspected surface are let be, m; points this close make one stretch, m.
 UNINSPECTED_LENGTH = 0.25
 UNINSPECTED_GAP = 0.16
@@ -247,8 +251,16 @@ def find_open_ends(
     return points[is_open], along[is_open]
 
 
+def in_front(p: FloatArray, normal: FloatArray, segments: FloatArray, distance: float) -> FloatArray:
+    """Points (n, 2) a distance (m) in front of surface points p (n, 2) with unit normals (n, 2), nearer in a narrow
+    place. segments: (m, 4) all surfaces, in the same frame, m."""
+    opposite = np.hstack([p + NARROW_SHARE * distance * normal, p + NARROW * normal])
+    narrow = clearance(opposite, segments, 1e-6) == 0.0
+    return np.asarray(p + np.where(narrow, NARROW_SHARE, 1.0)[:, None] * distance * normal)
+
+
 def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
-    """Frontier points in front of the longer stretches of uninspected surface, all in the frame of the points."""
+    """Points on the longer stretches of uninspected surface, all in the frame of the points."""
     p, normal = points.p, points.normal
     rows: list[IntArray] = []
     lengths: list[float] = []
@@ -271,7 +283,7 @@ def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
     normals /= np.maximum(np.hypot(normals[:, 0], normals[:, 1]), 1e-9)[:, None]
     return FrontierPoints(
         points.goal[[r[0] for r in rows]],
-        np.array([p[r].mean(axis=0) for r in rows]) + UNINSPECTED_STANDOFF * normals,
+        np.array([p[r].mean(axis=0) for r in rows]),
         normals,
         np.array(lengths),
         np.ones(len(rows), dtype=bool),

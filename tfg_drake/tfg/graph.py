@@ -35,6 +35,7 @@ from tfg_drake.tfg.frontier import (
     find_open_ends,
     find_uninspected,
     find_unseen_backs,
+    in_front,
     join,
     no_points,
     open_frontiers,
@@ -168,6 +169,8 @@ def update(
     surfaces, seen_ids, seen_normal = add_observation(
         graph.surfaces, estimate, components, panorama, graph.tag_ids, _facing(graph, X_MA)
     )
+    placed = place(surfaces, estimate)
+    segments, _ = segments_of(surfaces.offsets, placed)
     tag_ids, tag_goal, tag_facing, tag_range = _update_facing(graph, estimate, seen_ids, seen_normal)
     star = star_polygon(panorama)
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
@@ -186,7 +189,7 @@ def update(
     )
 
     def unseen(stars: tuple[IntArray, FloatArray, FloatArray], points: FrontierPoints) -> BoolArray:
-        front = points.p + UNINSPECTED_LIFT * points.normal
+        front = in_front(points.p, points.normal, segments, UNINSPECTED_LIFT)
         return np.asarray(~inspected(front, points.normal, *stars, tags.range, tags.max_incidence))
 
     p, normal = find_uninspected(components, tags.range, tags.max_incidence)
@@ -198,7 +201,6 @@ def update(
         lambda points: unseen(stars, points),
         0.9 * UNINSPECTED_SPACING,
     )
-    placed = place(surfaces, estimate)
     X_AM = inverse(X_MA[goal])
 
     def unseen_faces(found: tuple[FloatArray, FloatArray], length: float) -> FrontierPoints:
@@ -291,7 +293,9 @@ def live_frontiers(
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     shadows = _open_shadows(graph, estimate, segments)
-    points = join(shadows, _poorly_seen(graph.uninspected, graph.unseen_backs, estimate))
+    poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
+    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, segments, UNINSPECTED_STANDOFF))
+    points = join(shadows, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
     return select(replace(points, length=points.length * left**2), left > 0.0)
@@ -299,7 +303,7 @@ def live_frontiers(
 
 @functools.lru_cache(maxsize=1)
 def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, estimate: MapEstimate) -> FrontierPoints:
-    """Frontier points, in the map frame, in front of surface that no turn has seen well or at all."""
+    """Points, in the map frame, on the stretches of surface that no turn has seen well or at all."""
     return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
