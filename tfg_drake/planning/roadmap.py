@@ -34,7 +34,7 @@ from tfg_drake.planning.chance_constraint import predicted_deviation, required_c
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
 FRONTIER_SPACING = 0.5
-PASSAGE_SPACING = 0.15
+PASSAGE_SPACING = 0.3
 # Neighbours that a new node is joined to, and how far they may be, m.
 NEIGHBOURS = 10
 EDGE_LENGTH = 3.0
