@@ -129,12 +129,12 @@ def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
 
 def test_ctrl_c_leaves_a_usable_result(tmp_path):
     def interrupt(progress):
-        if progress.time == 12.0:
+        if progress.time == 11.0:
             os.kill(os.getpid(), signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
     result = run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
-    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 12 s")
+    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 11 s")
     assert load_map(tmp_path / "map.npz").stage == 1
     assert signal.getsignal(signal.SIGINT) is before
 
