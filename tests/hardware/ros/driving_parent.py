@@ -3,6 +3,7 @@
 import sys
 import time
 
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.ros.preset import load_preset
 
 preset = load_preset("emulated")
@@ -14,7 +15,12 @@ else:
     from tfg_drake.hardware.ros.rosbridge import connect
 
     device = connect(preset, port=int(sys.argv[2]))
-device.enable()
+for _attempt in range(20):  # on a loaded machine odometry may pause, and a robot without any is not enabled
+    try:
+        device.enable()
+        break
+    except DeviceError:
+        time.sleep(0.5)
 while True:
     device.command(0.0, 0.5)
     time.sleep(0.02)

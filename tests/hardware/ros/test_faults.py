@@ -39,6 +39,7 @@ def test_enabling_is_refused_without_odometry(device, transport):
     with pytest.raises(DeviceError, match=r"^the robot is not enabled: no odometry for more than 0\.5 s$"):
         device.enable()
     transport.order("silent", [])
+    transport.wait_for(lambda: transport.fresh(device))
 
 
 def test_a_parent_that_freezes_or_is_killed(transport):
@@ -58,6 +59,7 @@ def test_a_parent_that_freezes_or_is_killed(transport):
 
 def test_close_stops_the_robot(transport):
     with transport.connect() as device:
+        transport.wait_for(lambda: transport.fresh(device))
         device.enable()
         closed = transport.drive(device, 0.5, 0.0, 0.8)
     assert transport.stop_after(closed) < STOP + MARGIN
