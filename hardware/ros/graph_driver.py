@@ -23,14 +23,11 @@ class Graph(Protocol):
         """Leaves the graph."""
 
 
-class GraphBaseDriver:
-    """Drives a base on a graph, and publishes what the explorer knows; a subclass connects it."""
+class GraphDriver:
+    """Takes in what a graph has to say; a subclass connects it."""
 
     _graph: Graph
     _intake: Intake
-    _preset: Preset
-    _announcer: Announcer
-    _send: Callable[[dict[str, Any]], None]
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
@@ -43,6 +40,18 @@ class GraphBaseDriver:
     def fault(self) -> str | None:
         """Why the robot must stop until it is enabled anew, once; None when all is well."""
         return self._intake.fault()
+
+    def close(self) -> None:
+        """Leaves the graph."""
+        self._graph.close()
+
+
+class GraphBaseDriver(GraphDriver):
+    """Drives a base on a graph, and publishes what the explorer knows; a subclass connects it."""
+
+    _preset: Preset
+    _announcer: Announcer
+    _send: Callable[[dict[str, Any]], None]
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Publishes a velocity, m/s and rad/s."""
@@ -59,4 +68,4 @@ class GraphBaseDriver:
     def close(self) -> None:
         """Leaves the graph."""
         self._announcer.close()
-        self._graph.close()
+        super().close()

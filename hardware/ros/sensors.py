@@ -8,7 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
-from tfg_drake.hardware.device import DeviceError, Message
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.ros.graph_driver import Graph, GraphDriver
 from tfg_drake.hardware.ros.intake import Intake, seen_instead
 from tfg_drake.hardware.ros.preset import TYPES, Preset, Topic
 from tfg_drake.hardware.watchdog import TICK, Limits
@@ -19,7 +20,7 @@ PATIENCE = 10.0
 KEYS = {"tags": "detections", "scan": "scan"}
 
 
-class Graph(Protocol):
+class SearchableGraph(Graph, Protocol):
     """A transport, used by one thread; label is its name."""
 
     label: str
@@ -32,12 +33,6 @@ class Graph(Protocol):
 
     def subscribe(self, topic: Topic, receive: Callable[[Any, float], None]) -> None:
         """receive(message, arrival), by `spin`; arrival s of the host's clock."""
-
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s."""
-
-    def close(self) -> None:
-        """Leaves."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,12 +58,14 @@ class SensorConfig:
         return SensorDriver(RosbridgeGraph(self.host, self.port), self.topics, self.preset)
 
 
-class SensorDriver:
+class SensorDriver(GraphDriver):
     """Listens, and drives nothing; see tfg_drake.hardware.device.Driver."""
 
     limits = Limits()
 
-    def __init__(self, graph: Graph, topics: tuple[tuple[str, str], ...], preset: Preset) -> None:
+    _graph: SearchableGraph
+
+    def __init__(self, graph: SearchableGraph, topics: tuple[tuple[str, str], ...], preset: Preset) -> None:
         """Waits until every topic is there and has sent a message; raises DeviceError."""
         self._graph = graph
         try:
@@ -117,24 +114,8 @@ class SensorDriver:
         if line := self._intake.clock.skew():
             raise DeviceError(f"{self._graph.label}: {line}")
 
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s."""
-        self._graph.spin(duration)
-
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        return self._intake.take()
-
-    def fault(self) -> str | None:
-        """Of no interest: there is nothing to stop."""
-        return self._intake.fault()
-
     def send(self, speed: float, turn_rate: float) -> None:
         """There is nothing to drive."""
 
     def show(self, enabled: bool) -> None:
         """A sensor has nothing to show."""
-
-    def close(self) -> None:
-        """Leaves the graph."""
-        self._graph.close()
