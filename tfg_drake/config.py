@@ -177,8 +177,9 @@ class ExplorerConfig:
     glance_period: float = 2.0
     # The way between goals is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
     path_keyframe_period: float = 5.0
-    # The robot stands and looks this long before its first turn, s: the map's heading is that of the start pose.
-    first_look: float = 3.0
+    # The robot stands and looks this long before its first turn, s: the map's heading is that of the start pose, and
+    # half of what turns the finished map is how well that was known.
+    first_look: float = 6.0
 
 
 @dataclasses.dataclass

@@ -51,10 +51,10 @@ def mission(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     marks = {}
     with Emulator(WORLD) as emulator:
-        explorer = Explorer(emulator, folder, 15.0)
+        explorer = Explorer(emulator, folder, 18.0)
         explorer.wait_for("nothing moves before it is enabled")
         begin, marks["start"] = time.monotonic(), emulator.base.pose
-        for at, name, key in ((0.5, "enabled", "e"), (5.0, "stopped", " "), (6.5, "again", "e"), (8.5, "paused", "p")):
+        for at, name, key in ((0.5, "enabled", "e"), (8.0, "stopped", " "), (9.5, "again", "e"), (11.5, "paused", "p")):
             time.sleep(max(0.0, begin + at - time.monotonic()))
             marks[name] = time.monotonic(), emulator.base.pose
             explorer.press(key)

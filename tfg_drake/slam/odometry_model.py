@@ -20,7 +20,7 @@ from tfg_drake.messages import FloatArray, Odometry, message, replace
 # and no covariance becomes singular.
 POSITION_NOISE = 5e-4
 # A robot whose wheels stand may still be nudged: errors accrue at this share of their rate in motion.
-REST_SHARE = 0.01
+REST_SHARE = 0.001
 # From goal to goal the calibration may change by this share of its first standard deviation.
 DRIFT = 0.1
 # Least standard deviation of a member of the calibration: a known constant is still a state.
