@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -10,14 +9,13 @@ import shlex
 import signal
 import sys
 import threading
-import time
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tfg_drake.diagrams import explore_command
 from tfg_drake.diagrams.command_line import BadInput, wait_for_enter
 from tfg_drake.diagrams.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.kobuki_command import kobuki_app
@@ -26,19 +24,29 @@ from tfg_drake.diagrams.ros_command import ros2_app
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
-    from tfg_drake.diagrams.robots import Robot
-    from tfg_drake.diagrams.run import Progress
     from tfg_drake.diagrams.scenario import Scenario
 
 EXIT_CODES = {"complete": 0, "budget": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
-# Wall time between two lines of progress where there is no terminal, s.
-LINE_INTERVAL = 10.0
 
 # Set by Ctrl-C.
 _interrupted = threading.Event()
 
 # What the parser raises for a command line it cannot read; typer has no name of its own for it.
 _UsageError: Any = typer.BadParameter.__base__
+
+# Options of several commands.
+World = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt.")
+]
+TagSpacing = Annotated[
+    float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
+]
+Start = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")]
+MaxTime = Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")]
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 app.add_typer(map_app, name="map")
@@ -56,14 +64,9 @@ def explore(
     scenario: Annotated[
         str | None, typer.Argument(help="A shipped scenario or a YAML file [default: paper, or that of a replay].")
     ] = None,
-    world: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt."),
-    ] = None,
-    tag_spacing: Annotated[
-        float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
-    ] = None,
-    start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")] = None,
+    world: World = None,
+    tag_spacing: TagSpacing = None,
+    start: Start = None,
     method: Annotated[
         str, typer.Option(metavar="NAME", help="What explores: tfg, grid-nearest, ... or a Python file that makes one.")
     ] = "tfg",
@@ -90,14 +93,12 @@ def explore(
     realtime_rate: Annotated[
         float, typer.Option(metavar="R", help="At most R simulated seconds a second; 0 for no limit.")
     ] = 0.0,
-    max_time: Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")] = 3600.0,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
-    ] = None,
+    max_time: MaxTime = 3600.0,
+    settings: Settings = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<scenario>-<seed>].")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Explore a building and map it, until nothing is left to gain."""
     _check_positive("--max-time", max_time, "s")
@@ -111,7 +112,9 @@ def explore(
         _bad_input(f"--robot {robot}: there is no scenario.yaml; name the folder of a run")
     scenario = scenario or ("paper" if replayed is None else str(Path(replayed) / "scenario.yaml"))
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
-    _check_robot(robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate)
+    explore_command.check_robot(
+        robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate
+    )
     loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
     if robot != "sim" and replayed is None:
         loaded.hardware.robot = robot
@@ -121,18 +124,19 @@ def explore(
     if out is not None:
         _make_writable(out)
     explorer = _find_method(method, loaded)
-    meshcat = None if headless else _start_meshcat()
+    meshcat = None if headless else explore_command.start_meshcat()
     _announce_compilation()
 
     from tfg_drake.diagrams import run
 
-    with _open_robot(robot, loaded, explorer, meshcat) as (driven, loaded), _progress_display() as show:
+    opened = explore_command.open_robot(robot, loaded, explorer, meshcat, _interrupted, _interrupt)
+    with opened as (driven, loaded), explore_command.ProgressDisplay() as show:
         try:
             result = run.explore(
                 loaded,
                 method=explorer,
                 robot=driven,
-                name=_run_name(scenario, world, robot),
+                name=explore_command.run_name(scenario, world, robot),
                 world_name=str(world or scenario) if robot == "sim" else "unknown",
                 meshcat=meshcat,
                 realtime_rate=realtime_rate,
@@ -143,7 +147,8 @@ def explore(
             )
         except OSError as error:
             _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
-    _print_table(result.summary, result.folder)
+    for name, value in [*explore_command.table_rows(result.summary), ("files", str(result.folder))]:
+        print(f"{name:<12}{value}")
     if result.summary["outcome"] == "fault":
         log = result.folder / "log.txt"
         print(f"tfg-drake: {_one_line(result.summary['reason'])}; the traceback is in {log}", file=sys.stderr)
@@ -157,22 +162,15 @@ def explore(
 @app.command()
 def compare(
     scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "paper",
-    world: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt."),
-    ] = None,
-    tag_spacing: Annotated[
-        float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
-    ] = None,
-    start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")] = None,
+    world: World = None,
+    tag_spacing: TagSpacing = None,
+    start: Start = None,
     methods: Annotated[
         str, typer.Option(metavar="NAME,...", help="What to compare; the others are compared with the first.")
     ] = "tfg,tfg-nearest,grid-nearest",
     seeds: Annotated[int, typer.Option(metavar="N", help="Every method runs on the seeds 0 to N - 1.")] = 10,
-    max_time: Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")] = 3600.0,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
-    ] = None,
+    max_time: MaxTime = 3600.0,
+    settings: Settings = None,
     jobs: Annotated[int | None, typer.Option(metavar="N", help="Missions at a time [default: 1].")] = None,
     ray: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster; local starts one here.")
@@ -195,7 +193,7 @@ def compare(
     from tfg_drake.diagrams.run_folder import make_run_folder
     from tfg_drake.diagrams.sweep import SweepError, Task, parse_methods
 
-    name = Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
+    name = explore_command.run_name(scenario, world)
     try:
         place = _parse_start(start)
         of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
@@ -233,7 +231,7 @@ def slam(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<data set>].")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run the estimator alone on a recorded data set."""
     if out is not None:
@@ -393,195 +391,12 @@ def _find_method(name: str, scenario: Scenario) -> Method:
         _bad_input(f"--method {error}")
 
 
-def _run_name(scenario: str, world: Path | None, robot: str) -> str:
-    if robot != "sim":
-        return robot.partition(":")[0]
-    return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
-
-
-def _check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:
-    """What fits a simulated robot only is refused for a real one, and the other way round."""
-    from tfg_drake.config import ROBOTS
-
-    if robot not in ROBOTS:
-        for link, value in links.items():
-            if value is not None:
-                _bad_input(f"--{link} {value}: is for a real robot; give --robot {', '.join(ROBOTS)} too")
-    if robot == "sim":
-        return
-    if robot not in ROBOTS and not robot.startswith("replay:"):
-        _bad_input(f"--robot {robot}: no such robot; name one of sim, {', '.join(ROBOTS)}, replay:RUN_DIR")
-    for option, given in place.items():
-        if given is not None:
-            _bad_input(f"{option}: is for a simulated robot; leave it out")
-    if realtime_rate and robot in ROBOTS:
-        _bad_input("--realtime-rate: a real robot's time is real; leave it out")
-
-
-@contextlib.contextmanager
-def _open_robot(name: str, scenario: Scenario, method: Method, meshcat: Any) -> Iterator[tuple[Robot, Scenario]]:
-    """The robot to drive, and the scenario within its limits."""
-    from tfg_drake.diagrams.robots import SIMULATED
-
-    if name == "sim":
-        yield SIMULATED, scenario
-        return
-
-    from tfg_drake.diagrams.real_robot import OpenRobot, Rehearse
-    from tfg_drake.hardware.device import DeviceError
-    from tfg_drake.hardware.keyboard import HELP
-
-    if name.startswith("replay:"):
-        from tfg_drake.diagrams.replay_station import ReplayRobot
-        from tfg_drake.port_recording import RecordingError, read_recording
-
-        try:
-            yield ReplayRobot(read_recording(Path(name.removeprefix("replay:")))), scenario
-        except RecordingError as error:
-            _bad_input(f"--robot replay: {error}")
-        return
-    with contextlib.ExitStack() as stack:
-        try:
-            opened = stack.enter_context(OpenRobot(scenario, meshcat))
-        except DeviceError as error:
-            _bad_input(str(error))
-        print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
-        for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what is known is written
-            signal.signal(number, _interrupt)
-        Rehearse(scenario, method, _interrupted)
-        stack.enter_context(_remarks_on_screen())
-        print(HELP, flush=True)
-        yield opened
-
-
-@contextlib.contextmanager
-def _remarks_on_screen() -> Iterator[None]:
-    """What base and operator remark is shown, too."""
-    import logging
-
-    handler = logging.StreamHandler(sys.stdout)
-    handler.setFormatter(logging.Formatter("%(message)s"))
-    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in ("hardware", "operator")]
-    for logger in loggers:
-        logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        for logger in loggers:
-            logger.removeHandler(handler)
-
-
-def _start_meshcat() -> Any:
-    import logging
-
-    from pydrake.geometry import Meshcat, MeshcatParams
-
-    # Not its own line with the address, nor that a picture was replaced before the browser asked for it.
-    logging.getLogger("drake").setLevel(logging.ERROR)
-    # Only this machine may look; the default would listen on every interface.
-    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    print(f"Meshcat: {meshcat.web_url()}", flush=True)
-    return meshcat
-
-
 def _announce_compilation() -> None:
     import tfg_drake
 
     cache = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(tfg_drake.__file__).parent)
     if next(cache.rglob("*.nbi"), None) is None:
         print("compiling kernels (first run only)", flush=True)
-
-
-class _ProgressDisplay:
-    """A live line on a terminal, otherwise a plain one every LINE_INTERVAL."""
-
-    def __init__(self) -> None:
-        self._live: Any = None
-        self._next_line = 0.0
-
-    def __enter__(self) -> _ProgressDisplay:
-        if sys.stdout.isatty():
-            from rich.live import Live
-
-            self._live = Live(refresh_per_second=5, transient=True)
-            self._live.start()
-        else:
-            self._next_line = time.monotonic() + LINE_INTERVAL
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def __call__(self, progress: Progress) -> None:
-        if self._live is not None:
-            from rich.text import Text
-
-            self._live.update(Text(progress_line(progress), no_wrap=True, overflow="ellipsis"))
-        elif time.monotonic() >= self._next_line:
-            self._next_line += LINE_INTERVAL
-            try:
-                print(progress_line(progress), flush=True)
-            except BrokenPipeError:
-                self._next_line = math.inf  # Nobody reads on; the mission's folder is still wanted.
-
-
-def _progress_display() -> _ProgressDisplay:
-    return _ProgressDisplay()
-
-
-def progress_line(progress: Progress) -> str:
-    """How far the mission has come, on one line of a terminal of 80 columns."""
-    speed = progress.time / max(progress.wall_time, 1e-9)
-    error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
-    return (
-        f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
-        f" {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
-    )
-
-
-def _print_table(summary: dict[str, Any], folder: Path) -> None:
-    for name, value in [*table_rows(summary), ("files", str(folder))]:
-        print(f"{name:<12}{value}")
-
-
-def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """The closing table: name and value, "-" where there is none."""
-
-    def number(value: float | None, form: str, factor: float = 1.0) -> str:
-        return "-" if value is None else form.format(factor * value)
-
-    position, heading = summary["position_error_m"] or {}, summary["heading_error_rad"] or {}
-    mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
-    rows = {
-        "outcome": f"{summary['outcome']}: {summary['reason']}",
-        "time": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
-        "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
-        "landmarks": "-",
-        "pose error": "-",
-        "coverage": "-",
-        "safety": "-",
-    }
-    if mapped is not None:
-        rows["landmarks"] = f"{mapped}"
-    if mapped is not None and present is not None:
-        rows["landmarks"] += (
-            f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
-            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
-        )
-    if position.get("mean") is not None:
-        rows["pose error"] = (
-            f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"
-            f" {number(heading.get('mean'), '{:.4f}')} rad mean"
-        )
-    if summary["surface_coverage"] is not None:
-        shares = {"area": summary["area_coverage"], "surface": summary["surface_coverage"]}
-        known = [f"{100.0 * share:.1f} % of the {what}" for what, share in shares.items() if share is not None]
-        rows["coverage"] = ", ".join(known)
-    if summary["contacts"] is not None:
-        clearance = number(summary["min_clearance_m"], "{:.2f}")
-        rows["safety"] = f"{summary['contacts']} contacts, least clearance {clearance} m"
-    return list(rows.items())
 
 
 if __name__ == "__main__":

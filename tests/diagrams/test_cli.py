@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from tfg_drake.diagrams import cli
+from tfg_drake.diagrams import cli, explore_command
 from tfg_drake.diagrams.run import Progress
 
 ROOM = """
@@ -213,15 +213,15 @@ def test_the_progress_line():
         time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks=63, area=412.4, position_error=0.0213
     )
     expected = "  120 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
-    assert cli.progress_line(progress) == expected
-    untold = cli.progress_line(dataclasses.replace(progress, position_error=math.nan))
+    assert explore_command.progress_line(progress) == expected
+    untold = explore_command.progress_line(dataclasses.replace(progress, position_error=math.nan))
     assert untold == "  120 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
 
 
 def test_plain_progress_lines_come_now_and_then(capsys, monkeypatch):
     now = [0.0]
-    monkeypatch.setattr(cli.time, "monotonic", lambda: now[0])
-    with cli._progress_display() as show:
+    monkeypatch.setattr(explore_command.time, "monotonic", lambda: now[0])
+    with explore_command.ProgressDisplay() as show:
         for second in range(31):
             now[0] = float(second)
             show(Progress(now[0], now[0], "observe", 1, 0, 0.0, 0.0))

@@ -7,7 +7,7 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import DiagramBuilder
 
-from tfg_drake.diagrams import cli, run
+from tfg_drake.diagrams import explore_command, run
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
@@ -94,10 +94,10 @@ def test_without_a_world_all_is_in_the_map_frame(simulated, worldless):
 
 
 def test_the_closing_table_shows_what_is_known(truthless, worldless):
-    rows = dict(cli.table_rows(truthless.summary))
+    rows = dict(explore_command.table_rows(truthless.summary))
     assert rows["pose error"] == rows["safety"] == "-"
     assert rows["coverage"] == "100.0 % of the surface"
-    rows = dict(cli.table_rows(worldless.summary))
+    rows = dict(explore_command.table_rows(worldless.summary))
     assert rows["landmarks"] == str(worldless.summary["landmarks_mapped"])
     assert rows["coverage"] == "-"
 

@@ -1,0 +1,210 @@
+"""What the command explore consists of: the robot that it drives, its progress on the screen, its closing table."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tfg_drake.diagrams.command_line import bad_input
+
+if TYPE_CHECKING:
+    from tfg_drake.diagrams.methods import Method
+    from tfg_drake.diagrams.robots import Robot
+    from tfg_drake.diagrams.run import Progress
+    from tfg_drake.diagrams.scenario import Scenario
+
+# Wall time between two lines of progress where there is no terminal, s.
+LINE_INTERVAL = 10.0
+
+
+def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
+    """What a run is called by: its robot, its world or its scenario."""
+    if robot != "sim":
+        return robot.partition(":")[0]
+    return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
+
+
+def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:
+    """Raises BadInput: what fits a simulated robot only is refused for a real one, and the other way round."""
+    from tfg_drake.config import ROBOTS
+
+    if robot not in ROBOTS:
+        for link, value in links.items():
+            if value is not None:
+                bad_input(f"--{link} {value}: is for a real robot; give --robot {', '.join(ROBOTS)} too")
+    if robot == "sim":
+        return
+    if robot not in ROBOTS and not robot.startswith("replay:"):
+        bad_input(f"--robot {robot}: no such robot; name one of sim, {', '.join(ROBOTS)}, replay:RUN_DIR")
+    for option, given in place.items():
+        if given is not None:
+            bad_input(f"{option}: is for a simulated robot; leave it out")
+    if realtime_rate and robot in ROBOTS:
+        bad_input("--realtime-rate: a real robot's time is real; leave it out")
+
+
+@contextlib.contextmanager
+def open_robot(
+    name: str,
+    scenario: Scenario,
+    method: Method,
+    meshcat: Any,
+    interrupted: threading.Event,
+    on_signal: Callable[[int, Any], None],
+) -> Iterator[tuple[Robot, Scenario]]:
+    """The robot to drive, and the scenario within its limits; raises BadInput where there is none.
+
+    A real robot is left safe by SIGTERM and SIGHUP, too: on_signal handles them. A rehearsal ends when interrupted.
+    """
+    from tfg_drake.diagrams.robots import SIMULATED
+
+    if name == "sim":
+        yield SIMULATED, scenario
+        return
+
+    from tfg_drake.diagrams.real_robot import OpenRobot, Rehearse
+    from tfg_drake.hardware.device import DeviceError
+    from tfg_drake.hardware.keyboard import HELP
+
+    if name.startswith("replay:"):
+        from tfg_drake.diagrams.replay_station import ReplayRobot
+        from tfg_drake.port_recording import RecordingError, read_recording
+
+        try:
+            yield ReplayRobot(read_recording(Path(name.removeprefix("replay:")))), scenario
+        except RecordingError as error:
+            bad_input(f"--robot replay: {error}")
+        return
+    with contextlib.ExitStack() as stack:
+        try:
+            opened = stack.enter_context(OpenRobot(scenario, meshcat))
+        except DeviceError as error:
+            bad_input(str(error))
+        print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
+        for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what is known is written
+            signal.signal(number, on_signal)
+        Rehearse(scenario, method, interrupted)
+        stack.enter_context(_remarks_on_screen())
+        print(HELP, flush=True)
+        yield opened
+
+
+@contextlib.contextmanager
+def _remarks_on_screen() -> Iterator[None]:
+    """What base and operator remark is shown, too."""
+    import logging
+
+    handler = logging.StreamHandler(sys.stdout)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in ("hardware", "operator")]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+
+
+def start_meshcat() -> Any:
+    """Meshcat, its address printed."""
+    import logging
+
+    from pydrake.geometry import Meshcat, MeshcatParams
+
+    # Not its own line with the address, nor that a picture was replaced before the browser asked for it.
+    logging.getLogger("drake").setLevel(logging.ERROR)
+    # Only this machine may look; the default would listen on every interface.
+    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    print(f"Meshcat: {meshcat.web_url()}", flush=True)
+    return meshcat
+
+
+class ProgressDisplay:
+    """Shows how far a mission is: a live line on a terminal, otherwise a plain one every LINE_INTERVAL."""
+
+    def __init__(self) -> None:
+        self._live: Any = None
+        self._next_line = 0.0
+
+    def __enter__(self) -> ProgressDisplay:
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self._live = Live(refresh_per_second=5, transient=True)
+            self._live.start()
+        else:
+            self._next_line = time.monotonic() + LINE_INTERVAL
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, progress: Progress) -> None:
+        if self._live is not None:
+            from rich.text import Text
+
+            self._live.update(Text(progress_line(progress), no_wrap=True, overflow="ellipsis"))
+        elif time.monotonic() >= self._next_line:
+            self._next_line += LINE_INTERVAL
+            try:
+                print(progress_line(progress), flush=True)
+            except BrokenPipeError:
+                self._next_line = math.inf  # Nobody reads on; the mission's folder is still wanted.
+
+
+def progress_line(progress: Progress) -> str:
+    """How far the mission has come, on one line of a terminal of 80 columns."""
+    speed = progress.time / max(progress.wall_time, 1e-9)
+    error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
+    return (
+        f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
+        f" {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
+    )
+
+
+def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """The closing table: name and value, "-" where there is none."""
+
+    def number(value: float | None, form: str, factor: float = 1.0) -> str:
+        return "-" if value is None else form.format(factor * value)
+
+    position, heading = summary["position_error_m"] or {}, summary["heading_error_rad"] or {}
+    mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    rows = {
+        "outcome": f"{summary['outcome']}: {summary['reason']}",
+        "time": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
+        "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
+        "landmarks": "-",
+        "pose error": "-",
+        "coverage": "-",
+        "safety": "-",
+    }
+    if mapped is not None:
+        rows["landmarks"] = f"{mapped}"
+    if mapped is not None and present is not None:
+        rows["landmarks"] += (
+            f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
+        )
+    if position.get("mean") is not None:
+        rows["pose error"] = (
+            f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"
+            f" {number(heading.get('mean'), '{:.4f}')} rad mean"
+        )
+    if summary["surface_coverage"] is not None:
+        shares = {"area": summary["area_coverage"], "surface": summary["surface_coverage"]}
+        known = [f"{100.0 * share:.1f} % of the {what}" for what, share in shares.items() if share is not None]
+        rows["coverage"] = ", ".join(known)
+    if summary["contacts"] is not None:
+        clearance = number(summary["min_clearance_m"], "{:.2f}")
+        rows["safety"] = f"{summary['contacts']} contacts, least clearance {clearance} m"
+    return list(rows.items())
