@@ -96,3 +96,20 @@ def test_without_tags_odometry_remains(drive, steps):
     assert observation.covariance.shape == (3, 3)
     # A gyro scale error of 1 percent over a whole turn.
     assert steps == 0 or np.sqrt(observation.covariance[2, 2]) == pytest.approx(0.0648, abs=2e-3)
+
+
+def test_a_slip_during_the_turn_is_told_by_the_tags(drive):
+    robot, (model, begin, frames, end) = simulate(drive, 5, 1.0)
+    # From the middle on the robot slides half a metre to where it looked first, and the wheels know nothing of it.
+    slide = 0.5 * np.clip(np.linspace(-2.0, 3.0, len(frames)), 0.0, 1.0)
+    slid = []
+    for frame, x in zip(frames, slide, strict=True):
+        seen, theta = frame.detections, frame.stamp - begin.stamp
+        d = seen.range[:, None] * np.stack([np.cos(seen.bearing), np.sin(seen.bearing)], axis=1)
+        d = d - x * np.array([np.cos(theta), -np.sin(theta)])
+        seen = dataclasses.replace(seen, range=np.hypot(*d.T), bearing=np.arctan2(d[:, 1], d[:, 0]))
+        slid.append(dataclasses.replace(frame, detections=seen))
+    solution = solve_turn(model, begin, tuple(slid), end)
+    assert solution.dropped <= 2
+    np.testing.assert_allclose(solution.observation.X_AD[:2] - robot.X_MB[:2], [0.5, 0.0], atol=0.05)
+    assert np.abs(error(robot, solution.observation)).max() < 0.3

@@ -12,7 +12,7 @@ import scipy.linalg
 from gtsam.symbol_shorthand import B, C, L
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, TagDetections, message
+from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, TagDetections, message, replace
 from tfg_drake.slam.odometry_factor import odometry_factor
 from tfg_drake.slam.odometry_model import OdometryModel, arc
 
@@ -20,8 +20,17 @@ from tfg_drake.slam.odometry_model import OdometryModel, arc
 OUTLIER_SIGMAS = 5.5
 # Huber threshold, in sigmas, of the pass that looks for outliers.
 HUBER_SIGMAS = 1.5
+# Random walks, as OdometryModel.noise, of a robot whose wheels slip or which somebody pushes meanwhile.
+SLIPPING = np.array([0.2, 0.1, 0.2])
+# It did if that explains at least so many sightings that are outliers else, and leaves at most this share of them.
+SLIP_EXPLAINS = 3
+SLIP_LEAVES = 1 / 3
 # The arrival pose is the origin.
 ORIGIN_SIGMA = 1e-7
+
+
+# Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 4) of each of the sightings (m,).
+_Problem = tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]
 
 
 @message
@@ -64,7 +73,8 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
     """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
 
     frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. Without any
-    detection n is 0 and X_AD comes from odometry alone.
+    detection n is 0 and X_AD comes from odometry alone. Where the sightings agree with each other but not with the
+    odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in frames]
@@ -78,17 +88,20 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
         z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
         z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
 
+    problem = clock, X_OB, detection_node, all_ids, z
     initial = _initial_value(X_OB, detection_node, all_ids, z)
     kept = np.ones(len(all_ids), dtype=bool)
-    graph = _graph(model, clock, X_OB, detection_node, all_ids, z, kept, robust=False)
-    values = _solve(graph, initial)
+    values = _solve(_graph(model, *problem, kept, robust=False), initial)
     if len(all_ids) > 0 and np.any(_outliers(values, detection_node, all_ids, z)):
-        robust = _graph(model, clock, X_OB, detection_node, all_ids, z, kept, robust=True)
-        values = _solve(robust, initial)
-        kept = ~_outliers(values, detection_node, all_ids, z)
-        values = _without_lost_tags(values, all_ids, kept)
-        graph = _graph(model, clock, X_OB, detection_node, all_ids, z, kept, robust=False)
-        values = _solve(graph, values)
+        values, kept = _without_outliers(model, problem, initial)
+        unexplained = int(np.sum(~kept))
+        if unexplained >= SLIP_EXPLAINS:
+            slipping = replace(model, noise=np.maximum(model.noise, SLIPPING))
+            other_values, other_kept = _without_outliers(slipping, problem, initial)
+            left = int(np.sum(~other_kept))
+            if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
+                model, values, kept = slipping, other_values, other_kept
+    graph = _graph(model, *problem, kept, robust=False)
 
     ids, sightings = np.unique(all_ids[kept], return_counts=True)
     X_AB = np.array([_pose(values, i) for i in range(len(stamps))])
@@ -108,6 +121,16 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
         calibration=values.atVector(C(0)),
         calibration_covariance=covariance[:3, :3],
     )
+
+
+def _without_outliers(model: OdometryModel, problem: _Problem, initial: gtsam.Values) -> tuple[gtsam.Values, BoolArray]:
+    """The solution without the sightings that lie too far from a robust one, and which of them it keeps."""
+    _, _, node, ids, z = problem
+    everything = np.ones(len(ids), dtype=bool)
+    values = _solve(_graph(model, *problem, everything, robust=True), initial)
+    kept = ~_outliers(values, node, ids, z)
+    values = _without_lost_tags(values, ids, kept)
+    return _solve(_graph(model, *problem, kept, robust=False), values), kept
 
 
 def _nodes(
