@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from tfg_drake.config import ScanConfig
+from tfg_drake.grid import scan_matcher
 from tfg_drake.grid.occupancy import empty_maps, insert_scan
-from tfg_drake.grid.scan_matcher import end_points, log_likelihood, propose
+from tfg_drake.grid.scan_matcher import end_points, propose
 from tfg_drake.messages import LaserScan
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 
@@ -33,10 +34,13 @@ def room_map(particles=1, noise=0.0):
 
 def test_the_likelihood_peaks_at_the_true_pose():
     maps, p_BP = room_map(), end_points(view(TRUE), 0.05)
+    field = np.empty((14 * scan_matcher.TILE, 14 * scan_matcher.TILE), dtype=np.float32)
+    splat = scan_matcher._splat_table(maps.resolution)
+    corner = scan_matcher._fill(field, maps.index[0], maps.tiles, maps.corner, maps.resolution, splat, TRUE)
     for axis, step in ((0, 0.02), (1, 0.02), (2, 0.005)):
         poses = np.tile(TRUE, (41, 1))
         poses[:, axis] += step * np.arange(-20, 21)
-        values = log_likelihood(maps, 0, poses, p_BP)
+        values = np.array([scan_matcher._score(field, *corner, maps.resolution, p_BP, pose) for pose in poses])
         assert abs(int(np.argmax(values)) - 20) <= 1
         assert values.max() > values[[0, 40]].max() + 10.0
 

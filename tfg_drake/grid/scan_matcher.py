@@ -99,41 +99,6 @@ def propose(
     )
 
 
-def log_likelihood(maps: TileMaps, particle: int, poses: FloatArray, p_BP: FloatArray) -> FloatArray:
-    """Of end points p_BP (k, 2) in one particle's grid at poses X_MB (c, 3) within MARGIN of each other: (c,)."""
-    reach = MARGIN + (float(np.hypot(*p_BP.T).max()) if len(p_BP) else 0.0)
-    window = int(2.0 * reach / (TILE * maps.resolution)) + 2
-    field = np.empty((window * TILE, window * TILE), dtype=np.float32)
-    return _log_likelihoods(
-        maps.index[particle],
-        maps.tiles,
-        maps.corner,
-        maps.resolution,
-        np.ascontiguousarray(poses),
-        np.ascontiguousarray(p_BP),
-        _splat_table(maps.resolution),
-        field,
-    )
-
-
-@njit(cache=True)
-def _log_likelihoods(
-    index: TileIndex,
-    tiles: Tiles,
-    corner: IntArray,
-    resolution: float,
-    poses: FloatArray,
-    p_BP: FloatArray,
-    splat: Field,
-    field: Field,
-) -> FloatArray:
-    x0, y0 = _fill(field, index, tiles, corner, resolution, splat, poses[0])
-    result = np.empty(len(poses))
-    for c in range(len(poses)):
-        result[c] = _score(field, x0, y0, resolution, p_BP, poses[c])
-    return result
-
-
 @njit(cache=True)
 def _fill(
     field: Field,
