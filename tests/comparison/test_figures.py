@@ -38,8 +38,13 @@ def test_a_grid_is_turned_into_the_world(tmp_path, small_map):
     probability[:, -2:] = 1.0  # the far end in x of M, which is the top in W
     grid = GridMap(stage=1, stamp=0.0, resolution=0.05, origin=np.array([0.0, -1.0]), probability=probability)
     nothing = np.zeros((0, 3))
-    maps = [FinalMap("grid", 0, WORLD, nothing, None, grid), FinalMap("tfg", 0, WORLD, nothing, small_map, None)]
-    png, _ = write_figure(draw_maps(maps), tmp_path, "maps")
+    way = np.array([[1.0, 1.0, 0.0], [3.0, 1.0, 0.0]])
+    maps = [FinalMap("grid", 0, WORLD, nothing, None, grid), FinalMap("tfg", 0, WORLD, way, small_map, None)]
+    figure = draw_maps(maps)
+    png, _ = write_figure(figure, tmp_path, "maps")
+    legend = figure.legends[0].get_window_extent()
+    assert len(figure.legends[0].texts) == 6
+    assert figure.bbox.x0 <= legend.x0 < legend.x1 <= figure.bbox.x1
     image = np.asarray(Image.open(png).convert("RGB")).astype(int)
     rows, columns = np.nonzero((image == 0).all(axis=2)[:, : image.shape[1] // 2])
     body = rows < 0.5 * image.shape[0]

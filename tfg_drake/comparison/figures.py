@@ -80,7 +80,7 @@ def draw_maps(maps: Sequence[FinalMap]) -> Figure:
     points = np.vstack([p for one in maps for p in (one.world.walls.reshape(-1, 2), one.X_WB[:, :2])])
     (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 0.5, points.max(axis=0) + 0.5
     panel = _WIDTH / columns
-    figure = _figure(float(np.clip(rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.25) + 0.25, 1.5, 9.5)))
+    figure = _figure(float(np.clip(rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.25) + 0.45, 1.5, 9.5)))
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     symbol = float(np.clip(0.2 * 72.0 * panel / (x_max - x_min), 0.8, 4.0))
     for axes in grid:
@@ -94,7 +94,7 @@ def draw_maps(maps: Sequence[FinalMap]) -> Figure:
         marks.values(),
         marks.keys(),
         loc="outside lower center",
-        ncols=6,
+        ncols=3,
         fontsize=_SMALL,
         frameon=False,
         markerscale=3.0,
