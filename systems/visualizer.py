@@ -284,7 +284,7 @@ class TfgVisualizer(LeafSystem):
             points = transform(pose_at(pose, scan.stamp), rays)
             self._ShowTriangles("map/scan", discs(points, 0.6 * self._unit, _Z["scan"], corners=6), SCAN)
         if mission is not None:
-            self._meshcat.SetProperty("/tfg/map/path", "visible", mission.phase == "follow")
+            self._meshcat.SetProperty("/tfg/map/path", "visible", mission.drives)
         truth = self._Truth(context)
         if truth is not None:
             self._meshcat.SetTransform("/tfg/truth", _planar(truth))

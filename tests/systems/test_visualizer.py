@@ -159,6 +159,17 @@ def test_works_with_nothing_connected(meshcat):
     assert meshcat.HasPath("/tfg/caption")
 
 
+@pytest.mark.parametrize(
+    ("phase", "moving", "shown"),
+    [("follow", True, True), ("glance", True, True), ("map", True, True), ("map", False, False)],
+)
+def test_the_path_is_shown_as_long_as_the_robot_drives(meshcat, phase, moving, shown):
+    mission = MissionStatus(phase=phase, stage=1, since=0.0, moving=moving)
+    Simulator(make_diagram(meshcat, make_messages() | {"mission": mission})).AdvanceTo(0.5)
+    true, false = b"\xc3", b"\xc2"  # as msgpack has them
+    assert meshcat._GetPackedProperty("/tfg/map/path", "visible").endswith(true if shown else false)
+
+
 class GrowingMap(LeafSystem):
     """A map that gains a landmark at 0.3 s."""
 
@@ -169,10 +180,6 @@ class GrowingMap(LeafSystem):
             10.0, 0.3, lambda _c, s: s.get_mutable_abstract_state(0).set_value(second)
         )
         self.DeclareStateOutputPort("map", state)
-        self._second = second
-
-    def _Grow(self, context, state):
-        state.get_mutable_abstract_state(0).set_value(self._second)
 
 
 def test_redraws_a_stage_once_and_only_when_it_changes(meshcat, monkeypatch):
