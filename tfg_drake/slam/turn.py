@@ -28,7 +28,6 @@ SLIP_LEAVES = 1 / 3
 # The arrival pose is the origin.
 ORIGIN_SIGMA = 1e-7
 
-
 # Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 4) of each of the sightings (m,).
 _Problem = tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]
 
@@ -96,11 +95,12 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
         values, kept = _without_outliers(model, problem, initial)
         unexplained = int(np.sum(~kept))
         if unexplained >= SLIP_EXPLAINS:
-            slipping = replace(model, noise=np.maximum(model.noise, SLIPPING))
-            other_values, other_kept = _without_outliers(slipping, problem, initial)
+            # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
+            slipping = replace(model, noise=np.maximum(model.noise, SLIPPING)), (stamps, *problem[1:])
+            other_values, other_kept = _without_outliers(*slipping, initial)
             left = int(np.sum(~other_kept))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
-                model, values, kept = slipping, other_values, other_kept
+                (model, problem), values, kept = slipping, other_values, other_kept
     graph = _graph(model, *problem, kept, robust=False)
 
     ids, sightings = np.unique(all_ids[kept], return_counts=True)
