@@ -1,6 +1,6 @@
 """Many runs on a local Ray cluster and as many by processes of one's own: the same bits, though a worker is killed.
 
-    python benchmarks/ray_sweep.py house --seeds 100 --max-time 12 --jobs 2
+    python benchmarks/ray_sweep.py house --seeds 100 --max-time 18 --jobs 2
 
 Both are `tfg-drake compare` with the methods tfg and tfg-nearest; while Ray runs, a worker of its is killed each time
 a quarter of the runs is done. Prints how many runs there are, and which differ in anything but times, CPU and memory.
