@@ -113,3 +113,20 @@ def test_a_slip_during_the_turn_is_told_by_the_tags(drive):
     assert solution.dropped <= 2
     np.testing.assert_allclose(solution.observation.X_AD[:2] - robot.X_MB[:2], [0.5, 0.0], atol=0.05)
     assert np.abs(error(robot, solution.observation)).max() < 0.3
+
+
+def test_a_push_at_rest_is_told_by_the_tags(drive):
+    robot = drive(np.random.default_rng(6).uniform(-8.0, 8.0, (60, 2)), 6, 1.0)
+    model, begin, frames = odometry_model(robot.config), robot.instant(), robot.frames(0.0, 0.0, 80)
+    end = robot.instant()
+    pushed = []
+    for frame, x in zip(frames, 1.0 * np.clip(np.linspace(-2.0, 3.0, len(frames)), 0.0, 1.0), strict=True):
+        seen = frame.detections
+        d = seen.range[:, None] * np.stack([np.cos(seen.bearing), np.sin(seen.bearing)], axis=1) - [x, 0.0]
+        seen = dataclasses.replace(seen, range=np.hypot(*d.T), bearing=np.arctan2(d[:, 1], d[:, 0]))
+        # Standing, by its wheels: no time in which errors accrue, and no motion.
+        clock = begin.clock + 1e-3 * (frame.stamp - begin.stamp)
+        pushed.append(dataclasses.replace(frame, clock=clock, X_OB=begin.X_OB, detections=seen))
+    end = dataclasses.replace(end, clock=begin.clock + 1e-3 * (end.stamp - begin.stamp), X_OB=begin.X_OB)
+    solution = solve_turn(model, begin, tuple(pushed), end)
+    np.testing.assert_allclose(solution.observation.X_AD[:2], [1.0, 0.0], atol=0.05)
