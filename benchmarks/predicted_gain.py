@@ -3,7 +3,9 @@
     python benchmarks/predicted_gain.py paper --seeds 10 --figure gain.png
 
 The prediction is the exact gain of a turn at the pose where the robot really arrived, with the tags that it really saw
-there: what is tested is the formula with its model of a turn, not the guess of what will be in view. Exploitation: of
+there, each as often as the mean of them: what is tested is the formula with its model of a turn, not the guess of what
+will be in view. With --full-turn a tag counts as often as in a full turn, as in the explorer's choice: the robot turns
+for less where what it came to see lies to one side. Exploitation: of
 the landmarks known before, the entropy that the turn took away. Total: with the new ones, from the explorer's prior.
 Then, apart, how many new tags a goal was expected to show when it was chosen, and how many it did.
 """
@@ -26,9 +28,15 @@ from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate
 from tfg_drake.planning import goal_choice
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.planning.information_gain import departure_given_landmarks, odometry_covariance, turn_noise
+from tfg_drake.planning.information_gain import (
+    departure_given_landmarks,
+    odometry_covariance,
+    sightings_of_turn,
+    turn_noise,
+)
 from tfg_drake.slam import estimator
 from tfg_drake.slam.estimator_state import EstimatorState
+from tfg_drake.slam.turn import TurnFrame
 from tfg_drake.systems import info_gain_goal_selector, slam_estimator
 
 # What is foretold is a goal's turn: nothing is mapped on the way there.
@@ -36,8 +44,10 @@ ONLY_GOALS = ["explorer.path_keyframe_period=0", "explorer.glance_period=0"]
 IN_REACH = np.array([1e9, 1.0])
 
 
-def predicted(before: MapEstimate, after: MapEstimate, distance: float, scenario: Scenario) -> FloatArray:
-    """Exploitation and exploration, nats, of the newest goal of `after`, by the map before."""
+def predicted(
+    before: MapEstimate, after: MapEstimate, distance: float, sightings: float, scenario: Scenario
+) -> FloatArray:
+    """Exploitation and exploration, nats, of the newest goal of `after`, by the map before; sightings of each tag."""
     place = after.X_MA[-1:, :2].copy()
     seen = after.observation.ids
     rows = np.flatnonzero(np.isin(before.ids[before.local], seen))
@@ -51,8 +61,7 @@ def predicted(before: MapEstimate, after: MapEstimate, distance: float, scenario
     known = Known(np.array([0, len(rows)]), rows, before.p_ML[before.local], before.covariance)
     offsets, each = np.array([0, len(new)]), np.arange(len(new))
     unknown = New(offsets, each, new, np.ones(len(new)), scenario.explorer.prior_sigma, IN_REACH)
-    noise = turn_noise(scenario.tags, scenario.explorer.turn_rate)
-    return exact_gain(place, arrival, known, unknown, noise)[0, :2]
+    return exact_gain(place, arrival, known, unknown, turn_noise(scenario.tags, sightings))[0, :2]
 
 
 def entropy(covariance: FloatArray) -> float:
@@ -70,7 +79,13 @@ def realised(before: MapEstimate, after: MapEstimate, explorer: ExplorerConfig) 
     return exploitation, known + prior - entropy(after.covariance[:-3, :-3])
 
 
-def one_mission(scenario: Scenario) -> tuple[list[list[float]], list[list[float]]]:
+def mean_sightings(frames: tuple[TurnFrame, ...]) -> float:
+    """How often each tag of a turn was seen, the mean."""
+    _, count = np.unique(np.concatenate([np.zeros(0), *(frame.detections.ids for frame in frames)]), return_counts=True)
+    return float(count.mean()) if len(count) else 0.0
+
+
+def one_mission(scenario: Scenario, full_turn: bool) -> tuple[list[list[float]], list[list[float]]]:
     """Rows of a mission's stages: predicted and realised exploitation and total; and new tags expected and seen."""
     gains: list[list[float]] = []
     numbers: list[list[float]] = []
@@ -78,13 +93,16 @@ def one_mission(scenario: Scenario) -> tuple[list[list[float]], list[list[float]
     end_turn, choose = estimator.end_turn, goal_choice.choose
 
     def noted_turn(state: EstimatorState, stamp: float) -> EstimatorState:
-        before, X_OB = state.map, state.turn.begin.X_OB if state.turn is not None else None
+        before, turn = state.map, state.turn
         state = end_turn(state, stamp)
         after = state.map
         assert after is not None
-        if before is not None and len(before.local) == len(before.ids) and X_OB is not None:
+        if before is not None and len(before.local) == len(before.ids) and turn is not None:
             distance = float(np.hypot(*(after.X_MA[-1, :2] - before.X_MD[:2])))
-            exploitation, exploration = predicted(before, after, distance, scenario)
+            sightings = mean_sightings(turn.frames)
+            if full_turn:
+                sightings = sightings_of_turn(scenario.tags, scenario.explorer.turn_rate)
+            exploitation, exploration = predicted(before, after, distance, sightings, scenario)
             known, total = realised(before, after, scenario.explorer)
             gains.append([exploitation, known, exploitation + exploration, total])
             if expected:
@@ -119,6 +137,7 @@ def main() -> None:
     parser.add_argument("scenario", nargs="?", default="paper")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--set", action="append", default=[], dest="settings")
+    parser.add_argument("--full-turn", action="store_true")
     parser.add_argument("--figure", type=Path, default=None)
     options = parser.parse_args()
     gains: list[list[float]] = []
@@ -126,7 +145,7 @@ def main() -> None:
     for seed in range(options.seeds):
         scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), [*ONLY_GOALS, *options.settings])
         scenario.seed = seed
-        more, counts = one_mission(scenario)
+        more, counts = one_mission(scenario, options.full_turn)
         gains, numbers = gains + more, numbers + counts
     data, counted = np.array(gains), np.array(numbers)
     print(f"{len(data)} stages of {options.seeds} missions")

@@ -21,7 +21,12 @@ from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, MapEstimate
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
-from tfg_drake.planning.information_gain import departure_given_landmarks, odometry_covariance, turn_noise
+from tfg_drake.planning.information_gain import (
+    departure_given_landmarks,
+    odometry_covariance,
+    sightings_of_turn,
+    turn_noise,
+)
 from tfg_drake.slam import map_solver
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.goal_arrival import add_goal
@@ -55,7 +60,8 @@ def exploitation(estimate: MapEstimate, places: FloatArray) -> tuple[FloatArray,
     known = Known(offsets, np.concatenate(views), p_ML, estimate.covariance)
     no_new = np.zeros(len(places) + 1, dtype=np.int64)
     new = New(no_new, none, np.zeros((0, 2)), np.zeros(0), 10.0, np.array([REACH, 0.5 * REACH]))
-    gains = exact_gain(places, arrival, known, new, turn_noise(TagSensorConfig(), 1.0))
+    noise = turn_noise(TagSensorConfig(), sightings_of_turn(TagSensorConfig(), 1.0))
+    gains = exact_gain(places, arrival, known, new, noise)
     return gains[:, 0], count
 
 

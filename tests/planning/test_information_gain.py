@@ -3,7 +3,7 @@ import pytest
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
-from tfg_drake.planning.information_gain import odometry_covariance, turn_noise
+from tfg_drake.planning.information_gain import odometry_covariance, sightings_of_turn, turn_noise
 
 
 def whitened(p_AL, noise):
@@ -79,7 +79,7 @@ def kernel(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma, no
     return exact_gain(*problem_of(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma), noise)[0]
 
 
-NOISE = turn_noise(TagSensorConfig(), 1.0)
+NOISE = turn_noise(TagSensorConfig(), sightings_of_turn(TagSensorConfig(), 1.0))
 
 
 @pytest.mark.parametrize(("distance", "share"), [(1.0, 1.0), (5.0, 1.0), (7.5, 0.5), (10.0, 0.0), (12.0, 0.0)])

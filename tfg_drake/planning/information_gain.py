@@ -51,13 +51,17 @@ def frontier_reach(sensor: TagSensorConfig) -> FloatArray:
     return np.array([sensor.range, FRONTIER_DEPTH * sensor.range])
 
 
-def turn_noise(sensor: TagSensorConfig, turn_rate: float) -> FloatArray:
-    """Deviations of one tag's range and bearing after a full turn at turn_rate (rad/s), as exact_gain takes them.
+def sightings_of_turn(sensor: TagSensorConfig, turn_rate: float) -> float:
+    """How often each tag is seen in a full turn at turn_rate (rad/s): it is in view for field_of_view / turn_rate s."""
+    return sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
 
-    A tag is in view for field_of_view / turn_rate seconds; the frames' noise averages down to the floors.
+
+def turn_noise(sensor: TagSensorConfig, sightings: float) -> FloatArray:
+    """Deviations of one tag's range and bearing by so many sightings in a turn, as exact_gain takes them.
+
+    The sightings' noise averages down to the floors.
     """
-    frames = max(1.0, sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate)
-    root = math.sqrt(frames)
+    root = math.sqrt(max(1.0, sightings))
     return np.array(
         [
             sensor.range_noise / root,
@@ -127,7 +131,7 @@ def information_gain(
     number, reach = explorer.density * tfg.frontier_length, frontier_reach(sensor)
     known = Known(tags.offsets, tags.index, estimate.p_ML[estimate.local], estimate.covariance)
     new = New(frontiers.offsets, frontiers.index, tfg.frontiers, number, explorer.prior_sigma, reach)
-    noise = turn_noise(sensor, explorer.turn_rate)
+    noise = turn_noise(sensor, sightings_of_turn(sensor, explorer.turn_rate))
     if explorer.gain == "authors":
         out = authors_gain(points, known, new, tfg.frontier_normal)
     elif explorer.gain == "paper":
