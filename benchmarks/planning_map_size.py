@@ -135,11 +135,11 @@ def recorded(name: str) -> list[dict[str, tuple[Any, ...]]]:
     stages: list[dict[str, tuple[Any, ...]]] = []
 
     def noted(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def inner(*arguments: Any) -> Any:
+        def inner(*arguments: Any, **options: Any) -> Any:
             if part == "update":
                 stages.append({})
             stages[-1][part] = arguments
-            return function(*arguments)
+            return function(*arguments, **options)
 
         return inner
 
@@ -157,7 +157,7 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
     copies = Copies(count)
     graph, estimate, panorama, sightings, tags, robot, explorer = asked["update"]
     state, _, _, parameters = asked["grow"]
-    previous = asked["choose"][-1]
+    *_, previous, seed = asked["choose"]
     state = replace(
         state, nodes=copies.nodes(state.nodes), obstacle_goal=state.obstacle_goal + (count - 1) * graph.stage
     )
@@ -169,7 +169,7 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
     ends.append(time.thread_time())
     state = planner.grow(state, estimate, tfg, parameters)
     ends.append(time.thread_time())
-    choose(estimate, tfg, state.roadmap, tags, *asked["choose"][4:-1], previous)
+    choose(estimate, tfg, state.roadmap, tags, *asked["choose"][4:-2], previous, seed)
     ends.append(time.thread_time())
     return [*(1e3 * np.diff(ends)), 1e3 * (ends[-1] - ends[0])]
 
