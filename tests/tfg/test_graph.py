@@ -202,6 +202,17 @@ def test_surface_seen_at_grazing_incidence_stays_a_frontier(simulate) -> None:
     assert len(tfg.frontiers) == 0
 
 
+def test_both_faces_of_a_thin_wall_seen_at_grazing_incidence_stay_frontiers(simulate) -> None:
+    """Two corridors 9 m long, side by side, and their near ends joined."""
+    world = simulate([[0.0, 0.0, 9.0, 0.0], [9.0, 0.0, 9.0, 2.4], [9.0, 2.4, 0.0, 2.4], [0.0, 2.4, 0.0, 0.0],
+                      [1.2, 1.2, 9.0, 1.2]])  # fmt: skip
+    world.observe(np.array([0.6, 0.6, 0.0]))
+    tfg = world.observe(np.array([0.6, 1.8, 0.0]))
+    for side in (1.0, -1.0):
+        ahead = (np.abs(tfg.frontiers[:, 1] - 1.2 - 0.3 * side) < 0.05) & (tfg.frontier_normal[:, 1] * side > 0.9)
+        assert tfg.frontier_length[ahead].sum() > 3.0
+
+
 def test_the_sides_of_a_narrow_alley_can_be_inspected_from_its_middle(simulate) -> None:
     """An alley 4 m long and 0.5 m wide: what its sides show is seen from nowhere else."""
     sensor = TagSensorConfig()

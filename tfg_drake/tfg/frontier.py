@@ -319,10 +319,10 @@ def _unexplained(root: FloatArray, p: FloatArray, segments: FloatArray) -> BoolA
 
 
 def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
-    """Which points (n, 2) have none of the others (m, 2) within distance (m), (n,)."""
+    """Which points (n, d) have none of the others (m, d) within distance, (n,)."""
     if not len(others):
         return np.ones(len(p), dtype=bool)
-    square = (p[:, None, 0] - others[None, :, 0]) ** 2 + (p[:, None, 1] - others[None, :, 1]) ** 2
+    square = np.sum((p[:, None] - others[None]) ** 2, axis=2)
     return np.asarray((square > distance * distance).all(axis=1))
 
 

@@ -185,7 +185,7 @@ def update(
         X_MA,
         lambda points: ~inside_any(points.p, *newest),
         lambda points: ~inside_any(points.p, *stars),
-        SAME_FRONTIER,
+        lambda old, new: far_from(new.p, old.p, SAME_FRONTIER),
     )
 
     def unseen(stars: tuple[IntArray, FloatArray, FloatArray], points: FrontierPoints) -> BoolArray:
@@ -199,7 +199,7 @@ def update(
         X_MA,
         lambda points: unseen(newest, points),
         lambda points: unseen(stars, points),
-        0.9 * UNINSPECTED_SPACING,
+        lambda old, new: far_from(_faces(new), _faces(old), 0.9 * UNINSPECTED_SPACING),
     )
     X_AM = inverse(X_MA[goal])
 
@@ -385,18 +385,22 @@ def _merge(
     X_MA: FloatArray,
     keep_old: Callable[[FrontierPoints], BoolArray],
     keep_new: Callable[[FrontierPoints], BoolArray],
-    distance: float,
+    lacks: Callable[[FrontierPoints, FrontierPoints], BoolArray],
 ) -> FrontierPoints:
-    """The old points to keep, and those of the new ones to keep that have no old one within distance (m).
+    """The old points to keep, and those of the new ones to keep that the old ones lack.
 
-    keep_old and keep_new judge the points placed in the map frame.
+    keep_old, keep_new and lacks (of the old and the new) judge the points placed in the map frame.
     """
     placed = place_points(old, X_MA)
     keep = keep_old(placed)
     old, placed = select(old, keep), select(placed, keep)
     new_placed = place_points(new, X_MA)
-    fresh = far_from(new_placed.p, placed.p, distance)
-    return join(old, select(new, fresh & keep_new(new_placed)))
+    return join(old, select(new, lacks(placed, new_placed) & keep_new(new_placed)))
+
+
+def _faces(points: FrontierPoints) -> FloatArray:
+    """The points (f, 4) with their normals: those on opposite faces of a thin wall are far from each other."""
+    return np.hstack([points.p, UNINSPECTED_SPACING * points.normal])
 
 
 def _update_sighted(
