@@ -33,7 +33,8 @@ from tfg_drake.planning.goal_choice import choose
 from tfg_drake.planning.roadmap import RoadmapState
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 from tfg_drake.tfg.frontier import FrontierPoints
-from tfg_drake.tfg.graph import TfgGraph, resolve, update
+from tfg_drake.tfg.graph import TfgGraph, resolve
+from tfg_drake.tfg.window import update
 
 # Distance between two copies, m, and between their tags' ids.
 PITCH = 80.0

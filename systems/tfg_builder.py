@@ -25,9 +25,9 @@ from tfg_drake.tfg.graph import (
     no_sightings,
     note_sightings,
     resolve,
-    update,
 )
 from tfg_drake.tfg.panorama import build_panorama
+from tfg_drake.tfg.window import update
 
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
 GLANCE_SCANS = 3

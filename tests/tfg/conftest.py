@@ -28,6 +28,7 @@ class Simulation:
     mapped: set[int] = field(default_factory=set)
     graph: TfgGraph = field(default_factory=empty_graph)
     estimate: MapEstimate | None = None
+    last_panorama: Panorama | None = None
     tags: TagSensorConfig = field(default_factory=TagSensorConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     explorer: ExplorerConfig = field(default_factory=ExplorerConfig)
@@ -85,10 +86,11 @@ class Simulation:
             observation,
             0.0,
         )
+        self.last_panorama = build_panorama(scans, stamps, X_AB)
         self.graph = update(
             self.graph,
             self.estimate,
-            build_panorama(scans, stamps, X_AB),
+            self.last_panorama,
             sightings or no_sightings(),
             self.tags,
             self.robot,

@@ -30,6 +30,7 @@ from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
+from tfg_drake.tfg.window import is_small, map_near
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
@@ -58,6 +59,9 @@ EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.2))
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
+# On a large map new nodes are thrown within this distance of the robot, m, and what lies there is checked anew; farther
+# away the roadmap stays as it was when the robot was last near.
+WINDOW = 20.0
 # Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
 OBSTACLE_MARGIN = 0.08
 
@@ -320,46 +324,61 @@ def extend(
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
     nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
-    travelled, chain = _travelled_nodes(nodes, path, estimate, tfg.segments, parameters.robot.radius)
+    window = np.inf if is_small(estimate) else _window(estimate, path)
+    old = np.flatnonzero(_within(nodes, estimate.X_MD, window + EDGE_LENGTH))
+    if np.isfinite(window):
+        context = window + EDGE_LENGTH + parameters.sensor.range
+        tfg, estimate = map_near(tfg, estimate, estimate.X_MD[:2], context)
+    travelled, chain = _travelled_nodes(nodes[old], path, estimate, tfg.segments, parameters.robot.radius)
     nodes = np.vstack([nodes, travelled])
+    first_new = len(state.anchor)
+    around = np.append(old, np.arange(first_new, len(nodes)))
     proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, density)
+    inside = _within(proposals, estimate.X_MD, window)
+    proposals, spacing = proposals[inside], spacing[inside]
     # Old nodes that the newest map leaves too little room must not keep better ones out of the middle of a passage.
     room = parameters.robot.radius + NODE_MARGIN
-    roomy = clearance(np.hstack([nodes, nodes]), tfg.segments, room) >= room
-    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
+    roomy = clearance(np.hstack([nodes[around]] * 2), tfg.segments, room) >= room
+    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[around[roomy]])]])
+    around = np.append(old, np.arange(first_new, len(points)))
 
-    first_new = len(state.anchor)
     _, nearest = cKDTree(estimate.X_MA[:, :2]).query(points[first_new:])
     anchor = np.append(state.anchor, np.asarray(nearest, dtype=np.int64))
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
-    chain_edges = np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
-    edges = np.vstack([state.edges, chain_edges, _nearest_edges(points, first_new)])
-    was_travelled = np.zeros(len(edges), dtype=np.bool_)
-    was_travelled[: len(state.edges)] = state.travelled
-    was_travelled[len(state.edges) : len(state.edges) + len(chain_edges)] = True
-    was_free = np.zeros(len(edges), dtype=np.bool_)
-    was_free[: len(state.edges)] = state.free
+    chain_edges = np.sort(around[np.array(chain, dtype=np.int64).reshape(-1, 2)], axis=1)
+    edges = np.vstack([state.edges, chain_edges, around[_nearest_edges(points[around], len(old))]])
+    new = len(edges) - len(state.edges)
+    was_travelled = np.append(state.travelled, np.arange(new) < len(chain_edges))
     # One row for each pair of nodes; a travelled one stands for its twin.
     pair = edges @ np.array([len(points), 1])
     order = np.argsort(2 * pair + ~was_travelled, kind="stable")
     order = order[np.diff(pair[order], prepend=-1) > 0]
-    edges, was_travelled, was_free = edges[order], was_travelled[order], was_free[order]
+    edges, was_travelled = edges[order], was_travelled[order]
+    was_free, usable = (np.append(array, np.zeros(new, dtype=np.bool_))[order] for array in (state.free, state.usable))
+    has, need = (np.append(array, np.zeros(new))[order] for array in (state.edge_clearance, state.edge_required))
 
-    sigma = predicted_deviation(
-        points, estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
+    is_near = np.zeros(len(points), dtype=np.bool_)
+    is_near[around] = True
+    checked = np.flatnonzero(is_near[edges].all(axis=1))
+    sigma = np.append(state.sigma, np.zeros(len(points) - first_new))
+    sigma[around] = predicted_deviation(
+        points[around], estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
     )
     probability = max(parameters.planner.collision_probability, accepted)
-    need = required_clearance(parameters.robot.radius, np.maximum(*sigma[edges.T]), probability)
-    lines = points[edges].reshape(-1, 4)
-    has = clearance(lines, tfg.segments, max(COMFORT, float(need.max(initial=0.0))))
+    need[checked] = required_clearance(parameters.robot.radius, np.maximum(*sigma[edges[checked].T]), probability)
+    lines = points[edges[checked]].reshape(-1, 4)
+    has[checked] = clearance(lines, tfg.segments, max(COMFORT, float(need[checked].max(initial=0.0))))
     least = parameters.robot.radius + TRAVELLED_MARGIN
     free = was_free | was_travelled
-    ask = ~free & (has >= parameters.robot.radius)
-    free[ask] = in_free_space(lines[ask], tfg)
-    home, here = cKDTree(points).query(estimate.X_MA[[0, -1], :2])[1]
-    keeps = free & (has >= need)
-    usable = keeps | _needed(edges, keeps, np.where(was_travelled, has, -np.inf), least, home, here, len(points))
+    ask = ~free[checked] & (has[checked] >= parameters.robot.radius)
+    free[checked[ask]] = in_free_space(lines[ask], tfg)
+    home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[0, -1]])
+    usable[checked] = free[checked] & (has[checked] >= need[checked])
+    driven_room = np.full(len(edges), -np.inf)
+    driven_room[checked] = np.where(was_travelled[checked], has[checked], -np.inf)
+    usable |= _needed(edges, usable, driven_room, least, home, here, len(points))
+    need[checked] = np.where(usable, np.minimum(need, has), need)[checked]
     return RoadmapState(
         stage=estimate.stage,
         anchor=anchor,
@@ -370,9 +389,20 @@ def extend(
         points=points,
         sigma=sigma,
         edge_clearance=has,
-        edge_required=np.where(usable, np.minimum(need, has), need),
+        edge_required=need,
         usable=usable,
     )
+
+
+def _window(estimate: MapEstimate, driven: FloatArray) -> float:
+    """How far round the robot the roadmap of a large map is checked anew, m: WINDOW, and all of its way driven (d, 2)
+    to the last goal."""
+    return max(WINDOW, float(np.hypot(*(driven - estimate.X_MD[:2]).T).max(initial=0.0)))
+
+
+def _within(points: FloatArray, X_MD: FloatArray, reach: float) -> BoolArray:
+    """Which points (n, 2) lie within reach (m) of the robot at X_MD (3,), (n,)."""
+    return np.asarray(np.hypot(*(points - X_MD[:2]).T) <= reach)
 
 
 def _needed(

@@ -8,6 +8,7 @@ all anchored to landmarks or goals, so that they move with the map when a loop c
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -151,11 +152,15 @@ def update(
     explorer: ExplorerConfig,
     *,
     glance: bool = False,
+    goals: IntArray | None = None,
+    reach: float = math.inf,
 ) -> TfgGraph:
     """The graph with the newest goal of the estimate added.
 
     estimate: the map at stage graph.stage + 1. panorama: what that goal's turn saw, in its arrival frame. sightings:
-    tags seen on the way to it. glance: the goal is a glance on the way, no attempt at what was open there.
+    tags seen on the way to it. glance: the goal is a glance on the way, no attempt at what was open there. goals: (k,)
+    those that the graph holds the stars of, one after the other, if it is a part of one. reach: m round the newest
+    goal, faces that no goal has seen are looked for there only.
 
     Raises ValueError where the estimate is of another stage.
     """
@@ -175,8 +180,8 @@ def update(
     star = star_polygon(panorama)
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
     star_vertices = np.concatenate([graph.star_vertices, star])
-    stars = _place_stars(star_offsets, star_vertices, X_MA)
-    newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
+    stars = place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
+    newest = place_stars(np.array([0, len(star)]), star, X_MA[goal:])
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
     shadows = _merge(
@@ -212,9 +217,18 @@ def update(
         find_unseen_backs(surfaces.offsets, placed, stars, lambda p, normal: drift_between(p, normal, estimate)),
         UNINSPECTED_SPACING,
     )
-    # How far two faces may have drifted apart is known where the robot is; elsewhere what was found then stands.
-    elsewhere = ~known_jointly(place_points(graph.unseen_backs, X_MA).p, estimate)
-    here = known_jointly(place_points(backs, X_MA).p, estimate)
+    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, stars), END_LENGTH)
+
+    def near(points: FrontierPoints) -> BoolArray:
+        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach)
+
+    def known(points: FrontierPoints) -> BoolArray:
+        # How far two faces may have drifted apart is known where the robot is.
+        return near(points) & known_jointly(place_points(points, X_MA).p, estimate)
+
+    def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
+        """What is found now, where that can be told; elsewhere what was found then stands."""
+        return join(select(then, ~which(then)), select(now, which(now)))
 
     updated = TfgGraph(
         estimate.stage,
@@ -227,8 +241,8 @@ def update(
         star_vertices,
         shadows,
         uninspected,
-        join(select(graph.unseen_backs, elsewhere), select(backs, here)),
-        unseen_faces(find_open_ends(surfaces.offsets, placed, stars), END_LENGTH),
+        here(graph.unseen_backs, backs, known),
+        here(graph.open_ends, ends, near),
         *_update_sighted(graph.sighted, graph.viewpoints, sightings, estimate),
         graph.tried,
         graph.tried_count,
@@ -244,7 +258,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     frontier = live_frontiers(graph, estimate, segments, explorer)
     shadows = _open_shadows(graph, estimate, segments)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
-    star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
+    star_offsets, star_vertices, star_centers = place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), segments, BARE_TAG) >= BARE_TAG
     posts = estimate.ids[bare]
     return TfgMap(
@@ -369,7 +383,7 @@ def _update_facing(
     return ids[has], tag_goal[has], facing[has], distance[has]
 
 
-def _place_stars(
+def place_stars(
     star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """star_offsets, star_vertices and star_centers in the map frame; X_MA: (k, 3), a row a star."""
