@@ -57,9 +57,23 @@ def test_gtsam_reads_it_back(small_map, tmp_path):
     # Its errors are those of the map's own factors: the covariance is turned into the axes g2o has it in.
     ours = 0.0
     graph = small_map.graph
-    steps = [(graph.X_MA[0], graph.X_MD[0], graph.observations[0].X_AD, graph.observations[0].turn_covariance)]
+    steps = [
+        (
+            graph.X_MA[0],
+            graph.X_MD[0],
+            graph.observations[0].X_AD,
+            graph.observations[0].observation.covariance[-3:, -3:],
+        )
+    ]
     steps += [(graph.X_MD[0], graph.X_MA[1], graph.X_DA[0], graph.segment_covariance[0])]
-    steps += [(graph.X_MA[1], graph.X_MD[1], graph.observations[1].X_AD, graph.observations[1].turn_covariance)]
+    steps += [
+        (
+            graph.X_MA[1],
+            graph.X_MD[1],
+            graph.observations[1].X_AD,
+            graph.observations[1].observation.covariance[-3:, -3:],
+        )
+    ]
     for start, end, X, covariance in steps:
         error = se2.between(start, end) - X
         ours += 0.5 * error @ np.linalg.solve(covariance, error)

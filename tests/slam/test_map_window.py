@@ -169,7 +169,7 @@ def test_travel_told_anew_adds_up_and_each_leg_keeps_its_share(windows):
     legs = again.travel_covariance[2:10] / graph.travel_covariance[2:10]
     assert 0.3 < legs[:, 0, 0].min() < legs[:, 0, 0].max() < 0.8
     np.testing.assert_array_equal(again.travel_covariance[:2], graph.travel_covariance[:2])
-    # A link ends where its last turn begins; the turn is small here.
+    # A link ends where its last turn begins, told as if with it; the turn is small here.
     np.testing.assert_allclose(link(again, travelled_covariance(again), 2, 10)[1], told, rtol=0.05, atol=1e-6)
 
 
@@ -207,6 +207,15 @@ def test_a_link_is_what_its_legs_add_up_to(windows):
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), np.sqrt(np.diag(expected)), rtol=0.05)
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.1)
+
+
+def test_a_link_over_legs_known_better_than_a_turn_by_itself_is_a_covariance(windows):
+    """Legs are known by all tags on arrival, a turn's own factor by what it saw."""
+    graph, _, _ = block(8)
+    graph = replace(graph, travel_covariance=1e-6 * graph.travel_covariance)
+    legs = travelled_covariance(graph)
+    for i, j in ((1, 3), (1, 6), (4, 7)):
+        assert np.linalg.eigvalsh(link(graph, legs, i, j)[1])[0] > 0.0
 
 
 def test_the_windows_optimum_is_that_of_the_whole(windows):

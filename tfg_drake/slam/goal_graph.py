@@ -43,16 +43,6 @@ class GoalFactor:
         return factor
 
     @property
-    def turn_covariance(self) -> FloatArray:
-        """(3, 3) covariance of X_AD."""
-        size = 2 * len(self.ids) + 3
-        last = np.zeros((3, size))
-        for i in range(3):
-            end = (size - 3 + i) * (size - 2 + i) // 2
-            last[i, : size - 2 + i] = self.root[end : end + size - 2 + i]
-        return np.asarray(last @ last.T)
-
-    @property
     def observation(self) -> GoalObservation:
         """The observation, without its trajectory."""
         root = self.cholesky

@@ -152,7 +152,8 @@ def with_travel(graph: GoalGraph, i: int, j: int, whole: FloatArray) -> GoalGrap
 def link(graph: GoalGraph, travelled: FloatArray, i: int, j: int) -> tuple[FloatArray, FloatArray]:
     """X_DA (3,) from D_i to A_j, i + 1 < j, at the graph's values, and its covariance (3, 3), of (x, y) in D and theta.
 
-    travelled: of `travelled_covariance`.
+    travelled: of `travelled_covariance`. The turn at j counts with the way to it, and again in its own factor: what it
+    adds to the way, known by all tags on arrival, may be less than it has by itself, and cannot be taken off.
     """
     X_DA = se2.between(graph.X_MD[i], graph.X_MA[j])
     x, y = graph.X_MA[j, :2]
@@ -160,8 +161,5 @@ def link(graph: GoalGraph, travelled: FloatArray, i: int, j: int) -> tuple[Float
     to_D = np.eye(3)
     to_D[:2, :2] = se2.rotation(float(graph.X_MD[i, 2])).T
     J = to_D @ at_end
-    # The turn at j itself is no part of the way to it.
-    turn = graph.observations[j].turn_covariance[None]
-    arrived = travelled[j] - _about_origin(turn, graph.X_MA[j : j + 1, 2], graph.X_MD[j : j + 1, :2])[0]
-    covariance = J @ (arrived - travelled[i]) @ J.T
+    covariance = J @ (travelled[j] - travelled[i]) @ J.T
     return X_DA, 0.5 * (covariance + covariance.T)
