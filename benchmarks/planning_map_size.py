@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -149,7 +150,10 @@ def recorded(name: str) -> list[dict[str, tuple[Any, ...]]]:
         mock.patch.object(planner, "grow", noted("grow", planner.grow)),
         mock.patch.object(info_gain_goal_selector, "choose", noted("choose", choose)),
     ):
-        explore(LoadScenario(FindScenario(name)), max_time=3600.0, out_dir=Path(tempfile.mkdtemp(prefix="planning-")))
+        folder = Path(tempfile.mkdtemp(prefix="planning-"))
+        done = explore(LoadScenario(FindScenario(name)), max_time=3600.0, out_dir=folder)
+    if done.summary["outcome"] == "fault":
+        sys.exit(done.summary["reason"])
     return stages
 
 

@@ -10,6 +10,7 @@ best of those screened, leads to the same goal. Alone on the machine, or it meas
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -28,9 +29,9 @@ from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 def timed(function: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:
     """The function, each call's CPU milliseconds noted."""
 
-    def inner(*arguments: Any) -> Any:
+    def inner(*arguments: Any, **options: Any) -> Any:
         begin = time.thread_time()
-        result = function(*arguments)
+        result = function(*arguments, **options)
         spent.append(1e3 * (time.thread_time() - begin))
         return result
 
@@ -63,7 +64,9 @@ def main() -> None:
         for seed in range(-1, options.seeds):
             scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
             scenario.seed = max(seed, 0)
-            explore(scenario, max_time=options.max_time, out_dir=Path(tempfile.mkdtemp(prefix="planning-")))
+            done = explore(scenario, max_time=options.max_time, out_dir=Path(tempfile.mkdtemp(prefix="planning-")))
+            if done.summary["outcome"] == "fault":
+                sys.exit(done.summary["reason"])
             if seed < 0:  # It compiled the kernels.
                 for spent in parts.values():
                     spent.clear()

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import tempfile
 from pathlib import Path
 from unittest import mock
@@ -121,7 +122,9 @@ def one_mission(scenario: Scenario, full_turn: bool) -> tuple[list[list[float]],
         mock.patch.object(slam_estimator, "end_turn", noted_turn),
         mock.patch.object(info_gain_goal_selector, "choose", noted_choice),
     ):
-        explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="gain-")))
+        done = explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="gain-")))
+    if done.summary["outcome"] == "fault":
+        sys.exit(done.summary["reason"])
     return gains, numbers
 
 

@@ -27,7 +27,7 @@ NOTHING_AFTER = 5
 # The robot never turns again within this of where it has turned before, m: it would see the same once more.
 APART = 0.3
 # Candidates are screened by so many of the tags in view, and so many of the best, by each of two rules, judged by all.
-SCREENING_TAGS = 10
+SCREENING_TAGS = 32
 EXACT = 60
 # A place is judged anew where all landmarks within this share of the sensor's range are known jointly.
 KNOWN_REACH = 0.5
