@@ -238,6 +238,21 @@ def test_path_goes_through_the_door_with_room_to_spare():
     assert np.abs(np.diff(heading)).max() < np.radians(40)
 
 
+def test_the_path_of_a_robot_that_drives_on_turns_off_where_it_could_stop():
+    state, _, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    X_MB, node = np.array([-4.0, 0.5, np.pi]), nearest(state, (-4, -1.5))
+    first = {speed: plan_path(state, tfg, X_MB, node, ROBOT, PLANNER, speed=speed)[:4] - X_MB[:2] for speed in (0, 0.5)}
+    stop = 0.5 * (1 / 16 + 0.25 / ROBOT.max_acceleration)
+    assert np.abs(first[0][:, 0]).max() < 0.15
+    assert first[0.5][:, 0].min() < -0.5 * stop
+    assert abs(first[0.5][1, 1]) < 0.02
+    # There is no room ahead, or the goal is nearer than that.
+    for place, heading, goal in (((-5.7, 0.5), np.pi, (-4, -1.5)), ((-4.0, 0.5), 0.0, (-4, 0.6))):
+        X_MB, node = np.array([*place, heading]), nearest(state, goal)
+        paths = [plan_path(state, tfg, X_MB, node, ROBOT, PLANNER, speed=speed) for speed in (0.0, 0.5)]
+        np.testing.assert_array_equal(*paths)
+
+
 def test_no_path_to_where_no_edge_leads():
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
     cut_off = dataclasses.replace(state, usable=np.zeros_like(state.usable))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.config import PlannerConfig, RobotConfig
+from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance
-from tfg_drake.geometry.se2 import transform
+from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.messages import FloatArray, LaserScan, TfgMap
 from tfg_drake.planning.chance_constraint import required_clearance
-from tfg_drake.planning.roadmap import FREE_STEP, OBSTACLE_MARGIN, RoadmapState, in_free_space
+from tfg_drake.planning.roadmap import COMFORT, FREE_STEP, OBSTACLE_MARGIN, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, routes
 
 # A shortcut is as good as what it replaces with this clearance, m.
@@ -19,6 +19,8 @@ SHORTCUT_STEP = 0.4
 SHORTCUT_REACH = 24
 # A corner is rounded from at most this far before to this far behind it, m.
 ROUNDING = 0.6
+# A new path is followed after this time, s.
+REACTION = 1 / 16
 # Interval of a path's points, m.
 PATH_STEP = 0.1
 # A collision as improbable as this is none.
@@ -102,19 +104,41 @@ def plan_path(
     robot: RobotConfig,
     planner: PlannerConfig,
     obstacles: FloatArray | None = None,
+    speed: float = 0.0,
 ) -> FloatArray:
     """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
 
-    obstacles: (b, 4) segments met at this stage that the map does not hold, m in M.
+    obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. speed: m/s at which the robot
+    drives on meanwhile: the path goes straight ahead as far as it would take to stop, where there is room for that.
     """
-    ways = routes(state, tfg, X_MB, robot, planner, obstacles)
-    points = node_path(state, ways, X_MB, node)
+    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
+    X_MS = _where_it_stops(X_MB, speed, tfg, segments, robot)
+    ways = routes(state, tfg, X_MS, robot, planner, obstacles)
+    points = node_path(state, ways, X_MS, node)
+    if len(points) and np.hypot(*(points[-1] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
+        X_MS = X_MB
+        ways = routes(state, tfg, X_MS, robot, planner, obstacles)
+        points = node_path(state, ways, X_MS, node)
     if len(points) < 2 or np.hypot(*np.ptp(points, axis=0)) < 1e-6:
         return np.zeros((0, 2))
-    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
     enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
     points = shortcut(points, tfg, segments, enough)
+    if X_MS is not X_MB:
+        points = np.vstack([X_MB[:2], points])
     return resample(round_corners(points, segments, enough), PATH_STEP)
+
+
+def _where_it_stops(
+    X_MB: FloatArray, speed: float, tfg: TfgMap, segments: FloatArray, robot: RobotConfig
+) -> FloatArray:
+    """Where a robot at pose X_MB (3,) that drives at this speed (m/s) can stand at the earliest, (3,), if it has room
+    among the segments (m, 4), m in M, all the way there; X_MB itself if not."""
+    if speed <= 0.0:
+        return X_MB
+    X_MS = compose(X_MB, np.array([speed * (REACTION + 0.5 * speed / robot.max_acceleration), 0.0, 0.0]))
+    ahead = _lines(X_MB[:2], X_MS[:2])
+    room = clearance(ahead, segments, COMFORT)[0] >= robot.radius + NODE_MARGIN
+    return X_MS if room and in_free_space(ahead, tfg)[0] else X_MB
 
 
 def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, planner: PlannerConfig) -> float:

@@ -192,9 +192,10 @@ def _plan(
     mission: MissionStatus,
     parameters: RoadmapParameters,
 ) -> PlannerState:
-    X_MB = pose.X_MB if pose.stage == estimate.stage else estimate.X_MD
+    now = pose.stage == estimate.stage
+    X_MB, speed = (pose.X_MB, float(pose.speed[0])) if now else (estimate.X_MD, 0.0)
     obstacles = _obstacles(state, estimate)
-    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, parameters.planner, obstacles)
+    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, parameters.planner, obstacles, speed)
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
     return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
 
