@@ -1,0 +1,29 @@
+"""Benchmarks that watch a mission from within still see what they are to measure."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """What a benchmark prints with these arguments."""
+
+    def make(name: str, *arguments: str) -> str:
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        monkeypatch.syspath_prepend(str(BENCHMARKS))
+        runpy.run_path(str(BENCHMARKS / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return make
+
+
+def test_planning_time_sees_all_parts_of_a_stage(run) -> None:
+    lines = run("planning_time.py", "paper", "--seeds", "1", "--max-time", "22").splitlines()
+    assert int(lines[0].split()[0]) >= 2
+    assert [line.split()[0] for line in lines[1:5]] == ["tfg", "roadmap", "goal", "all"]
+    assert all(float(line.split()[1]) > 0.0 for line in lines[1:5])
