@@ -113,12 +113,10 @@ def plan_path(
     """
     segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
     X_MS = _where_it_stops(X_MB, speed, tfg, segments, robot)
+    if node < len(state.points) and np.hypot(*(state.points[node] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
+        X_MS = X_MB
     ways = routes(state, tfg, X_MS, robot, planner, obstacles)
     points = node_path(state, ways, X_MS, node)
-    if len(points) and np.hypot(*(points[-1] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
-        X_MS = X_MB
-        ways = routes(state, tfg, X_MS, robot, planner, obstacles)
-        points = node_path(state, ways, X_MS, node)
     if len(points) < 2 or np.hypot(*np.ptp(points, axis=0)) < 1e-6:
         return np.zeros((0, 2))
     enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))

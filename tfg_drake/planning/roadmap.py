@@ -30,7 +30,7 @@ from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
-from tfg_drake.tfg.window import is_small, map_near
+from tfg_drake.tfg.window import is_small, map_near, within
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
@@ -325,7 +325,7 @@ def extend(
     nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
     window = np.inf if is_small(estimate) else _window(estimate, path)
-    old = np.flatnonzero(_within(nodes, estimate.X_MD, window + EDGE_LENGTH))
+    old = np.flatnonzero(within(nodes, estimate.X_MD, window + EDGE_LENGTH))
     if np.isfinite(window):
         context = window + EDGE_LENGTH + parameters.sensor.range
         tfg, estimate = map_near(tfg, estimate, estimate.X_MD[:2], context)
@@ -334,7 +334,7 @@ def extend(
     first_new = len(state.anchor)
     around = np.append(old, np.arange(first_new, len(nodes)))
     proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, density)
-    inside = _within(proposals, estimate.X_MD, window)
+    inside = within(proposals, estimate.X_MD, window)
     proposals, spacing = proposals[inside], spacing[inside]
     # Old nodes that the newest map leaves too little room must not keep better ones out of the middle of a passage.
     room = parameters.robot.radius + NODE_MARGIN
@@ -398,11 +398,6 @@ def _window(estimate: MapEstimate, driven: FloatArray) -> float:
     """How far round the robot the roadmap of a large map is checked anew, m: WINDOW, and all of its way driven (d, 2)
     to the last goal."""
     return max(WINDOW, float(np.hypot(*(driven - estimate.X_MD[:2]).T).max(initial=0.0)))
-
-
-def _within(points: FloatArray, X_MD: FloatArray, reach: float) -> BoolArray:
-    """Which points (n, 2) lie within reach (m) of the robot at X_MD (3,), (n,)."""
-    return np.asarray(np.hypot(*(points - X_MD[:2]).T) <= reach)
 
 
 def _needed(

@@ -180,8 +180,8 @@ def update(
     star = star_polygon(panorama)
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
     star_vertices = np.concatenate([graph.star_vertices, star])
-    stars = place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
-    newest = place_stars(np.array([0, len(star)]), star, X_MA[goal:])
+    stars = _place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
+    newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
     shadows = _merge(
@@ -258,7 +258,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     frontier = live_frontiers(graph, estimate, segments, explorer)
     shadows = _open_shadows(graph, estimate, segments)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
-    star_offsets, star_vertices, star_centers = place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
+    star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), segments, BARE_TAG) >= BARE_TAG
     posts = estimate.ids[bare]
     return TfgMap(
@@ -383,7 +383,7 @@ def _update_facing(
     return ids[has], tag_goal[has], facing[has], distance[has]
 
 
-def place_stars(
+def _place_stars(
     star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """star_offsets, star_vertices and star_centers in the map frame; X_MA: (k, 3), a row a star."""

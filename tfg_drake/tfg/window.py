@@ -14,7 +14,7 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import segment_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.tfg import graph as tfg_graph
-from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
+from tfg_drake.tfg.frontier import FrontierPoints, join, no_points, place_points, select
 from tfg_drake.tfg.graph import Sightings, TfgGraph
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.surfaces import Surfaces
@@ -39,14 +39,17 @@ def update(
     *,
     glance: bool = False,
 ) -> TfgGraph:
-    """As `tfg_drake.tfg.graph.update`, of a large map the part round the newest goal only."""
+    """As `tfg_drake.tfg.graph.update`, of a large map the part round the newest goal only.
+
+    Raises ValueError where the estimate is of another stage than the next.
+    """
     if is_small(estimate):
         return tfg_graph.update(graph, estimate, panorama, sightings, tags, robot, explorer, glance=glance)
     seen = panorama.range_max + TORN
-    place = estimate.X_MA[graph.stage, :2]
-    goals = _within(estimate.X_MA[: graph.stage], place, 2.0 * seen)
+    place = estimate.X_MA[-1, :2]
+    goals = within(estimate.X_MA[: graph.stage], place, 2.0 * seen)
     surfaces = goals[graph.surfaces.goal]
-    landmarks = _within(estimate.p_ML, place, 2.0 * seen) | np.isin(estimate.ids, graph.surfaces.ids[surfaces])
+    landmarks = within(estimate.p_ML, place, 2.0 * seen) | np.isin(estimate.ids, graph.surfaces.ids[surfaces])
     near, far = split(graph, estimate, goals, landmarks, place, 2.0 * seen)
     near = tfg_graph.update(
         near,
@@ -82,8 +85,8 @@ def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
 def map_near(tfg: TfgMap, estimate: MapEstimate, place: FloatArray, reach: float) -> tuple[TfgMap, MapEstimate]:
     """The TFG, row for row with a map, and that map, as far as they come within reach (m) of a place (2,), in M."""
     surface = segment_distance(tfg.segments, np.concatenate([place, place])[None]) <= reach
-    star, frontier = _within(tfg.star_centers, place, reach), _within(tfg.frontiers, place, reach)
-    landmarks = _within(estimate.p_ML, place, reach)
+    star, frontier = within(tfg.star_centers, place, reach), within(tfg.frontiers, place, reach)
+    landmarks = within(estimate.p_ML, place, reach)
     count = np.diff(tfg.star_offsets)
     near = replace(
         tfg,
@@ -97,7 +100,7 @@ def map_near(tfg: TfgMap, estimate: MapEstimate, place: FloatArray, reach: float
         star_offsets=np.append(0, np.cumsum(count[star])),
         star_vertices=tfg.star_vertices[np.repeat(star, count)],
         star_centers=tfg.star_centers[star],
-        viewpoints=tfg.viewpoints[_within(tfg.viewpoints, place, reach)],
+        viewpoints=tfg.viewpoints[within(tfg.viewpoints, place, reach)],
     )
     return near, of_landmarks(estimate, landmarks)
 
@@ -115,14 +118,10 @@ def split(
     tags = landmarks[np.searchsorted(estimate.ids, graph.tag_ids)]
 
     def near(points: FrontierPoints) -> BoolArray:
-        return _within(place_points(points, estimate.X_MA).p, place, reach)
+        return within(place_points(points, estimate.X_MA).p, place, reach)
 
-    def everything(points: FrontierPoints) -> BoolArray:
-        return np.ones(len(points.p), dtype=np.bool_)
-
-    first = _part(graph, goals, tags, near, everything)
-    second = _part(graph, ~goals, ~tags, lambda points: ~near(points), lambda points: ~everything(points))
-    return first, second
+    first = _part(graph, goals, tags, near, sighted=True)
+    return first, _part(graph, ~goals, ~tags, lambda points: ~near(points), sighted=False)
 
 
 def joined(a: TfgGraph, a_goals: IntArray, b: TfgGraph, b_goals: IntArray) -> TfgGraph:
@@ -159,7 +158,7 @@ def joined(a: TfgGraph, a_goals: IntArray, b: TfgGraph, b_goals: IntArray) -> Tf
     )
 
 
-def _within(points: FloatArray, place: FloatArray, reach: float) -> BoolArray:
+def within(points: FloatArray, place: FloatArray, reach: float) -> BoolArray:
     """Which points or poses (n, 2 or 3) lie within reach (m) of a place (2,), (n,)."""
     return np.asarray(np.hypot(points[:, 0] - place[0], points[:, 1] - place[1]) <= reach)
 
@@ -169,9 +168,10 @@ def _part(
     goals: BoolArray,
     tags: BoolArray,
     points: Callable[[FrontierPoints], BoolArray],
-    sighted: Callable[[FrontierPoints], BoolArray],
+    *,
+    sighted: bool,
 ) -> TfgGraph:
-    """The surfaces and stars of some goals (k,), some tags (n,), and the points and sighted tags that are asked for."""
+    """The surfaces and stars of some goals (k,), some tags (n,), the points asked for, and all tags sighted or none."""
     star_offsets, star_vertices = _taken(np.flatnonzero(goals), graph.star_offsets, graph.star_vertices)
 
     def asked(of: FrontierPoints) -> FrontierPoints:
@@ -186,8 +186,8 @@ def _part(
         tag_range=graph.tag_range[tags],
         star_offsets=star_offsets,
         star_vertices=star_vertices,
-        sighted=select(graph.sighted, sighted(graph.sighted)),
-        viewpoints=select(graph.viewpoints, sighted(graph.viewpoints)),
+        sighted=graph.sighted if sighted else no_points(),
+        viewpoints=graph.viewpoints if sighted else no_points(),
         shadows=asked(graph.shadows),
         uninspected=asked(graph.uninspected),
         unseen_backs=asked(graph.unseen_backs),
