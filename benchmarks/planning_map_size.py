@@ -5,10 +5,12 @@
 
 A mission in a scenario is recorded at its last but one stages; the map of each is then laid beside itself as often as
 makes a map of the size asked for, graph, roadmap and candidates alike, so that the robot's neighbourhood stays as it
-is and all else grows. Landmarks are known jointly in the robot's own copy, as they would be. No way leads from one
-copy to the next: what the search for ways costs on a large map is not measured. A row a size: median CPU milliseconds
-a stage of the TFG's update and its resolution in the map, of the roadmap's and of the choice of a goal, of all
-together, and that over the first row's.
+is and all else grows. Landmarks are known jointly in the robot's own copy, as they would be, and all other copies rest:
+they are farther from the robot than anything a stage needs. A row a size: median CPU milliseconds a stage of the TFG's
+update and its resolution in the map, of the roadmap's and of the choice of a goal, of all together, and that over the
+first row's; then the same of a ring just before it closes, where what the first half of the goals saw lies round the
+robot but is not known jointly with it. The last column is what one choice costs where nothing near is worth going to
+and all of the map is looked at; no way leads from one copy to the next, which makes the search for ways cheaper.
 """
 
 from __future__ import annotations
@@ -30,12 +32,13 @@ from tfg_drake.diagrams.run import explore
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, replace
 from tfg_drake.planning import planner
-from tfg_drake.planning.goal_choice import choose
+from tfg_drake.planning.goal_choice import choose, remember
 from tfg_drake.planning.roadmap import RoadmapState
+from tfg_drake.planning.roadmap_parts import whole_roadmap
+from tfg_drake.resting import Parted
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
-from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph, resolve
-from tfg_drake.tfg.window import update
+from tfg_drake.tfg.working_map import update, whole_graph, working_map
 
 # Distance between two copies, m, and between their tags' ids.
 PITCH = 80.0
@@ -55,48 +58,43 @@ class Copies:
         return np.concatenate([array] * self.count)
 
     def shifted(self, rows: IntArray, step: int) -> IntArray:
-        """Numbers (n, ...) of something there are `step` of in each copy, -1 for none."""
-        return np.concatenate([np.where(rows < 0, rows, rows + step * k) for k in range(self.count)])
+        """Numbers (n, ...) of something there are `step` of in each copy."""
+        return np.concatenate([rows + step * k for k in range(self.count)])
 
     def placed(self, points: FloatArray) -> FloatArray:
         """Points or poses (n, 2 or 3) in M, m."""
         moved = [points + np.append(offset, np.zeros(points.shape[1] - 2)) for offset in self.offset]
         return np.concatenate(moved)
 
-    def packed(self, offsets: IntArray) -> IntArray:
-        """Offsets (n + 1,) into packed arrays."""
-        return np.append(0, self.shifted(offsets[1:], int(offsets[-1])))
+    def parted(self, part: Callable[[int], Any], goals: int) -> Parted[Any]:
+        """Content of some goals a copy: the robot's own is near, the others rest."""
+        names = np.repeat(np.arange(self.count) * goals, goals)
+        names[-goals:] = -1
+        return Parted(part(self.count - 1), names, {k * goals: part(k) for k in range(self.count - 1)})
 
-    def frontier(self, points: FrontierPoints, goals: int) -> FrontierPoints:
-        """Frontier points in the frames of goals."""
-        same = (self.tiled(getattr(points, name)) for name in ("p", "normal", "length", "on_surface"))
-        return FrontierPoints(self.shifted(points.goal, goals), *same, self.shifted(points.id, IDS))
-
-    def graph(self, graph: TfgGraph) -> TfgGraph:
+    def graphs(self, graph: TfgGraph) -> Parted[TfgGraph]:
         """The TFG."""
-        goals, surfaces = graph.stage, graph.surfaces
-        names = ("shadows", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried")
-        return replace(
-            graph,
-            stage=goals * self.count,
-            surfaces=replace(
-                surfaces,
-                kind=self.tiled(surfaces.kind),
-                ids=self.shifted(surfaces.ids, IDS),
-                goal=self.shifted(surfaces.goal, goals),
-                range=self.tiled(surfaces.range),
-                offsets=self.packed(surfaces.offsets),
-                vertices=self.tiled(surfaces.vertices),
-            ),
-            tag_ids=self.shifted(graph.tag_ids, IDS),
-            tag_goal=self.shifted(graph.tag_goal, goals),
-            tag_facing=self.tiled(graph.tag_facing),
-            tag_range=self.tiled(graph.tag_range),
-            star_offsets=self.packed(graph.star_offsets),
-            star_vertices=self.tiled(graph.star_vertices),
-            tried_count=self.tiled(graph.tried_count),
-            **{name: self.frontier(getattr(graph, name), goals) for name in names},
-        )
+        goals = graph.stage
+
+        def part(k: int) -> TfgGraph:
+            points = {
+                name: replace(of, goal=of.goal + k * goals, id=np.where(of.id < 0, of.id, of.id + k * IDS))
+                for name in ("shadows", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried")
+                for of in (getattr(graph, name),)
+            }
+            ids = graph.surfaces.ids
+            return replace(
+                graph,
+                stage=goals * self.count,
+                surfaces=replace(
+                    graph.surfaces, goal=graph.surfaces.goal + k * goals, ids=np.where(ids < 0, ids, ids + k * IDS)
+                ),
+                tag_ids=graph.tag_ids + k * IDS,
+                tag_goal=graph.tag_goal + k * goals,
+                **points,
+            )
+
+        return self.parted(part, goals)
 
     def estimate(self, estimate: MapEstimate) -> MapEstimate:
         """The map; the newest goal is in the robot's own copy only."""
@@ -113,23 +111,29 @@ class Copies:
             observation=replace(estimate.observation, ids=estimate.observation.ids + own),
         )
 
-    def nodes(self, nodes: RoadmapState) -> RoadmapState:
+    def roadmaps(self, nodes: RoadmapState) -> Parted[RoadmapState]:
         """The roadmap before the newest goal."""
-        same = ("p_AN", "travelled", "free", "sigma", "edge_clearance", "edge_required", "usable")
-        return replace(
-            nodes,
-            stage=nodes.stage * self.count,
-            anchor=self.shifted(nodes.anchor, nodes.stage),
-            edges=self.shifted(nodes.edges, len(nodes.points)),
-            points=self.placed(nodes.points),
-            **{name: self.tiled(getattr(nodes, name)) for name in same},
-        )
+        goals, count = nodes.stage, nodes.next_id
 
-    def choice(self, choice: GoalChoice, nodes: int) -> GoalChoice:
-        """The choice before."""
+        def part(k: int) -> RoadmapState:
+            return replace(
+                nodes,
+                stage=goals * self.count,
+                ids=nodes.ids + k * count,
+                next_id=count * self.count,
+                anchor=nodes.anchor + k * goals,
+            )
+
+        return self.parted(part, goals)
+
+    def remembered(self, choice: GoalChoice, nodes: int, stop_gain: float) -> GoalChoice:
+        """What the choices before are remembered by: those of other copies that promised enough."""
+        worth = np.flatnonzero(choice.gain > stop_gain)
+        rows = np.concatenate([*[worth] * (self.count - 1), np.arange(len(choice.gain))])
+        copy = np.repeat(np.arange(self.count), [*[len(worth)] * (self.count - 1), len(choice.gain)])
         same = ("exploitation", "exploration", "pose_price", "gain", "value")
-        tiled = {name: self.tiled(getattr(choice, name)) for name in same}
-        return replace(choice, candidates=self.shifted(choice.candidates, nodes), **tiled)
+        taken = {name: getattr(choice, name)[rows] for name in same}
+        return replace(choice, candidates=choice.candidates[rows] + nodes * copy, **taken)
 
 
 def recorded(name: str) -> list[dict[str, tuple[Any, ...]]]:
@@ -157,26 +161,44 @@ def recorded(name: str) -> list[dict[str, tuple[Any, ...]]]:
     return stages
 
 
-def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
-    """CPU ms of a stage's parts on a map of `count` copies: update and resolve, grow, choose."""
+def with_a_loop_open(estimate: MapEstimate, graph: TfgGraph) -> MapEstimate:
+    """The map as it is known where the robot comes, after a long way round, to what it saw from the first goals."""
+    old = graph.tag_ids[graph.tag_goal < graph.stage // 2]
+    joint = ~np.isin(estimate.ids[estimate.local], old)
+    rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=bool))
+    return replace(estimate, local=estimate.local[joint], covariance=estimate.covariance[np.ix_(rows, rows)])
+
+
+def stage_ms(asked: dict[str, tuple[Any, ...]], count: int, *, ring: bool = False) -> list[float]:
+    """CPU ms of a stage's parts on a map of `count` copies: TFG, roadmap, goal, all; and of a choice of all the map."""
     copies = Copies(count)
-    graph, estimate, panorama, sightings, tags, robot, explorer = asked["update"]
-    state, _, _, parameters = asked["grow"]
+    graphs, estimate, panorama, sightings, tags, robot, explorer = asked["update"]
+    state, _, parameters = asked["grow"]
     *_, previous, seed = asked["choose"]
-    state = replace(
-        state, nodes=copies.nodes(state.nodes), obstacle_goal=state.obstacle_goal + (count - 1) * graph.stage
-    )
-    previous = copies.choice(previous, len(asked["grow"][0].nodes.points))
-    graph, estimate = copies.graph(graph), copies.estimate(estimate)
+    if ring:
+        estimate = with_a_loop_open(estimate, graphs.near)
+    goals, names = graphs.near.stage, state.nodes.next_id
+    state = replace(state, parts=copies.roadmaps(state.nodes), obstacle_goal=state.obstacle_goal + (count - 1) * goals)
+    previous = copies.remembered(previous, names, explorer.stop_gain)
+    graphs, estimate = copies.graphs(graphs.near), copies.estimate(estimate)
     ends = [time.thread_time()]
-    graph = update(graph, estimate, panorama, sightings, tags, robot, explorer)
-    tfg = resolve(graph, estimate, robot, explorer)
+    graphs = update(graphs, estimate, panorama, sightings, tags, robot, explorer)
+    working = working_map(graphs, estimate, panorama, robot, explorer)
     ends.append(time.thread_time())
-    state = planner.grow(state, estimate, tfg, parameters)
+    state = planner.grow(state, working, parameters)
     ends.append(time.thread_time())
-    choose(estimate, tfg, state.roadmap, tags, *asked["choose"][4:-2], previous, seed)
+    others = asked["choose"][3:-2]
+    choice = choose(working.estimate, working.tfg, state.roadmap, *others, previous, seed)
+    remember(previous, choice, state.roadmap, explorer.stop_gain)
     ends.append(time.thread_time())
-    return [*(1e3 * np.diff(ends)), 1e3 * (ends[-1] - ends[0])]
+    tfg = resolve(whole_graph(graphs), estimate, robot, explorer)
+    obstacles = planner.obstacles_in_map(state, estimate)
+    nodes = whole_roadmap(state.parts, estimate.X_MA)
+    roadmap = planner.make_roadmap(nodes, tfg, estimate, parameters, obstacles, state.driven_before)
+    choose(estimate, tfg, roadmap, *others, previous, seed)
+    ends.append(time.thread_time())
+    ms = 1e3 * np.diff(ends)
+    return [*ms[:3], ms[:3].sum(), ms[3]]
 
 
 def main() -> None:
@@ -187,7 +209,7 @@ def main() -> None:
     parser.add_argument("--stages", type=int, default=3)
     options = parser.parse_args()
     stages = recorded(options.scenario)[-1 - options.stages : -1]
-    print("   landmarks     TFG ms  roadmap ms    goal ms     all ms  over the first")
+    print("   landmarks     TFG ms  roadmap ms    goal ms     all ms  over the first  a ring  all of the map ms")
     least = math.nan
     for landmarks in [0, *options.landmarks]:
         rows, sizes = [], []
@@ -195,13 +217,12 @@ def main() -> None:
             size = len(asked["update"][1].ids)
             count = max(1, round(landmarks / size))
             sizes.append(count * size)
-            rows.append(stage_ms(asked, count))
+            rows.append([*stage_ms(asked, count), stage_ms(asked, count, ring=True)[3]])
         median = np.median(rows, axis=0)
-        least = median[-1] if math.isnan(least) else least
-        print(
-            f"{max(sizes):12}" + "".join(f"{value:>11.1f}" for value in median) + f"{median[-1] / least:>14.1f}",
-            flush=True,
-        )
+        least = median[3] if math.isnan(least) else least
+        columns = "".join(f"{value:>11.1f}" for value in median[:4])
+        ratios = f"{median[3] / least:>16.2f}{median[5] / least:>8.2f}"
+        print(f"{max(sizes):12}{columns}{ratios}{median[4]:>19.1f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,8 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
 
     Input ports: odometry, detections, scan, hazards (messages), pause, enable, stop (vectors of size 1, optional).
     Output ports: velocity_commanded (v in m/s, w in rad/s), and for whoever wants to look: pose, map, tfg, roadmap,
-    goal, path, mission and the status of path and follower.
+    goal, path, mission and the status of path and follower; working_map and working_roadmap are as much of map, tfg and
+    roadmap as planning needs at a stage.
 
     goal_selector: chooses where to go instead of the information gain; a system with any of the inputs above and any of
     those outputs but velocity_commanded as its inputs, and the output goal: a GoalChoice, see InfoGainGoalSelector.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.cpu_meter import metered
-from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap
-from tfg_drake.planning.goal_choice import choose, empty_choice
+from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, WorkingMap, message
+from tfg_drake.planning.goal_choice import choose, empty_choice, remember
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -20,6 +21,14 @@ from tfg_drake.systems.ports import (
 PERIOD = 1 / 16
 
 
+@message
+class _SelectorState:
+    """The choice at the newest stage, and what all choices so far found worth remembering."""
+
+    goal: GoalChoice
+    remembered: GoalChoice
+
+
 class InfoGainGoalSelector(LeafSystem):
     """Runs `tfg_drake.planning.goal_choice.choose` when the mission asks for it and map, TFG and roadmap are ready.
 
@@ -29,10 +38,15 @@ class InfoGainGoalSelector(LeafSystem):
         input_ports:
         - map
         - tfg
+        - working_map
         - roadmap
+        - working_roadmap
         - mission
         output_ports:
         - goal
+
+    The goal is looked for in the working map; where nothing there is worth going to, and on the way to a goal outside
+    of it, in the whole one.
     """
 
     def __init__(
@@ -49,30 +63,42 @@ class InfoGainGoalSelector(LeafSystem):
         self._seed = seed
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
+        self._working_map = declare_message_input(self, "working_map")
+        self._working_roadmap = declare_message_input(self, "working_roadmap")
         self._roadmap = declare_message_input(self, "roadmap")
         self._mission = declare_message_input(self, "mission")
-        self._goal = self.DeclareAbstractState(AbstractValue.Make(empty_choice()))
+        initial = _SelectorState(empty_choice(), empty_choice())
+        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
         declare_message_output(
             self,
             "goal",
-            lambda context: state_message(context, self._goal, GoalChoice),
-            {self.abstract_state_ticket(self._goal)},
+            lambda context: state_message(context, self._state, _SelectorState).goal,
+            {self.abstract_state_ticket(self._state)},
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     @metered("goal_selector")
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self._mission, context, MissionStatus)
-        previous = state_message(context, self._goal, GoalChoice)
-        if mission.phase != "choose" or mission.stage <= previous.stage:
+        now = state_message(context, self._state, _SelectorState)
+        if mission.phase != "choose" or mission.stage <= now.goal.stage:
             return EventStatus.DidNothing()
-        estimate = eval_message(self._map, context, MapEstimate)
-        tfg = eval_message(self._tfg, context, TfgMap)
-        roadmap = eval_message(self._roadmap, context, Roadmap)
-        if not mission.stage == estimate.stage == tfg.stage == roadmap.stage:
+        working = eval_message(self._working_map, context, WorkingMap)
+        roadmap = eval_message(self._working_roadmap, context, Roadmap)
+        if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
-        goal = choose(
-            estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer, previous, self._seed
-        )
-        set_state_message(state, self._goal, goal)
+        # On its way to a goal outside of the working map the robot weighs all there is against it.
+        underway = now.goal.node >= 0 and not roadmap.reaches(np.array([now.goal.node]))[0]
+        goal = None if underway else self._Choose(working.estimate, working.tfg, roadmap, now.remembered)
+        if goal is None or (goal.verdict != "goal" and not working.is_all):
+            estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
+            roadmap = eval_message(self._roadmap, context, Roadmap)
+            goal = self._Choose(estimate, tfg, roadmap, now.remembered)
+        remembered = remember(now.remembered, goal, roadmap, self._explorer.stop_gain)
+        set_state_message(state, self._state, _SelectorState(goal, remembered))
         return EventStatus.Succeeded()
+
+    def _Choose(self, estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, before: GoalChoice) -> GoalChoice:
+        return choose(
+            estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer, before, self._seed
+        )

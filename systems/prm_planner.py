@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import functools
+
+import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.cpu_meter import metered
-from tfg_drake.messages import GoalChoice, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap
-from tfg_drake.planning.planner import PlannerState, initial_state, step
-from tfg_drake.planning.roadmap import RoadmapParameters
+from tfg_drake.messages import (
+    GoalChoice,
+    LaserScan,
+    MapEstimate,
+    MissionStatus,
+    PoseEstimate,
+    Roadmap,
+    TfgMap,
+    WorkingMap,
+)
+from tfg_drake.planning.planner import PlannerState, initial_state, make_roadmap, obstacles_in_map, step
+from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState
+from tfg_drake.planning.roadmap_parts import whole_roadmap
+from tfg_drake.resting import Parted
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -30,15 +44,19 @@ class PrmPlanner(LeafSystem):
         input_ports:
         - map
         - tfg
+        - working_map
         - pose
         - goal
         - scan
         - mission
         output_ports:
         - roadmap
+        - working_roadmap
         - path
         - path_status
 
+    working_roadmap is that of the working map. The whole of a large map, and with it roadmap, which is made for whoever
+    looks at it, is made use of where a goal lies outside of that.
     seed: of the roadmap's samples; with it and the inputs the roadmap is determined.
     """
 
@@ -55,13 +73,17 @@ class PrmPlanner(LeafSystem):
         self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
+        self._working_map = declare_message_input(self, "working_map")
         self._pose = declare_message_input(self, "pose")
         self._goal = declare_message_input(self, "goal")
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         self._state = self.DeclareAbstractState(AbstractValue.Make(initial_state()))
         ticket = {self.abstract_state_ticket(self._state)}
-        declare_message_output(self, "roadmap", lambda context: self._State(context).roadmap, ticket)
+        # Who looks at all of a large map's roadmap does so again and again: once a stage is enough.
+        self._RoadmapOfAll = functools.lru_cache(maxsize=1)(self._MakeRoadmapOfAll)
+        declare_message_output(self, "roadmap", self._Roadmap, {self.all_sources_ticket()})
+        declare_message_output(self, "working_roadmap", lambda context: self._State(context).roadmap, ticket)
         declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
         declare_message_output(self, "path_status", lambda context: self._State(context).status, ticket)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
@@ -69,13 +91,31 @@ class PrmPlanner(LeafSystem):
     def _State(self, context: Context) -> PlannerState:
         return state_message(context, self._state, PlannerState)
 
+    def _Whole(self, context: Context) -> tuple[MapEstimate, TfgMap]:
+        return eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
+
+    def _Roadmap(self, context: Context) -> Roadmap:
+        now = self._State(context)
+        if not now.parts.resting:
+            return now.roadmap
+        estimate, tfg = self._Whole(context)
+        return self._RoadmapOfAll(
+            now.parts, estimate, tfg, obstacles_in_map(now, estimate).tobytes(), now.driven_before
+        )
+
+    def _MakeRoadmapOfAll(
+        self, parts: Parted[RoadmapState], estimate: MapEstimate, tfg: TfgMap, obstacles: bytes, driven: float
+    ) -> Roadmap:
+        segments = np.frombuffer(obstacles).reshape(-1, 4)
+        return make_roadmap(whole_roadmap(parts, estimate.X_MA), tfg, estimate, self._parameters, segments, driven)
+
     @metered("prm_planner")
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = self._State(context)
         updated = step(
             now,
-            eval_message(self._map, context, MapEstimate),
-            eval_message(self._tfg, context, TfgMap),
+            eval_message(self._working_map, context, WorkingMap),
+            lambda: self._Whole(context),
             eval_message(self._pose, context, PoseEstimate),
             eval_message(self._goal, context, GoalChoice),
             eval_message(self._scan, context, LaserScan),

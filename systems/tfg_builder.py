@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 from pydrake.common.value import AbstractValue
@@ -9,7 +10,9 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.cpu_meter import metered
-from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, WorkingMap, message, replace
+from tfg_drake.resting import Parted
+from tfg_drake.slam.goal_graph import empty_map
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -17,17 +20,9 @@ from tfg_drake.systems.ports import (
     set_state_message,
     state_message,
 )
-from tfg_drake.tfg.graph import (
-    Sightings,
-    TfgGraph,
-    empty_graph,
-    empty_map,
-    no_sightings,
-    note_sightings,
-    resolve,
-)
+from tfg_drake.tfg.graph import Sightings, TfgGraph, no_sightings, note_sightings, resolve
 from tfg_drake.tfg.panorama import build_panorama
-from tfg_drake.tfg.window import update
+from tfg_drake.tfg.working_map import empty_graphs, empty_working_map, update, whole_graph, working_map
 
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
 GLANCE_SCANS = 3
@@ -35,11 +30,12 @@ GLANCE_SCANS = 3
 
 @message
 class _BuilderState:
-    """The graph and it resolved in the map; since its last goal, scans of the running turn and tags sighted on the
-    way."""
+    """The graph, the map it was last resolved in, and what is near in that; since its last goal, scans of the running
+    turn and tags sighted on the way."""
 
-    graph: TfgGraph
-    tfg: TfgMap
+    graphs: Parted[TfgGraph]
+    estimate: MapEstimate
+    working: WorkingMap
     scans: tuple[LaserScan, ...]
     sightings: Sightings
 
@@ -57,50 +53,60 @@ class TfgBuilder(LeafSystem):
         - mission
         output_ports:
         - tfg
+        - working_map
 
     tfg.stage follows map.stage one goal at a time. A map that is more than one stage ahead raises ValueError: a goal
-    was missed.
+    was missed. working_map is the map and tfg of the same stage, as much of them as planning needs; of a large map the
+    whole tfg is made for whoever looks at it.
     """
 
     def __init__(self, tags: TagSensorConfig, scan: ScanConfig, robot: RobotConfig, explorer: ExplorerConfig):
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
+        # All of a large map's graph is asked for again whenever the builder has taken note of a scan: once is enough.
+        self._Resolved = functools.lru_cache(maxsize=1)(
+            lambda graphs, estimate: resolve(whole_graph(graphs), estimate, robot, explorer)
+        )
         self._scan = declare_message_input(self, "scan")
         self._map = declare_message_input(self, "map")
         self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
         # One value: Drake copies every abstract state at every event of any system.
-        initial = _BuilderState(empty_graph(), empty_map(), (), no_sightings())
+        estimate = empty_map()
+        initial = _BuilderState(empty_graphs(), estimate, empty_working_map(estimate), (), no_sightings())
         self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
-        declare_message_output(
-            self,
-            "tfg",
-            lambda context: state_message(context, self._state, _BuilderState).tfg,
-            {self.abstract_state_ticket(self._state)},
-        )
+        ticket = {self.abstract_state_ticket(self._state)}
+        declare_message_output(self, "tfg", lambda context: self._Whole(self._State(context)), ticket)
+        declare_message_output(self, "working_map", lambda context: self._State(context).working, ticket)
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
 
     def graph(self, context: Context) -> TfgGraph:
         """The graph, in the builder's own context, in the coordinates of its landmarks and goals."""
-        return state_message(context, self._state, _BuilderState).graph
+        return whole_graph(self._State(context).graphs)
 
     def tfg(self, context: Context, estimate: MapEstimate) -> TfgMap:
         """The graph resolved with an estimate of its stage, or of the stage after: then as it was."""
-        now = state_message(context, self._state, _BuilderState)
-        if estimate.stage != now.graph.stage:
-            return now.tfg
-        return resolve(now.graph, estimate, self._robot, self._explorer)
+        now = self._State(context)
+        if estimate.stage != now.estimate.stage:
+            return self._Whole(now)
+        return self._Resolved(now.graphs, estimate)
+
+    def _State(self, context: Context) -> _BuilderState:
+        return state_message(context, self._state, _BuilderState)
+
+    def _Whole(self, now: _BuilderState) -> TfgMap:
+        return now.working.tfg if now.working.is_all else self._Resolved(now.graphs, now.estimate)
 
     @metered("tfg_builder")
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now = state_message(context, self._state, _BuilderState)
+        now = self._State(context)
         estimate = eval_message(self._map, context, MapEstimate)
         mission = eval_message(self._mission, context, MissionStatus)
         after = (
             self._AddGoal(now, estimate, mission.moving)
-            if estimate.stage > now.graph.stage
+            if estimate.stage > now.estimate.stage
             else self._Collect(context, now)
         )
         if after is now:
@@ -122,7 +128,8 @@ class TfgBuilder(LeafSystem):
 
     def _AddGoal(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
         panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
-        graph = update(
-            now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
+        graphs = update(
+            now.graphs, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
         )
-        return _BuilderState(graph, resolve(graph, estimate, self._robot, self._explorer), (), no_sightings())
+        working = working_map(graphs, estimate, panorama, self._robot, self._explorer)
+        return _BuilderState(graphs, estimate, working, (), no_sightings())

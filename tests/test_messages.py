@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tfg_drake import messages
-from tfg_drake.messages import LaserScan, Odometry, Path
+from tfg_drake.messages import LaserScan, Odometry, Path, Roadmap
 
 MESSAGES = [
     kind for _, kind in inspect.getmembers(messages, dataclasses.is_dataclass) if kind.__module__ == messages.__name__
@@ -93,3 +93,16 @@ def test_frozen_arrays_keep_shape_type_and_values_in_c_order(array):
     assert frozen.dtype == array.dtype
     assert frozen.flags.c_contiguous
     np.testing.assert_array_equal(frozen, array, strict=True)
+
+
+def test_a_roadmaps_nodes_keep_their_names():
+    no, yes = np.zeros(3), np.array([True, True, False])
+    part = Roadmap(1, np.zeros((3, 2)), np.zeros((0, 2), dtype=int), yes, yes, yes, no, no, ids=np.array([4, 7, 9]))
+    assert part.names(np.array([2, 0])).tolist() == [9, 4]
+    assert part.nodes(np.array([9, 4, 5, 100])).tolist() == [2, 0, -1, -1]
+    assert part.reaches(np.array([4, 9, 8])).tolist() == [True, False, False]
+    whole = dataclasses.replace(part, ids=np.zeros(0, dtype=np.int64))
+    assert whole.names(np.array([2, 0])).tolist() == [2, 0]
+    assert whole.nodes(np.array([2, 3])).tolist() == [2, -1]
+    nothing = dataclasses.replace(part, ids=part.ids[:0], points=np.zeros((0, 2)), reachable=yes[:0])
+    assert nothing.reaches(np.array([0])).tolist() == [False]

@@ -221,6 +221,35 @@ class TfgMap:
 
 
 @message
+class WorkingMap:
+    """What planning works on: a small map and its TFG, of a large one the part round the robot.
+
+    estimate: with the landmarks of that part only, and all goals. tfg: resolved with it, row for row. near: (k,) the
+    goals whose surfaces and stars are in it. reach: m round the newest goal; as far as that nothing is missing.
+    """
+
+    estimate: MapEstimate
+    tfg: TfgMap
+    near: BoolArray
+    reach: float = math.inf
+
+    @property
+    def stage(self) -> int:
+        """Number of goals in it."""
+        return self.tfg.stage
+
+    @property
+    def is_all(self) -> bool:
+        """Whether nothing of the map is left out."""
+        return bool(self.near.all())
+
+    @property
+    def goals(self) -> IntArray:
+        """Those goals (a,)."""
+        return np.flatnonzero(self.near)
+
+
+@message
 class GridMap:
     """An occupancy grid in the map frame, of the baselines that keep one.
 
@@ -246,7 +275,8 @@ class Roadmap:
     expected s from the robot, turns included, inf where unreachable, travel_length: (n,) m. home_time and home_length:
     (n,) the same from each node to where the robot began, empty unless it must come home. driven: m, so far.
     frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
-    TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet.
+    TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, the
+    nodes' names, which they keep from stage to stage; empty where that is their index.
     """
 
     stage: int
@@ -262,13 +292,29 @@ class Roadmap:
     driven: float = 0.0
     frontier_offsets: IntArray = dataclasses.field(default_factory=lambda: np.zeros(1, dtype=np.int64))
     frontier_index: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    ids: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def names(self, nodes: IntArray) -> IntArray:
+        """The names of nodes."""
+        return self.ids[nodes] if len(self.ids) else nodes
+
+    def nodes(self, names: IntArray) -> IntArray:
+        """The nodes of these names, -1 for those that are not in this roadmap."""
+        ids = self.names(np.arange(len(self.points)))
+        rows = np.searchsorted(ids, names)
+        return np.where(ids[rows.clip(max=len(ids) - 1)] == names, rows, -1) if len(ids) else np.full(len(names), -1)
+
+    def reaches(self, names: IntArray) -> BoolArray:
+        """Whether the nodes of these names are in this roadmap and can be reached."""
+        nodes = self.nodes(names)
+        return np.asarray((nodes >= 0) & np.append(self.reachable, False)[nodes])
 
 
 @message
 class GoalChoice:
     """The goal chosen at one stage and the field it was chosen from.
 
-    stage. node: index into Roadmap.points, -1 for none. p_MG: (2,). candidates: (c,) node indices evaluated,
+    stage. node: its name in the roadmap, -1 for none. p_MG: (2,). candidates: (c,) names of the nodes evaluated,
     exploitation, exploration, pose_price: (c,) nats (gain = exploitation + exploration, price included in it).
     value: (c,) what was maximised. verdict: "goal", or how the mission ends: "complete", "stuck" or "budget", where
     there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not

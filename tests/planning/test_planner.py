@@ -1,7 +1,7 @@
 import numpy as np
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import Roadmap, replace
+from tfg_drake.messages import Roadmap, WorkingMap, replace
 from tfg_drake.planning.planner import frontier_in_sight, grow, initial_state, with_frontiers
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import goal_graph
@@ -50,7 +50,7 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
             star_vertices=np.vstack([A[:2] + circle for A in X_MA[:k]]),
             star_centers=X_MA[:k, :2],
         )
-        state = grow(state, estimate, tfg, parameters)
+        state = grow(state, WorkingMap(estimate, tfg, np.ones(k, dtype=bool)), parameters)
     a, b = state.nodes.points[state.nodes.edges[state.nodes.travelled]].transpose(1, 0, 2)
     assert np.hypot(*(a - b).T).sum() > 0.7
     assert state.driven_before == 0.375

@@ -5,7 +5,8 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import MissionStatus, Roadmap, TfgMap
+from tfg_drake.messages import MissionStatus, Roadmap, TfgMap, WorkingMap
+from tfg_drake.planning.goal_choice import empty_choice, remember
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam.goal_graph import empty_map
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
@@ -51,10 +52,21 @@ class Selector:
         self.system = InfoGainGoalSelector(RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig())
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
+        self.now = {}
         self.set(map=empty_map(), tfg=empty_tfg(), roadmap=roadmap(0),
                  mission=MissionStatus("observe", 0, 0.0))  # fmt: skip
 
     def set(self, **messages):
+        """Nothing rests: what is worked on is the whole."""
+        self.now |= messages
+        estimate, tfg = self.now["map"], self.now["tfg"]
+        messages |= {
+            "working_map": WorkingMap(estimate, tfg, np.ones(tfg.stage, dtype=bool)),
+            "working_roadmap": self.now["roadmap"],
+        }
+        self.set_part(**messages)
+
+    def set_part(self, **messages):
         for name, value in messages.items():
             self.system.GetInputPort(name).FixValue(self.context, AbstractValue.Make(value))
 
@@ -209,3 +221,81 @@ def test_far_off_a_place_promises_what_it_did_when_the_robot_was_near():
     for name in ("exploitation", "exploration", "pose_price"):
         np.testing.assert_array_equal(getattr(after, name)[far], getattr(before, name)[far])
     assert np.all(after.exploitation[~far] != before.exploitation[~far])
+
+
+def part_of_the_room(stage=1, closed=True):
+    """A part of the map in which nothing is open, or all of it, with a third of the roadmap's nodes."""
+    estimate, tfg = (dataclasses.replace(message, stage=stage) for message in half_known_room())
+    if closed:
+        estimate = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9))
+        tfg = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    near = np.flatnonzero(roadmap().points[:, 0] < -1.0)
+    part = with_frontiers(named(roadmap(stage), near), estimate, tfg, TagSensorConfig())
+    return {"working_map": WorkingMap(estimate, tfg, np.zeros(stage, dtype=bool)), "working_roadmap": part}
+
+
+def named(of, nodes):
+    """Some nodes of a roadmap, by the names they have in it."""
+    fields = ("points", "reachable", "enterable", "roomy", "travel_time", "travel_length")
+    return dataclasses.replace(of, **{name: getattr(of, name)[nodes] for name in fields}, ids=nodes)
+
+
+def test_where_nothing_near_is_worth_going_to_all_of_the_map_is_looked_at():
+    selector, alone = Selector(), Selector()
+    for each in (selector, alone):
+        each.ready()
+    selector.set_part(**part_of_the_room())
+    goal, without = selector.goal(), alone.goal()
+    assert (goal.verdict, goal.node) == ("goal", without.node)
+    np.testing.assert_array_equal(goal.p_MG, without.p_MG)
+
+
+def test_what_is_worth_going_to_nearby_is_gone_to_first():
+    selector = Selector()
+    selector.ready()
+    selector.set_part(**part_of_the_room(closed=False))
+    goal = selector.goal()
+    assert goal.verdict == "goal"
+    assert roadmap().points[goal.node][0] < -1.0
+    assert (roadmap().points[goal.candidates][:, 0] < -1.0).all()
+    np.testing.assert_array_equal(goal.p_MG, roadmap().points[goal.node])
+
+
+def test_on_the_way_to_a_far_goal_all_of_the_map_is_weighed():
+    selector = Selector()
+    selector.ready()
+    selector.set_part(**part_of_the_room())
+    far = selector.goal()
+    assert roadmap().points[far.node][0] >= -1.0
+    estimate, tfg = (dataclasses.replace(message, stage=2) for message in half_known_room())
+    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
+    selector.set_part(**part_of_the_room(2, closed=False))
+    goal = selector.goal()
+    assert (goal.stage, goal.node) == (2, far.node)
+    assert len(goal.candidates) == len(far.candidates)
+
+
+def test_what_promised_enough_is_remembered_while_it_rests():
+    before = dataclasses.replace(
+        empty_choice(),
+        candidates=np.array([3, 8, 20, 30]),
+        **{name: np.array([50.0, 60.0, 5.0, 70.0]) for name in ("exploitation", "exploration", "pose_price")},
+        gain=np.array([50.0, 60.0, 5.0, 70.0]),
+        value=np.zeros(4),
+    )
+    now = dataclasses.replace(
+        empty_choice(),
+        node=5,
+        candidates=np.array([5, 9]),
+        **{name: np.ones(2) for name in ("exploitation", "exploration", "pose_price", "gain", "value")},
+    )
+    # Node 3 is within reach and no candidate any more, 20 promised too little, 30 is near but out of reach.
+    part = named(roadmap(), np.array([3, 5, 9, 11, 30]))
+    part = dataclasses.replace(part, reachable=np.array([True, True, True, True, False]))
+    kept = remember(before, now, part, 20.0)
+    assert kept.candidates.tolist() == [5, 8, 9, 30]
+    assert kept.gain.tolist() == [1.0, 60.0, 1.0, 70.0]
+    assert kept.exploitation.tolist() == [1.0, 60.0, 1.0, 70.0]
+    assert kept.node == 5
+    everywhere = dataclasses.replace(roadmap(), reachable=np.ones(49, dtype=bool))
+    assert remember(kept, now, everywhere, 20.0).candidates.tolist() == [5, 9]

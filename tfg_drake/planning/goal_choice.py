@@ -88,9 +88,10 @@ def choose(
 
     Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees enough
     live frontier, whatever its gain, and what promises more than explorer.stop_gain. On a large map, a place where the
-    landmarks are not known jointly with the robot's pose promises what it did when they last were: nothing has changed
-    there since. Candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a little less
-    than they would, as long as any sees frontier: before the mission ends all are judged in full.
+    landmarks are not known jointly with the robot's pose promises what it did when they last were (see `remember`):
+    nothing has changed there since. Candidates that come nowhere near the best promise what SCREENING_TAGS of their
+    tags do, a little less than they would, as long as any sees frontier: before the mission ends, all are judged in
+    full.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -98,8 +99,10 @@ def choose(
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = known_jointly(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
-    kept = ~here & np.isin(nodes, previous.candidates)
-    asked = thin_candidates(nodes[~kept], sees.count[nodes[~kept]], explorer.samples)
+    kept = ~here & np.isin(roadmap.names(nodes), previous.candidates)
+    # Far away, where nothing was worth remembering, only what sees frontier is asked.
+    ask = ~kept & (here | (sees.count[nodes] > 0))
+    asked = thin_candidates(nodes[ask], sees.count[nodes[ask]], explorer.samples)
     candidates = np.union1d(asked, nodes[kept])
     ask = np.isin(candidates, asked)
 
@@ -121,7 +124,7 @@ def choose(
         now = _screened(expected_of, tags, time[ask] + stay)
     else:
         now = expected_of(np.arange(len(asked)), tags)
-    gains = _filled(previous, candidates, ask, now, enough)
+    gains = _filled(previous, roadmap.names(candidates), ask, now, enough)
     known = np.full(len(candidates), explorer.least_tags)
     known[ask] = tags.count
 
@@ -134,7 +137,7 @@ def choose(
         # As long as any place is worth going to, every place will do.
         open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates))
         # It goes all the way there: what it comes to is no candidate any more.
-        value[candidates == previous.node] = 1.0
+        value[roadmap.names(candidates) == previous.node] = 1.0
     best = pick(value, open_to, known >= explorer.least_tags)
     if best >= 0:
         node, p_MG, verdict = int(candidates[best]), points[best], "goal"
@@ -159,9 +162,9 @@ def choose(
         p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
     return GoalChoice(
         stage=estimate.stage,
-        node=node,
+        node=int(roadmap.names(np.array([node]))[0]) if node >= 0 else -1,
         p_MG=p_MG,
-        candidates=candidates,
+        candidates=roadmap.names(candidates),
         exploitation=gains.exploitation,
         exploration=gains.exploration,
         pose_price=gains.pose_price,
@@ -171,6 +174,29 @@ def choose(
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
         look=_directions(tfg.frontiers[_seen(sees, candidates[best], look)] - p_MG) if best >= 0 else np.zeros(0),
+    )
+
+
+def remember(before: GoalChoice, choice: GoalChoice, roadmap: Roadmap, stop_gain: float) -> GoalChoice:
+    """The choice, with those candidates of the ones before it that were out of its reach, by its roadmap, and that
+    promised more than stop_gain, nats."""
+    old = (
+        (before.gain > stop_gain) & ~roadmap.reaches(before.candidates) & ~np.isin(before.candidates, choice.candidates)
+    )
+    names = np.append(before.candidates[old], choice.candidates)
+    order = np.argsort(names)
+
+    def both(then: FloatArray, now: FloatArray) -> FloatArray:
+        return np.append(then[old], now)[order]
+
+    return replace(
+        choice,
+        candidates=names[order],
+        exploitation=both(before.exploitation, choice.exploitation),
+        exploration=both(before.exploration, choice.exploration),
+        pose_price=both(before.pose_price, choice.pose_price),
+        gain=both(before.gain, choice.gain),
+        value=both(before.value, choice.value),
     )
 
 
@@ -250,8 +276,8 @@ def _replaced(gains: Gains, rows: IntArray, exact: Gains) -> Gains:
 def _filled(
     previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains, sees_frontier: BoolArray
 ) -> Gains:
-    """The gains of all candidates (c,): those of the ones asked for (c,) now, of the others as they were before, but
-    for what they promised of a frontier that they do not see (c,) any more."""
+    """The gains of all candidates (c,), by name: those of the ones asked for (c,) now, of the others as they were
+    before, but for what they promised of a frontier that they do not see (c,) any more."""
     row = np.searchsorted(previous.candidates, candidates[~asked])
 
     def fill(now: FloatArray, before: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from tfg_drake.config import TagSensorConfig
@@ -20,6 +22,7 @@ from tfg_drake.messages import (
     PoseEstimate,
     Roadmap,
     TfgMap,
+    WorkingMap,
     message,
     replace,
 )
@@ -31,12 +34,14 @@ from tfg_drake.planning.roadmap import (
     EFFORTS,
     RoadmapParameters,
     RoadmapState,
-    empty_roadmap,
     extend,
     place_in_map,
+    within,
 )
+from tfg_drake.planning.roadmap_parts import cut, empty_roadmaps, joined, whole_roadmap
 from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.pose_prediction import pose_at
+from tfg_drake.resting import Parted, extended, rearranged
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
@@ -51,13 +56,13 @@ OBSTACLE_MEMORY = 10
 class PlannerState:
     """All that the planner remembers.
 
-    nodes: the roadmap itself. roadmap, path, status: what it says of it. replans: the mission's count when the path
-    was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the goals
-    obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the robot
-    has been at this stage, m in M, driven_before: m, before this stage.
+    parts: the roadmap itself. roadmap, path, status: what it says of what is near. replans: the mission's count when
+    the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
+    goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the
+    robot has been at this stage, m in M, driven_before: m, before this stage.
     """
 
-    nodes: RoadmapState
+    parts: Parted[RoadmapState]
     roadmap: Roadmap
     path: Path
     status: PathStatus
@@ -68,13 +73,19 @@ class PlannerState:
     driven: FloatArray
     driven_before: float
 
+    @property
+    def nodes(self) -> RoadmapState:
+        """The roadmap near the robot."""
+        return self.parts.near
+
 
 def initial_state() -> PlannerState:
     """Before the first goal."""
-    nodes = empty_roadmap()
+    parts = empty_roadmaps()
+    nodes = parts.near
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
-        nodes=nodes,
+        parts=parts,
         roadmap=Roadmap(0, nodes.points, nodes.edges, nowhere, nowhere, nowhere, none, none),
         path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
@@ -89,22 +100,30 @@ def initial_state() -> PlannerState:
 
 def step(
     state: PlannerState,
-    estimate: MapEstimate,
-    tfg: TfgMap,
+    working: WorkingMap,
+    whole: Callable[[], tuple[MapEstimate, TfgMap]],
     pose: PoseEstimate,
     goal: GoalChoice,
     scan: LaserScan,
     mission: MissionStatus,
     parameters: RoadmapParameters,
 ) -> PlannerState:
-    """The state after one look at the newest messages; the same object where nothing changed."""
-    if tfg.stage == estimate.stage > state.nodes.stage:
+    """The state after one look at the newest messages; the same object where nothing changed.
+
+    whole: map and TFG with nothing left out, asked for where the goal lies outside the part that is worked on.
+    """
+    estimate, tfg = working.estimate, working.tfg
+    if working.stage > state.nodes.stage:
         if mission.failures >= BOLD_AFTER:
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        return grow(state, estimate, tfg, parameters)
-    chosen = goal.stage == mission.stage == state.nodes.stage == estimate.stage and goal.node >= 0
+        return grow(state, working, parameters)
+    chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
     if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
-        return _plan(state, estimate, tfg, pose, goal, mission, parameters)
+        nodes = state.nodes
+        if not state.roadmap.reaches(np.array([goal.node]))[0]:
+            estimate, tfg = whole()
+            nodes = whole_roadmap(state.parts, estimate.X_MA)
+        return _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
         state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
@@ -119,42 +138,65 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
 
 
 @metered("roadmap")
-def grow(state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> PlannerState:
-    """The state with the roadmap extended to the newest goal of the estimate; tfg is of the same stage."""
+def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters) -> PlannerState:
+    """The state with the roadmap extended to the newest goal of the map; what of that rests, rests here, too."""
+    estimate, tfg = working.estimate, working.tfg
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + float(np.hypot(*np.diff(state.driven, axis=0).T).sum())
     state = replace(state, driven_before=driven_before)
-    nodes = state.nodes
+    parts = rearranged(state.parts, working.near, cut, joined)
+    nodes = parts.near
+    reach = working.reach
+    open_length = tfg.frontier_length[within(tfg.frontiers, estimate.X_MA[-1], reach)].sum()
     for effort in range(len(EFFORTS)):
-        nodes = extend(nodes, tfg, estimate, parameters, driven=state.driven, effort=effort)
-        roadmap = _roadmap(nodes, tfg, estimate, parameters, _obstacles(state, estimate), driven_before)
-        within, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
+        nodes = extend(
+            nodes, tfg, estimate, parameters, driven=state.driven, effort=effort, goals=working.goals, reach=reach
+        )
+        obstacles = obstacles_in_map(state, estimate)
+        roadmap = make_roadmap(nodes, tfg, estimate, parameters, obstacles, driven_before, reach)
+        in_reach, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
         # Where less is left than is worth a visit, no sample could see enough.
-        if within or tfg.frontier_length.sum() < ENOUGH_FRONTIER or (effort > 0 and not beyond):
+        if in_reach or open_length < ENOUGH_FRONTIER or (effort > 0 and not beyond):
             break
     shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])).any()
-    if len(state.obstacles) and (shut_in or (beyond and not within)):
+    if len(state.obstacles) and (shut_in or (beyond and not in_reach)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        roadmap = _roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before)
-    # The robot drives on while it glances: that is part of its way, too.
-    return replace(state, nodes=nodes, roadmap=roadmap, driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]))
+        roadmap = make_roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before, reach)
+    return replace(
+        state,
+        parts=extended(parts, nodes, working.stage),
+        roadmap=roadmap,
+        # The robot drives on while it glances: that is part of its way, too.
+        driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
+    )
 
 
-def _roadmap(
+def make_roadmap(
     nodes: RoadmapState,
     tfg: TfgMap,
     estimate: MapEstimate,
     parameters: RoadmapParameters,
     obstacles: FloatArray,
     driven: float,
+    reach: float = np.inf,
 ) -> Roadmap:
+    """What the roadmap's nodes are to a robot at the map's departure pose: the ways to them, and what they see.
+
+    obstacles: (b, 4) segments met on the way, m in M. driven: m, so far. reach: m round the newest goal: what is
+    farther away is no place to go to.
+    """
     robot, planner = parameters.robot, parameters.planner
     ways = routes(nodes, tfg, estimate.X_MD, robot, planner, obstacles)
     home = None
     if parameters.explorer.return_home:
         home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles)
-    return with_frontiers(roadmap_message(nodes, ways, robot, planner, driven, home), estimate, tfg, parameters.sensor)
+    roadmap = roadmap_message(nodes, ways, robot, planner, driven, home)
+    if np.isfinite(reach):
+        near = within(nodes.points, estimate.X_MA[-1], reach)
+        kept = {name: getattr(roadmap, name) & near for name in ("reachable", "enterable", "roomy")}
+        roadmap = replace(roadmap, **kept)
+    return with_frontiers(roadmap, estimate, tfg, parameters.sensor)
 
 
 def with_frontiers(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> Roadmap:
@@ -172,7 +214,7 @@ def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) ->
     return bool(enough[roadmap.reachable].any()), bool(enough[~roadmap.reachable].any())
 
 
-def _obstacles(state: PlannerState, estimate: MapEstimate) -> FloatArray:
+def obstacles_in_map(state: PlannerState, estimate: MapEstimate) -> FloatArray:
     """What was met on the way (b, 4), m in M."""
     ends = place_in_map(np.repeat(state.obstacle_goal, 2), state.obstacles.reshape(-1, 2), estimate.X_MA)
     return ends.reshape(-1, 4)
@@ -185,6 +227,7 @@ def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
 @metered("path")
 def _plan(
     state: PlannerState,
+    nodes: RoadmapState,
     estimate: MapEstimate,
     tfg: TfgMap,
     pose: PoseEstimate,
@@ -194,8 +237,9 @@ def _plan(
 ) -> PlannerState:
     now = pose.stage == estimate.stage
     X_MB, speed = (pose.X_MB, float(pose.speed[0])) if now else (estimate.X_MD, 0.0)
-    obstacles = _obstacles(state, estimate)
-    points = plan_path(state.nodes, tfg, X_MB, goal.node, parameters.robot, parameters.planner, obstacles, speed)
+    obstacles = obstacles_in_map(state, estimate)
+    node = int(np.searchsorted(nodes.ids, goal.node))
+    points = plan_path(nodes, tfg, X_MB, node, parameters.robot, parameters.planner, obstacles, speed)
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
     return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
 

@@ -28,9 +28,8 @@ from tfg_drake.config import (
 from tfg_drake.geometry.distance import clearance, nearest_on_segment
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
-from tfg_drake.tfg.window import is_small, map_near, within
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
@@ -59,9 +58,6 @@ EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.2))
 FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
-# On a large map new nodes are thrown within this distance of the robot, m, and what lies there is checked anew; farther
-# away the roadmap stays as it was when the robot was last near.
-WINDOW = 20.0
 # Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
 OBSTACLE_MARGIN = 0.08
 
@@ -79,17 +75,33 @@ class RoadmapParameters:
 
 
 @message
+class Links:
+    """Edges between nodes that are not all in the same part of a roadmap. nodes: (l, 2) names, the others (l,) as in
+    RoadmapState."""
+
+    nodes: IntArray
+    travelled: BoolArray
+    free: BoolArray
+    clearance: FloatArray
+    required: FloatArray
+    usable: BoolArray
+
+
+@message
 class RoadmapState:
     """The roadmap and its edges as checked at one stage.
 
-    stage. anchor: (n,) the goal in whose arrival frame A each node is kept, p_AN: (n, 2), m. edges: (e, 2) nodes,
-    all that were ever proposed. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space.
-    points: (n, 2) the nodes in M at this stage, m, sigma: (n,) m, the deviation of the robot there relative to the
-    surfaces. edge_clearance and edge_required: (e,) m, what it has and needs (beyond COMFORT or what any needs no more
-    is told apart). usable: (e,).
+    stage. ids: (n,) ascending, the names of the nodes, next_id: that of the next new one. anchor: (n,) the goal in
+    whose arrival frame A each node is kept, p_AN: (n, 2), m. edges: (e, 2) nodes, all that were ever proposed.
+    travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. points: (n, 2) the nodes in M at
+    this stage, m, sigma: (n,) m, the deviation of the robot there relative to the surfaces. edge_clearance and
+    edge_required: (e,) m, what it has and needs (beyond COMFORT or what any needs no more is told apart). usable: (e,).
+    links: edges to nodes that rest.
     """
 
     stage: int
+    ids: IntArray
+    next_id: int
     anchor: IntArray
     p_AN: FloatArray
     edges: IntArray
@@ -100,22 +112,28 @@ class RoadmapState:
     edge_clearance: FloatArray
     edge_required: FloatArray
     usable: BoolArray
+    links: Links
 
 
 def empty_roadmap() -> RoadmapState:
     """The roadmap before the first goal."""
+    none, number, pairs, yes = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
+    no_pairs = np.zeros((0, 2), dtype=np.int64)
     return RoadmapState(
         stage=0,
-        anchor=np.zeros(0, dtype=np.int64),
-        p_AN=np.zeros((0, 2)),
-        edges=np.zeros((0, 2), dtype=np.int64),
-        travelled=np.zeros(0, dtype=np.bool_),
-        free=np.zeros(0, dtype=np.bool_),
-        points=np.zeros((0, 2)),
-        sigma=np.zeros(0),
-        edge_clearance=np.zeros(0),
-        edge_required=np.zeros(0),
-        usable=np.zeros(0, dtype=np.bool_),
+        ids=number,
+        next_id=0,
+        anchor=number,
+        p_AN=pairs,
+        edges=no_pairs,
+        travelled=yes,
+        free=yes,
+        points=pairs,
+        sigma=none,
+        edge_clearance=none,
+        edge_required=none,
+        usable=yes,
+        links=Links(no_pairs, yes, yes, none, none, yes),
     )
 
 
@@ -314,40 +332,38 @@ def extend(
     *,
     driven: FloatArray | None = None,
     effort: int = 0,
+    goals: IntArray | None = None,
+    reach: float = np.inf,
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
-    driven: (d, 2) m in M, the way of the robot to the last goal. effort: index into EFFORTS. The same arguments give
-    the same roadmap.
+    driven: (d, 2) m in M, the way of the robot to the last goal. effort: index into EFFORTS. goals: (a,) those whose
+    stars the map holds, if it is a part of one. reach: m round the newest goal; farther away nothing is added and all
+    stays as it was checked last. The same arguments give the same roadmap.
     """
     density, accepted = EFFORTS[effort]
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
     nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
-    window = np.inf if is_small(estimate) else _window(estimate, path)
-    old = np.flatnonzero(within(nodes, estimate.X_MD, window + EDGE_LENGTH))
-    if np.isfinite(window):
-        context = window + EDGE_LENGTH + parameters.sensor.range
-        tfg, estimate = map_near(tfg, estimate, estimate.X_MD[:2], context)
-    travelled, chain = _travelled_nodes(nodes[old], path, estimate, tfg.segments, parameters.robot.radius)
+    travelled, chain = _travelled_nodes(nodes, path, estimate, tfg.segments, parameters.robot.radius)
     nodes = np.vstack([nodes, travelled])
     first_new = len(state.anchor)
-    around = np.append(old, np.arange(first_new, len(nodes)))
     proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, density)
-    inside = within(proposals, estimate.X_MD, window)
+    goal = estimate.X_MA[-1]
+    inside = within(proposals, goal, reach - EDGE_LENGTH)
     proposals, spacing = proposals[inside], spacing[inside]
     # Old nodes that the newest map leaves too little room must not keep better ones out of the middle of a passage.
     room = parameters.robot.radius + NODE_MARGIN
-    roomy = clearance(np.hstack([nodes[around]] * 2), tfg.segments, room) >= room
-    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[around[roomy]])]])
-    around = np.append(old, np.arange(first_new, len(points)))
+    roomy = clearance(np.hstack([nodes] * 2), tfg.segments, room) >= room
+    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
 
-    _, nearest = cKDTree(estimate.X_MA[:, :2]).query(points[first_new:])
-    anchor = np.append(state.anchor, np.asarray(nearest, dtype=np.int64))
+    goals = np.arange(len(estimate.X_MA)) if goals is None else goals
+    _, nearest = cKDTree(estimate.X_MA[goals, :2]).query(points[first_new:])
+    anchor = np.append(state.anchor, goals[nearest])
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
-    chain_edges = np.sort(around[np.array(chain, dtype=np.int64).reshape(-1, 2)], axis=1)
-    edges = np.vstack([state.edges, chain_edges, around[_nearest_edges(points[around], len(old))]])
+    chain_edges = np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
+    edges = np.vstack([state.edges, chain_edges, _nearest_edges(points, first_new)])
     new = len(edges) - len(state.edges)
     was_travelled = np.append(state.travelled, np.arange(new) < len(chain_edges))
     # One row for each pair of nodes; a travelled one stands for its twin.
@@ -358,9 +374,8 @@ def extend(
     was_free, usable = (np.append(array, np.zeros(new, dtype=np.bool_))[order] for array in (state.free, state.usable))
     has, need = (np.append(array, np.zeros(new))[order] for array in (state.edge_clearance, state.edge_required))
 
-    is_near = np.zeros(len(points), dtype=np.bool_)
-    is_near[around] = True
-    checked = np.flatnonzero(is_near[edges].all(axis=1))
+    around = np.append(within(points[:first_new], goal, reach), np.ones(len(points) - first_new, dtype=np.bool_))
+    checked = np.flatnonzero(around[edges].all(axis=1))
     sigma = np.append(state.sigma, np.zeros(len(points) - first_new))
     sigma[around] = predicted_deviation(
         points[around], estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
@@ -373,14 +388,18 @@ def extend(
     free = was_free | was_travelled
     ask = ~free[checked] & (has[checked] >= parameters.robot.radius)
     free[checked[ask]] = in_free_space(lines[ask], tfg)
-    home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[0, -1]])
+    home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(goals), -1]])
     usable[checked] = free[checked] & (has[checked] >= need[checked])
     driven_room = np.full(len(edges), -np.inf)
     driven_room[checked] = np.where(was_travelled[checked], has[checked], -np.inf)
     usable |= _needed(edges, usable, driven_room, least, home, here, len(points))
     need[checked] = np.where(usable, np.minimum(need, has), need)[checked]
-    return RoadmapState(
+    fresh = len(points) - first_new
+    return replace(
+        state,
         stage=estimate.stage,
+        ids=np.append(state.ids, state.next_id + np.arange(fresh)),
+        next_id=state.next_id + fresh,
         anchor=anchor,
         p_AN=p_AN,
         edges=edges,
@@ -394,10 +413,9 @@ def extend(
     )
 
 
-def _window(estimate: MapEstimate, driven: FloatArray) -> float:
-    """How far round the robot the roadmap of a large map is checked anew, m: WINDOW, and all of its way driven (d, 2)
-    to the last goal."""
-    return max(WINDOW, float(np.hypot(*(driven - estimate.X_MD[:2]).T).max(initial=0.0)))
+def _entry(goals: IntArray) -> int:
+    """Of the goals (a,) of a part of the map, the first since the robot was last outside."""
+    return int(goals[np.flatnonzero(np.diff(goals) > 1).max(initial=-1) + 1])
 
 
 def _needed(
@@ -442,6 +460,11 @@ def components(edges: IntArray, count: int) -> IntArray:
     for i in range(count):
         first[i] = first[first[i]]
     return first
+
+
+def within(points: FloatArray, place: FloatArray, reach: float) -> BoolArray:
+    """Which points (n, 2) lie within reach (m) of a place or pose (2 or 3,), (n,)."""
+    return np.asarray(np.hypot(points[:, 0] - place[0], points[:, 1] - place[1]) <= reach)
 
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:

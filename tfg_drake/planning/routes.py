@@ -220,6 +220,7 @@ def roadmap_message(
         home_time=np.zeros(0) if home is None else home.time,
         home_length=np.zeros(0) if home is None else home.length,
         driven=driven,
+        ids=state.ids,
     )
 
 

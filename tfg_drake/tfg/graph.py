@@ -250,15 +250,26 @@ def update(
     return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer)
 
 
-def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
-    """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's."""
+def resolve(
+    graph: TfgGraph,
+    estimate: MapEstimate,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+    *,
+    goals: IntArray | None = None,
+) -> TfgMap:
+    """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
+
+    goals: (k,) those that the graph holds the stars of, if it is a part of one.
+    """
     segments, owner = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     frontier = live_frontiers(graph, estimate, segments, explorer)
     shadows = _open_shadows(graph, estimate, segments)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
-    star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA)
+    X_MA = estimate.X_MA if goals is None else estimate.X_MA[goals]
+    star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, X_MA)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), segments, BARE_TAG) >= BARE_TAG
     posts = estimate.ids[bare]
     return TfgMap(

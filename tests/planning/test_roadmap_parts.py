@@ -1,0 +1,113 @@
+"""A roadmap cut to pieces and joined again is the roadmap."""
+
+import numpy as np
+import pytest
+
+from tests.planning.test_roadmap import PARAMETERS, PLANNER, ROBOT, build, known
+from tfg_drake.messages import LaserScan, MissionStatus, PoseEstimate, WorkingMap, replace
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.planner import grow, initial_state, step
+from tfg_drake.planning.roadmap import extend
+from tfg_drake.planning.roadmap_parts import cut, empty_roadmaps, joined, whole_roadmap
+from tfg_drake.planning.routes import routes
+from tfg_drake.resting import awake, extended, rearranged
+
+CORRIDOR = np.array([[x, y, x + 1, y] for x in range(80) for y in (-1.0, 1.0)], dtype=float)
+GOALS = [(x, 0, 0) for x in range(3, 78, 4)]
+FIELDS = ("ids", "anchor", "p_AN", "points", "sigma", "edges", "travelled", "free", "edge_clearance", "usable")
+
+
+@pytest.fixture(scope="module")
+def roadmap():
+    return build(CORRIDOR, GOALS)
+
+
+def same(a, b):
+    for name in (*FIELDS, "edge_required"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    assert len(a.links.usable) == len(b.links.usable)
+    assert a.next_id == b.next_id
+
+
+def test_cut_and_joined_in_any_order_it_is_the_same(roadmap):
+    state, _, _ = roadmap
+    goals = np.arange(len(GOALS))
+    first, middle = cut(state, goals, (goals < 4) | (goals > 12))
+    assert len(first.links.usable) > 0
+    assert len(middle.links.usable) == 0
+    assert len(first.points) + len(middle.points) == len(state.points)
+    some, rest = cut(first, goals[(goals < 4) | (goals > 12)], np.repeat([True, False], [4, 6]))
+    # The links of either end rest with that end.
+    assert len(some.links.usable) > 0
+    assert len(rest.links.usable) > 0
+    for parts in ((some, rest, middle), (middle, some, rest), (rest, middle, some)):
+        same(state, joined(parts, []))
+    partly = joined((rest, some), [])
+    same(first, partly)
+
+
+def test_a_part_knows_the_ways_within_it_and_the_whole_all(roadmap):
+    state, _, tfg = roadmap
+    goals = np.arange(len(GOALS))
+    near, _ = cut(state, goals, goals >= 12)
+    X_MB = np.array([*GOALS[-1][:2], 0.0], dtype=float)
+    of_all, of_part = (routes(each, tfg, X_MB, ROBOT, PLANNER) for each in (state, near))
+    at = np.searchsorted(state.ids, near.ids)
+    reached = np.isfinite(of_part.cost)
+    assert reached.mean() > 0.9
+    np.testing.assert_allclose(of_part.cost[reached], of_all.cost[at][reached])
+    assert np.isfinite(of_all.cost).mean() > 0.9
+
+
+def test_what_rests_comes_back_where_the_map_has_moved_it():
+    """Along the corridor and back, worked on within 20 m, a bar across it put up meanwhile where the robot began."""
+    way = [*GOALS, *GOALS[::-1]]
+    parts, bar = empty_roadmaps(), np.array([[5.5, -1.0, 5.5, 1.0]])
+    sizes = []
+    for k in range(1, len(way) + 1):
+        walls = np.vstack([CORRIDOR, bar]) if k > len(GOALS) else CORRIDOR
+        estimate, tfg = known(walls, way[:k])
+        near = awake(parts.part, estimate.X_MA, 20.0)
+        parts = rearranged(parts, near, cut, joined)
+        parts = extended(parts, extend(parts.near, tfg, estimate, PARAMETERS, goals=np.flatnonzero(near)), k)
+        sizes.append(len(parts.near.points))
+        if k == len(GOALS):
+            far = whole_roadmap(parts, estimate.X_MA)
+    names, count = np.unique(far.ids, return_counts=True)
+    assert (count == 1).all()
+    np.testing.assert_array_equal(names, np.arange(len(far.points)))
+    assert max(sizes[: len(GOALS)]) < 0.75 * len(far.points)
+
+    def across(state):
+        x = state.points[state.edges, 0]
+        return (x.min(axis=1) < 5.5) & (x.max(axis=1) > 5.5)
+
+    # Nobody could know of the bar from the far end; at its foot everybody does.
+    assert far.usable[across(far)].any()
+    end = whole_roadmap(parts, estimate.X_MA)
+    assert not end.usable[across(end)].any()
+    assert len(end.ids) == end.next_id
+    moved = whole_roadmap(parts, np.add(estimate.X_MA, [3.0, 0.0, 0.0]))
+    np.testing.assert_allclose(moved.points, np.add(end.points, [3.0, 0.0]), atol=1e-9)
+
+
+def test_a_path_leads_to_a_goal_where_the_roadmap_rests():
+    state = initial_state()
+    for k in range(1, len(GOALS) + 1):
+        estimate, tfg = known(CORRIDOR, GOALS[:k])
+        near = awake(state.parts.part, estimate.X_MA, 20.0)
+        state = grow(state, WorkingMap(estimate, tfg, near), PARAMETERS)
+    everything = whole_roadmap(state.parts, estimate.X_MA)
+    rests = ~np.isin(everything.ids, state.nodes.ids)
+    assert rests.sum() > 30
+    node = int(np.argmin(np.where(rests, np.hypot(*(everything.points - [5.0, 0.0]).T), np.inf)))
+    assert state.roadmap.nodes(everything.ids[[node]]) == [-1]
+    pose = PoseEstimate(0.0, estimate.X_MD, np.eye(3), np.zeros(2), k, np.zeros(0, dtype=int), np.zeros((0, 2)))
+    goal = replace(empty_choice(), stage=k, node=int(everything.ids[node]))
+    mission, scan = MissionStatus("plan", k, 0.0), LaserScan(0.0, np.zeros(0), np.zeros(0), 10.0, 0.01)
+    working = WorkingMap(estimate, tfg, near)
+    asked = []
+    planned = step(state, working, lambda: asked.append(1) or (estimate, tfg), pose, goal, scan, mission, PARAMETERS)
+    assert asked == [1]
+    np.testing.assert_allclose(planned.path.points[-1], everything.points[node], atol=1e-9)
+    assert np.hypot(*np.diff(planned.path.points, axis=0).T).sum() < 80.0

@@ -1,0 +1,159 @@
+"""The part of a large map that is worked on takes a goal up as the whole map does."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from tfg_drake.messages import MapEstimate, replace
+from tfg_drake.tfg import graph as whole
+from tfg_drake.tfg.frontier import frontier_length_total, place_points
+from tfg_drake.tfg.graph import Sightings, TfgGraph, no_sightings, resolve
+from tfg_drake.tfg.working_map import empty_graphs, update, whole_graph, working_map
+
+# A corridor, rooms with thin walls and doors on one side of it, an unexplored end.
+WALLS = [[0, 0, 70, 0], [70, 3, 0, 3], [0, 3, 0, 0], [0, 8, 70, 8], [0, 3, 0, 8], [70, 3, 70, 8]]
+for x in range(0, 70, 10):
+    WALLS += [[x, 3, x, 8], [x, 3, x + 4, 3], [x + 5, 3, x + 10, 3]]
+WALLS.remove([70, 3, 0, 3])
+TOUR = [[x, 1.2, 0.3] for x in np.arange(2.0, 66.0, 3.5)]
+TOUR = np.array([*TOUR, [44.5, 4.0, 1.0], [34.5, 2.0, 0.0]])
+FAR_END = np.array([64.0, 1.4, 0.0])
+
+
+@pytest.fixture(autouse=True)
+def little_is_worked_on(monkeypatch) -> None:
+    """As much as one goal sees, or the corridor would have to be longer."""
+    monkeypatch.setattr("tfg_drake.tfg.working_map.COMPLETE", 1.0)
+
+
+def large(estimate: MapEstimate) -> MapEstimate:
+    """The same map, known jointly round the robot only."""
+    local = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T) < 12.0
+    rows = np.append(np.repeat(local, 2), np.ones(3, dtype=bool))
+    return replace(estimate, local=np.flatnonzero(local), covariance=estimate.covariance[np.ix_(rows, rows)])
+
+
+def rows(*columns: np.ndarray) -> np.ndarray:
+    """Rows of all columns, in an order of their own."""
+    table = np.column_stack(columns)
+    return table[np.lexsort(np.round(table, 6).T)]
+
+
+def assert_same(a: TfgGraph, b: TfgGraph, world, estimate: MapEstimate) -> None:
+    first, second = (resolve(graph, estimate, world.robot, world.explorer) for graph in (a, b))
+    for name in ("facing", "star_offsets", "star_vertices", "star_centers"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    for names in (("segments", "segment_kind", "segment_ids"), ("viewpoints",)):
+        np.testing.assert_allclose(
+            *(rows(*(getattr(tfg, name) for name in names)) for tfg in (first, second)), atol=1e-9, err_msg=names[0]
+        )
+    # A face not seen well is told by samples, which begin where its pieces do: of those the order is free.
+    assert len(first.frontiers) == len(second.frontiers)
+    for points in ("frontiers", "given_up"):
+        gap, at = cKDTree(getattr(first, points)).query(getattr(second, points))
+        assert gap.max(initial=0.0) < 0.1
+        normal = points.removesuffix("s") + "_normal"
+        np.testing.assert_allclose(getattr(first, normal)[at], getattr(second, normal), atol=0.05)
+    assert frontier_length_total(first) == pytest.approx(frontier_length_total(second), rel=1e-3)
+
+
+def toured(world, glance=False, sightings_at=-1, small_until=0):
+    """The tour, taken up by the whole graph of the world and by parts, which are given."""
+    graphs = empty_graphs()
+    for k, X_WA in enumerate(TOUR):
+        seen = no_sightings()
+        if k == sightings_at:
+            seen = Sightings(np.array([10_000]), X_WA[None, :2] + [1.0, 0.5], X_WA[None, :2])
+        graphs = take_up(world, graphs, X_WA, seen, glance, is_large=k >= small_until)
+    return graphs
+
+
+def take_up(world, graphs, X_WA, seen, glance, is_large=True):
+    before = world.graph
+    world.observe(X_WA, seen, glance=glance)
+    world.estimate = large(world.estimate) if is_large else world.estimate
+    arguments = world.estimate, world.last_panorama, seen, world.tags, world.robot, world.explorer
+    world.graph = whole.update(before, *arguments, glance=glance)
+    return update(graphs, *arguments, glance=glance)
+
+
+@pytest.mark.parametrize("glance", [False, True])
+def test_a_goal_changes_the_part_round_it_as_it_does_the_whole(simulate, glance) -> None:
+    world = simulate(WALLS)
+    graphs = toured(world, glance, sightings_at=4)
+    assert len(world.graph.surfaces.kind) > 100
+    assert_same(world.graph, whole_graph(graphs), world, world.estimate)
+
+
+def test_what_a_small_map_found_far_away_rests_where_it_lies(simulate) -> None:
+    """Unseen faces are looked for everywhere as long as all is known jointly."""
+    world = simulate(WALLS)
+    graphs = toured(world, small_until=18)
+    assert_same(world.graph, whole_graph(graphs), world, world.estimate)
+    graphs = take_up(world, graphs, FAR_END, no_sightings(), False)
+    assert graphs.resting
+    for part in (graphs.near, *graphs.resting.values()):
+        for points in (part.unseen_backs, part.open_ends):
+            away = place_points(points, world.estimate.X_MA).p - world.estimate.X_MA[points.goal, :2]
+            assert np.hypot(*away.T).max(initial=0.0) < 11.0
+
+
+def test_what_is_worked_on_is_the_map_as_far_as_a_stage_needs_it(simulate) -> None:
+    world = simulate(WALLS)
+    graphs = take_up(world, toured(world), FAR_END, no_sightings(), False)
+    estimate = world.estimate
+    part = working_map(graphs, estimate, world.last_panorama, world.robot, world.explorer)
+    assert not part.is_all
+    assert part.stage == len(TOUR) + 1
+    np.testing.assert_array_equal(part.goals, graphs.goals)
+    assert len(part.tfg.star_centers) == len(graphs.goals)
+    all_of_it = resolve(world.graph, estimate, world.robot, world.explorer)
+    near = np.hypot(*(all_of_it.frontiers - FAR_END[:2]).T) < part.reach
+    gap, _ = cKDTree(part.tfg.frontiers).query(all_of_it.frontiers[near])
+    assert near.sum() > 3
+    assert gap.max() < 0.05
+    seen = np.hypot(*(all_of_it.segments[:, :2] - FAR_END[:2]).T) < part.reach
+    distance, _ = cKDTree(part.tfg.segments[:, :2]).query(all_of_it.segments[seen, :2])
+    assert seen.sum() > 30
+    assert distance.max() < 0.1
+    # Row for row with its own landmarks, which are what near goals saw and what is within reach.
+    at = np.searchsorted(estimate.ids, part.estimate.ids)
+    assert 0 < len(at) < len(estimate.ids)
+    np.testing.assert_array_equal(part.estimate.p_ML, estimate.p_ML[at])
+    faced = np.isin(part.estimate.ids, graphs.near.tag_ids)
+    np.testing.assert_allclose(part.tfg.facing[faced], all_of_it.facing[at[faced]], atol=1e-12)
+    assert np.isin(np.flatnonzero(np.hypot(*(estimate.p_ML - FAR_END[:2]).T) < 10.0), at).all()
+    assert len(part.estimate.covariance) == 2 * len(part.estimate.local) + 3
+
+
+def test_a_small_map_is_worked_on_as_a_whole(two_rooms) -> None:
+    graphs = empty_graphs()
+    for X_WA in ([2.0, 3.0, 0.3], [2.5, 3.0, 0.3]):
+        two_rooms.observe(np.array(X_WA))
+        graphs = update(
+            graphs,
+            two_rooms.estimate,
+            two_rooms.last_panorama,
+            no_sightings(),
+            two_rooms.tags,
+            two_rooms.robot,
+            two_rooms.explorer,
+        )
+    assert whole_graph(graphs).stage == graphs.near.stage == len(graphs.goals)
+    part = working_map(graphs, two_rooms.estimate, two_rooms.last_panorama, two_rooms.robot, two_rooms.explorer)
+    assert part.is_all
+    assert part.estimate is two_rooms.estimate
+
+
+@pytest.mark.parametrize("settings", [{"goal": "argmax"}, {"goal": "random"}, {"return_home": True}])
+def test_nothing_rests_where_all_of_the_map_is_asked_at_every_stage(simulate, settings) -> None:
+    world = simulate(WALLS)
+    explorer = dataclasses.replace(world.explorer, **settings)
+    graphs = empty_graphs()
+    for X_WA in TOUR[:16]:
+        world.observe(X_WA, glance=True)
+        arguments = large(world.estimate), world.last_panorama, no_sightings(), world.tags, world.robot
+        graphs = update(graphs, *arguments, explorer, glance=True)
+    assert not graphs.resting

@@ -1,0 +1,104 @@
+"""Cutting a roadmap into parts by the goals its nodes are anchored to, and joining them again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, replace
+from tfg_drake.planning.roadmap import Links, RoadmapState, empty_roadmap, place_in_map
+from tfg_drake.resting import Parted, undivided, whole
+
+_NODES = ("anchor", "p_AN", "points", "sigma")
+
+
+def empty_roadmaps() -> Parted[RoadmapState]:
+    """The roadmap before the first goal."""
+    return undivided(empty_roadmap())
+
+
+def cut(state: RoadmapState, goals: IntArray, stays: BoolArray) -> tuple[RoadmapState, RoadmapState]:
+    """The nodes anchored to some (k,) of a roadmap's goals (k,), and the others. Edges between the two, and those to
+    nodes that rest already, stay with the first as links while it has one of their ends."""
+    kept = np.zeros(int(goals.max(initial=-1)) + 1, dtype=np.bool_)
+    kept[goals[stays]] = True
+    kept = kept[state.anchor]
+    links = _links(state)
+    near = np.asarray(_has(state.ids[kept], links.nodes).any(axis=1))
+    return (
+        _with_links(_of_nodes(state, kept), _some(links, near)),
+        _with_links(_of_nodes(state, ~kept), _some(links, ~near)),
+    )
+
+
+def joined(states: Sequence[RoadmapState], goals: Sequence[IntArray]) -> RoadmapState:
+    """The roadmap of several parts; the first is the newest."""
+    del goals
+    order = np.argsort(np.concatenate([state.ids for state in states]))
+    nodes: dict[str, Any] = {name: np.concatenate([getattr(state, name) for state in states])[order] for name in _NODES}
+    ids = np.concatenate([state.ids for state in states])[order]
+    tables = [_links(state) for state in states]
+    names = ("nodes", "travelled", "free", "clearance", "required", "usable")
+    links = Links(*(np.concatenate([getattr(table, name) for table in tables]) for name in names))
+    return _with_links(replace(states[0], ids=ids, **nodes), links)
+
+
+def whole_roadmap(roadmaps: Parted[RoadmapState], X_MA: FloatArray) -> RoadmapState:
+    """The roadmap of all goals, its nodes where the goals X_MA (k, 3) are now; what rests is as it was checked last."""
+    state = whole(roadmaps, joined)
+    return replace(state, points=place_in_map(state.anchor, state.p_AN, X_MA))
+
+
+def _of_nodes(state: RoadmapState, keep: BoolArray) -> RoadmapState:
+    return replace(state, ids=state.ids[keep], **{name: getattr(state, name)[keep] for name in _NODES})
+
+
+def _links(state: RoadmapState) -> Links:
+    """All edges of a part by the names of their nodes, those to other parts last."""
+    links = state.links
+    return Links(
+        np.vstack([state.ids[state.edges], links.nodes]),
+        np.append(state.travelled, links.travelled),
+        np.append(state.free, links.free),
+        np.append(state.edge_clearance, links.clearance),
+        np.append(state.edge_required, links.required),
+        np.append(state.usable, links.usable),
+    )
+
+
+def _with_links(state: RoadmapState, links: Links) -> RoadmapState:
+    """A part with these edges instead of its own: those that have both ends in it in the order of their nodes."""
+    inner = np.asarray(_has(state.ids, links.nodes).all(axis=1))
+    own = _some(links, inner)
+    edges = np.searchsorted(state.ids, own.nodes)
+    order = np.lexsort(edges.T[::-1])
+    return replace(
+        state,
+        edges=edges[order],
+        travelled=own.travelled[order],
+        free=own.free[order],
+        edge_clearance=own.clearance[order],
+        edge_required=own.required[order],
+        usable=own.usable[order],
+        links=_some(links, ~inner),
+    )
+
+
+def _some(links: Links, keep: BoolArray) -> Links:
+    return Links(
+        links.nodes[keep],
+        links.travelled[keep],
+        links.free[keep],
+        links.clearance[keep],
+        links.required[keep],
+        links.usable[keep],
+    )
+
+
+def _has(ids: IntArray, names: IntArray) -> BoolArray:
+    """Whether each of the names (...) is among the ids (n,), ascending."""
+    if not len(ids):
+        return np.zeros(names.shape, dtype=np.bool_)
+    return np.asarray(ids[np.searchsorted(ids, names).clip(max=len(ids) - 1)] == names)

@@ -1,0 +1,240 @@
+"""The part of a large map that planning works on: it takes a new goal up as the whole would.
+
+A goal sees as far as its scan reaches. So whatever there is within some distance of the newest goal was seen by goals
+no farther away than that and the scan's reach; on a map too large to be known jointly all others rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, WorkingMap, replace
+from tfg_drake.resting import Parted, awake, extended, rearranged, undivided, whole
+from tfg_drake.tfg import graph as tfg_graph
+from tfg_drake.tfg.frontier import FrontierPoints, place_points, select
+from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, empty_map
+from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.surfaces import Surfaces
+
+# How far two places that were once next to each other may have been torn apart by a loop that closed, m.
+TORN = 1.0
+# What is worked on lacks nothing within so many times the scan's reach of the newest goal: more than that goal saw, and
+# as far as it matters for the order in which what is open is best looked at.
+COMPLETE = 2.5
+# Rules that look for the next goal in all of the map at every stage: nothing rests.
+FAR_SIGHTED = ("argmax", "random")
+_POINTS = ("shadows", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried")
+
+
+def empty_graphs() -> Parted[TfgGraph]:
+    """The graph before the first goal."""
+    return undivided(empty_graph())
+
+
+def is_small(estimate: MapEstimate) -> bool:
+    """Whether all of the map is known jointly: then nothing of it rests."""
+    return len(estimate.local) == len(estimate.ids)
+
+
+def may_rest(explorer: ExplorerConfig) -> bool:
+    """Whether the next goal can be chosen without all of the map: not by every rule, and not where the robot must know
+    how long the way home is."""
+    return explorer.goal not in FAR_SIGHTED and not explorer.return_home
+
+
+def update(
+    graphs: Parted[TfgGraph],
+    estimate: MapEstimate,
+    panorama: Panorama,
+    sightings: Sightings,
+    tags: TagSensorConfig,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+    *,
+    glance: bool = False,
+) -> Parted[TfgGraph]:
+    """As `tfg_drake.tfg.graph.update`, by what is near the newest goal, and nothing but that changes.
+
+    Raises ValueError where the estimate is of another stage than the next.
+    """
+    seen = reach_of(panorama)
+    is_large = bool(graphs.resting) or not is_small(estimate)
+    if is_large and may_rest(explorer):
+        if not graphs.resting:
+            # While all was known jointly, the newest goal looked for unseen faces everywhere.
+            backs, ends = (anchored(of, estimate.X_MA[:-1]) for of in (graphs.near.unseen_backs, graphs.near.open_ends))
+            graphs = replace(graphs, near=replace(graphs.near, unseen_backs=backs, open_ends=ends))
+        graphs = rearranged(graphs, awake(graphs.part, estimate.X_MA, (COMPLETE + 1.0) * seen), cut, joined)
+    near = tfg_graph.update(
+        graphs.near,
+        estimate_near(graphs, estimate, seen),
+        panorama,
+        sightings,
+        tags,
+        robot,
+        explorer,
+        glance=glance,
+        goals=graphs.goals,
+        reach=seen if is_large else math.inf,
+    )
+    if graphs.resting:
+        missing = estimate.ids[np.searchsorted(estimate.ids, near.sighted.id).clip(max=len(estimate.ids) - 1)]
+        missing = missing != near.sighted.id
+        near = replace(near, sighted=select(near.sighted, missing), viewpoints=select(near.viewpoints, missing))
+    return extended(graphs, near, estimate.stage)
+
+
+def reach_of(panorama: Panorama) -> float:
+    """How far away a goal may have seen what the panorama saw, m, as mapped now."""
+    return panorama.range_max + TORN
+
+
+def working_map(
+    graphs: Parted[TfgGraph], estimate: MapEstimate, panorama: Panorama, robot: RobotConfig, explorer: ExplorerConfig
+) -> WorkingMap:
+    """What is near, resolved; the estimate and the panorama are of the graph's stage."""
+    seen = reach_of(panorama)
+    part = estimate_near(graphs, estimate, seen)
+    tfg = tfg_graph.resolve(graphs.near, part, robot, explorer, goals=graphs.goals)
+    return WorkingMap(part, tfg, graphs.part < 0, COMPLETE * seen if graphs.resting else math.inf)
+
+
+def empty_working_map(estimate: MapEstimate) -> WorkingMap:
+    """Before the first goal, with the estimate of then."""
+    return WorkingMap(estimate, empty_map(), np.zeros(0, dtype=np.bool_))
+
+
+def whole_graph(graphs: Parted[TfgGraph]) -> TfgGraph:
+    """The graph of all goals."""
+    return replace(whole(graphs, joined), stage=len(graphs.part))
+
+
+def estimate_near(graphs: Parted[TfgGraph], estimate: MapEstimate, reach: float) -> MapEstimate:
+    """The map with those landmarks that what is near is anchored to, and those within reach (m) of the newest goal."""
+    if not graphs.resting:
+        return estimate
+    ids = np.concatenate([graphs.near.tag_ids, graphs.near.surfaces.ids.ravel()])
+    keep = np.hypot(*(estimate.p_ML - estimate.X_MA[-1, :2]).T) <= reach
+    keep[np.searchsorted(estimate.ids, ids[ids >= 0])] = True
+    return of_landmarks(estimate, keep)
+
+
+def anchored(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
+    """The points, each in the frame of the goal nearest to it; X_MA: (k, 3)."""
+    if not len(points.p):
+        return points
+    placed = place_points(points, X_MA)
+    _, goal = cKDTree(X_MA[:, :2]).query(placed.p)
+    d, theta = placed.p - X_MA[goal, :2], X_MA[goal, 2]
+    return replace(points, goal=np.asarray(goal), p=_turned(d, -theta), normal=_turned(placed.normal, -theta))
+
+
+def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
+    """Vectors (n, 2), each turned by its angle (n,), rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]], axis=1)
+
+
+def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
+    """The map with some of its landmarks (n,) only, and with all its goals."""
+    local = keep[estimate.local]
+    rows = np.append(np.repeat(local, 2), np.ones(3, dtype=np.bool_))
+    return replace(
+        estimate,
+        ids=estimate.ids[keep],
+        p_ML=estimate.p_ML[keep],
+        local=np.cumsum(keep)[estimate.local[local]] - 1,
+        covariance=estimate.covariance[np.ix_(rows, rows)],
+        landmark_covariance=estimate.landmark_covariance[keep],
+    )
+
+
+def cut(graph: TfgGraph, goals: IntArray, stays: BoolArray) -> tuple[TfgGraph, TfgGraph]:
+    """What some (k,) of the graph's goals (k,) saw, and what the others did."""
+    return _of_goals(graph, goals, stays), _of_goals(graph, goals, ~stays)
+
+
+def joined(graphs: Sequence[TfgGraph], goals: Sequence[IntArray]) -> TfgGraph:
+    """The graph of several parts, each with the stars of its goals; the first is the newest."""
+    tag = np.argsort(np.concatenate([graph.tag_ids for graph in graphs]))
+    star = np.argsort(np.concatenate(goals))
+    surfaces = _chained([graph.surfaces for graph in graphs])
+    star_offsets, star_vertices = _taken(
+        star,
+        _chained_offsets([graph.star_offsets for graph in graphs]),
+        np.concatenate([graph.star_vertices for graph in graphs]),
+    )
+    tags = ("tag_ids", "tag_goal", "tag_facing", "tag_range")
+    rows: dict[str, Any] = {name: np.concatenate([getattr(graph, name) for graph in graphs])[tag] for name in tags}
+    points: dict[str, Any] = {name: _all_points([getattr(graph, name) for graph in graphs]) for name in _POINTS}
+    return replace(
+        graphs[0],
+        # As they were found: where two overlap, the first is believed.
+        surfaces=_surfaces(surfaces, np.lexsort([surfaces.goal, surfaces.kind])),
+        star_offsets=star_offsets,
+        star_vertices=star_vertices,
+        tried_count=np.concatenate([graph.tried_count for graph in graphs]),
+        **rows,
+        **points,
+    )
+
+
+def _of_goals(graph: TfgGraph, goals: IntArray, which: BoolArray) -> TfgGraph:
+    """What some (k,) of the graph's goals (k,) saw."""
+    theirs = np.zeros(int(goals.max(initial=-1)) + 1, dtype=np.bool_)
+    theirs[goals[which]] = True
+    tags = theirs[graph.tag_goal]
+    star_offsets, star_vertices = _taken(np.flatnonzero(which), graph.star_offsets, graph.star_vertices)
+    points: dict[str, Any] = {name: select(of, theirs[of.goal]) for name in _POINTS for of in (getattr(graph, name),)}
+    return replace(
+        graph,
+        surfaces=_surfaces(graph.surfaces, np.flatnonzero(theirs[graph.surfaces.goal])),
+        tag_ids=graph.tag_ids[tags],
+        tag_goal=graph.tag_goal[tags],
+        tag_facing=graph.tag_facing[tags],
+        tag_range=graph.tag_range[tags],
+        star_offsets=star_offsets,
+        star_vertices=star_vertices,
+        tried_count=graph.tried_count[theirs[graph.tried.goal]],
+        **points,
+    )
+
+
+def _all_points(parts: Sequence[FrontierPoints]) -> FrontierPoints:
+    names = ("goal", "p", "normal", "length", "on_surface", "id")
+    return FrontierPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def _chained(parts: Sequence[Surfaces]) -> Surfaces:
+    """All surfaces, part by part."""
+    offsets = _chained_offsets([part.offsets for part in parts])
+    kind, ids, goal, farthest, vertices = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("kind", "ids", "goal", "range", "vertices")
+    )
+    return Surfaces(kind, ids, goal, farthest, offsets, vertices)
+
+
+def _surfaces(surfaces: Surfaces, rows: IntArray) -> Surfaces:
+    """Some of the surfaces, in this order."""
+    offsets, vertices = _taken(rows, surfaces.offsets, surfaces.vertices)
+    return Surfaces(
+        surfaces.kind[rows], surfaces.ids[rows], surfaces.goal[rows], surfaces.range[rows], offsets, vertices
+    )
+
+
+def _taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Offsets and contents of some rows of a packed array, in this order."""
+    count = np.diff(offsets)[rows]
+    taken = np.append(0, np.cumsum(count))
+    return taken, packed[np.repeat(offsets[rows] - taken[:-1], count) + np.arange(taken[-1])]
+
+
+def _chained_offsets(parts: Sequence[IntArray]) -> IntArray:
+    """Offsets of packed arrays, one behind the other."""
+    return np.append(0, np.cumsum(np.concatenate([np.diff(offsets) for offsets in parts])))
