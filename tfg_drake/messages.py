@@ -225,7 +225,8 @@ class WorkingMap:
     """What planning works on: a small map and its TFG, of a large one the part round the robot.
 
     estimate: with the landmarks of that part only, and all goals. tfg: resolved with it, row for row. near: (k,) the
-    goals whose surfaces and stars are in it. reach: m round the newest goal; as far as that nothing is missing.
+    goals whose surfaces and stars are in it. reach: m round the newest goal; as far as that nothing is missing, and no
+    frontier lies farther away.
     """
 
     estimate: MapEstimate

@@ -114,6 +114,9 @@ def test_what_is_worked_on_is_the_map_as_far_as_a_stage_needs_it(simulate) -> No
     gap, _ = cKDTree(part.tfg.frontiers).query(all_of_it.frontiers[near])
     assert near.sum() > 3
     assert gap.max() < 0.05
+    # Beyond that walls may be missing, and what lies behind them would seem to be in sight.
+    assert np.hypot(*(part.tfg.frontiers - FAR_END[:2]).T).max() <= part.reach
+    assert len(part.tfg.frontiers) == len(part.tfg.frontier_length) == len(part.tfg.frontier_normal)
     seen = np.hypot(*(all_of_it.segments[:, :2] - FAR_END[:2]).T) < part.reach
     distance, _ = cKDTree(part.tfg.segments[:, :2]).query(all_of_it.segments[seen, :2])
     assert seen.sum() > 30

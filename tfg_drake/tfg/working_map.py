@@ -102,7 +102,18 @@ def working_map(
     seen = reach_of(panorama)
     part = estimate_near(graphs, estimate, seen)
     tfg = tfg_graph.resolve(graphs.near, part, robot, explorer, goals=graphs.goals)
-    return WorkingMap(part, tfg, graphs.part < 0, COMPLETE * seen if graphs.resting else math.inf)
+    if not graphs.resting:
+        return WorkingMap(part, tfg, graphs.part < 0)
+    # Farther away a wall may be missing through which a frontier would be seen.
+    reach = COMPLETE * seen
+    whole_there = np.hypot(*(tfg.frontiers - estimate.X_MA[-1, :2]).T) <= reach
+    tfg = replace(
+        tfg,
+        frontiers=tfg.frontiers[whole_there],
+        frontier_length=tfg.frontier_length[whole_there],
+        frontier_normal=tfg.frontier_normal[whole_there],
+    )
+    return WorkingMap(part, tfg, graphs.part < 0, reach)
 
 
 def empty_working_map(estimate: MapEstimate) -> WorkingMap:
