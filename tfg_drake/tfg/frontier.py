@@ -96,15 +96,15 @@ def select(points: FrontierPoints, keep: BoolArray) -> FrontierPoints:
     )
 
 
-def join(a: FrontierPoints, b: FrontierPoints) -> FrontierPoints:
-    """The points of both."""
+def join(*parts: FrontierPoints) -> FrontierPoints:
+    """The points of all parts, one part after the other."""
     return FrontierPoints(
-        np.concatenate([a.goal, b.goal]),
-        np.concatenate([a.p, b.p]),
-        np.concatenate([a.normal, b.normal]),
-        np.concatenate([a.length, b.length]),
-        np.concatenate([a.on_surface, b.on_surface]),
-        np.concatenate([a.id, b.id]),
+        np.concatenate([part.goal for part in parts]),
+        np.concatenate([part.p for part in parts]),
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.length for part in parts]),
+        np.concatenate([part.on_surface for part in parts]),
+        np.concatenate([part.id for part in parts]),
     )
 
 

@@ -17,7 +17,7 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, WorkingMap, replace
 from tfg_drake.resting import Parted, awake, extended, rearranged, undivided, whole
 from tfg_drake.tfg import graph as tfg_graph
-from tfg_drake.tfg.frontier import FrontierPoints, place_points, select
+from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
 from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, empty_map
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.surfaces import Surfaces
@@ -183,7 +183,7 @@ def joined(graphs: Sequence[TfgGraph], goals: Sequence[IntArray]) -> TfgGraph:
     )
     tags = ("tag_ids", "tag_goal", "tag_facing", "tag_range")
     rows: dict[str, Any] = {name: np.concatenate([getattr(graph, name) for graph in graphs])[tag] for name in tags}
-    points: dict[str, Any] = {name: _all_points([getattr(graph, name) for graph in graphs]) for name in _POINTS}
+    points: dict[str, Any] = {name: join(*(getattr(graph, name) for graph in graphs)) for name in _POINTS}
     return replace(
         graphs[0],
         # As they were found: where two overlap, the first is believed.
@@ -215,11 +215,6 @@ def _of_goals(graph: TfgGraph, goals: IntArray, which: BoolArray) -> TfgGraph:
         tried_count=graph.tried_count[theirs[graph.tried.goal]],
         **points,
     )
-
-
-def _all_points(parts: Sequence[FrontierPoints]) -> FrontierPoints:
-    names = ("goal", "p", "normal", "length", "on_surface", "id")
-    return FrontierPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _chained(parts: Sequence[Surfaces]) -> Surfaces:
