@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -13,7 +14,7 @@ from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.budget import budget_left, way_home
 from tfg_drake.planning.exact_gain import share_seen
-from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags
+from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags, local_view
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, barred_places, given_up_open, why_end
@@ -29,7 +30,7 @@ APART = 0.3
 # Candidates are screened by so many of the tags in view, and so many of the best, by each of two rules, judged by all.
 SCREENING_TAGS = 32
 EXACT = 60
-# A place is judged anew where all landmarks within this share of the sensor's range are known jointly.
+# A place is judged anew where all landmarks that it sees within this share of the sensor's range are known jointly.
 KNOWN_REACH = 0.5
 
 
@@ -71,6 +72,17 @@ def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     return np.asarray(np.isinf(distance))
 
 
+def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
+    """Whether what each of the points (n, 2), m in M, sees within KNOWN_REACH is known jointly with the departure pose,
+    (n,). Behind walls it need not be, but beyond the sensor's range from that pose nothing else is asked."""
+    reach = KNOWN_REACH * sensor.range
+    known = known_jointly(points, estimate, reach)
+    ask = np.flatnonzero(~known & (np.hypot(*(points - estimate.X_MD[:2]).T) < sensor.range))
+    view = expected_tags(points[ask], estimate, tfg, dataclasses.replace(sensor, range=reach))
+    known[ask] = local_view(view, estimate).count == view.count
+    return known
+
+
 @metered("goal")
 def choose(
     estimate: MapEstimate,
@@ -98,7 +110,7 @@ def choose(
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
-    here = known_jointly(roadmap.points[nodes], estimate, KNOWN_REACH * sensor.range)
+    here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
     kept = ~here & np.isin(roadmap.names(nodes), previous.candidates)
     # Far away, where nothing was worth remembering, only what sees frontier is asked.
     ask = ~kept & (here | (sees.count[nodes] > 0))
