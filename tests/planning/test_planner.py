@@ -51,6 +51,6 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
             star_centers=X_MA[:k, :2],
         )
         state = grow(state, WorkingMap(estimate, tfg, np.ones(k, dtype=bool)), parameters)
-    a, b = state.nodes.points[state.nodes.edges[state.nodes.travelled]].transpose(1, 0, 2)
+    a, b = state.nodes.points[state.nodes.edges.nodes[state.nodes.edges.travelled]].transpose(1, 0, 2)
     assert np.hypot(*(a - b).T).sum() > 0.7
     assert state.driven_before == 0.375

@@ -104,10 +104,10 @@ def test_does_not_find_a_door_too_narrow():
 
 def test_edges_keep_their_clearance_and_stay_in_the_free_space():
     state, _, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
-    lines = shapely.linestrings(state.points[state.edges[state.usable]])
+    lines = shapely.linestrings(state.points[state.edges.nodes[state.edges.usable]])
     walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
     distance = shapely.distance(lines, walls)
-    untravelled = ~state.travelled[state.usable]
+    untravelled = ~state.edges.travelled[state.edges.usable]
     np.testing.assert_array_less(ROBOT.radius + 0.02, distance[untravelled])
     np.testing.assert_array_less(ROBOT.radius, distance)
     free = shapely.union_all([shapely.Polygon(v) for v in np.split(tfg.star_vertices, tfg.star_offsets[1:-1])])
@@ -126,9 +126,10 @@ def test_nodes_are_spread_evenly():
 
 def test_is_the_same_every_time():
     first, second = (build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])[0] for _ in range(2))
-    for name, value in vars(first).items():
-        if name != "links":
-            np.testing.assert_array_equal(value, getattr(second, name))
+    for one, other in ((first, second), (first.edges, second.edges)):
+        for name, value in vars(one).items():
+            if name not in ("edges", "links"):
+                np.testing.assert_array_equal(value, getattr(other, name))
 
 
 def test_moves_with_the_map():
@@ -186,7 +187,7 @@ def test_of_two_tight_doors_driven_through_the_wider_stays_open():
     segments = np.vstack([walls[(walls[:, [0, 2]] != 0).any(axis=1)], doors])
     driven = resample(np.array([[-4.0, -1], [3, -1], [3, 1], [-4, 1]]), 0.1)
     state, _, _ = build(segments, [(-4, -1, 0), (-4, 1, 0)], driven)
-    a, b = state.points[state.edges[state.usable & state.travelled]].transpose(1, 0, 2)
+    a, b = state.points[state.edges.nodes[state.edges.usable & state.edges.travelled]].transpose(1, 0, 2)
     crossing = a[:, 0] * b[:, 0] < 0
     assert (0.5 * (a + b)[crossing, 1] > 0.0).all()
     assert crossing.any()
@@ -256,7 +257,7 @@ def test_the_path_of_a_robot_that_drives_on_turns_off_where_it_could_stop():
 
 def test_no_path_to_where_no_edge_leads():
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
-    cut_off = dataclasses.replace(state, usable=np.zeros_like(state.usable))
+    cut_off = replace(state, edges=replace(state.edges, usable=np.zeros_like(state.edges.usable)))
     assert len(plan_path(cut_off, tfg, estimate.X_MD, nearest(state, (-0.6, -1)), ROBOT, PLANNER)) == 0
     assert len(plan_path(empty_roadmap(), tfg, estimate.X_MD, 0, ROBOT, PLANNER)) == 0
 

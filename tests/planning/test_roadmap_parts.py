@@ -14,7 +14,8 @@ from tfg_drake.resting import awake, extended, rearranged
 
 CORRIDOR = np.array([[x, y, x + 1, y] for x in range(80) for y in (-1.0, 1.0)], dtype=float)
 GOALS = [(x, 0, 0) for x in range(3, 78, 4)]
-FIELDS = ("ids", "anchor", "p_AN", "points", "sigma", "edges", "travelled", "free", "edge_clearance", "usable")
+FIELDS = ("ids", "anchor", "p_AN", "points", "sigma")
+COLUMNS = ("nodes", "travelled", "free", "clearance", "required", "usable")
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +24,11 @@ def roadmap():
 
 
 def same(a, b):
-    for name in (*FIELDS, "edge_required"):
+    for name in FIELDS:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
-    assert len(a.links.usable) == len(b.links.usable)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(a.edges, name), getattr(b.edges, name), err_msg=name)
+    assert len(a.links) == len(b.links)
     assert a.next_id == b.next_id
 
 
@@ -33,13 +36,13 @@ def test_cut_and_joined_in_any_order_it_is_the_same(roadmap):
     state, _, _ = roadmap
     goals = np.arange(len(GOALS))
     first, middle = cut(state, goals, (goals < 4) | (goals > 12))
-    assert len(first.links.usable) > 0
-    assert len(middle.links.usable) == 0
+    assert len(first.links) > 0
+    assert len(middle.links) == 0
     assert len(first.points) + len(middle.points) == len(state.points)
     some, rest = cut(first, goals[(goals < 4) | (goals > 12)], np.repeat([True, False], [4, 6]))
     # The links of either end rest with that end.
-    assert len(some.links.usable) > 0
-    assert len(rest.links.usable) > 0
+    assert len(some.links) > 0
+    assert len(rest.links) > 0
     for parts in ((some, rest, middle), (middle, some, rest), (rest, middle, some)):
         same(state, joined(parts, []))
     partly = joined((rest, some), [])
@@ -79,13 +82,13 @@ def test_what_rests_comes_back_where_the_map_has_moved_it():
     assert max(sizes[: len(GOALS)]) < 0.75 * len(far.points)
 
     def across(state):
-        x = state.points[state.edges, 0]
+        x = state.points[state.edges.nodes, 0]
         return (x.min(axis=1) < 5.5) & (x.max(axis=1) > 5.5)
 
     # Nobody could know of the bar from the far end; at its foot everybody does.
-    assert far.usable[across(far)].any()
+    assert far.edges.usable[across(far)].any()
     end = whole_roadmap(parts, estimate.X_MA)
-    assert not end.usable[across(end)].any()
+    assert not end.edges.usable[across(end)].any()
     assert len(end.ids) == end.next_id
     moved = whole_roadmap(parts, np.add(estimate.X_MA, [3.0, 0.0, 0.0]))
     np.testing.assert_allclose(moved.points, np.add(end.points, [3.0, 0.0]), atol=1e-9)

@@ -149,8 +149,8 @@ def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, 
         # Where a shortcut passes, it should add nothing to the risk of the whole.
         probability = np.minimum(planner.collision_probability, NO_RISK)
         return float(required_clearance(robot.radius, state.sigma[nodes].max(initial=0.0), probability))
-    on_way = np.isin(state.edges, nodes).all(axis=1) & state.usable
-    return float(state.edge_required[on_way].max(initial=0.0))
+    on_way = np.isin(state.edges.nodes, nodes).all(axis=1) & state.edges.usable
+    return float(state.edges.required[on_way].max(initial=0.0))
 
 
 def _returns(scan: LaserScan, X_MB: FloatArray) -> FloatArray:

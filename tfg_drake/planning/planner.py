@@ -86,7 +86,7 @@ def initial_state() -> PlannerState:
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
         parts=parts,
-        roadmap=Roadmap(0, nodes.points, nodes.edges, nowhere, nowhere, nowhere, none, none),
+        roadmap=Roadmap(0, nodes.points, nodes.edges.nodes, nowhere, nowhere, nowhere, none, none),
         path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
         replans=0,

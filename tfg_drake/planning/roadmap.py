@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -75,9 +76,12 @@ class RoadmapParameters:
 
 
 @message
-class Links:
-    """Edges between nodes that are not all in the same part of a roadmap. nodes: (l, 2) names, the others (l,) as in
-    RoadmapState."""
+class Edges:
+    """Edges of a roadmap as they were checked last.
+
+    nodes: (e, 2) their ends. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. clearance
+    and required: (e,) m, what it has and needs (beyond COMFORT or what any needs no more is told apart). usable: (e,).
+    """
 
     nodes: IntArray
     travelled: BoolArray
@@ -86,17 +90,32 @@ class Links:
     required: FloatArray
     usable: BoolArray
 
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def of(self, rows: IntArray | BoolArray) -> Edges:
+        """Some of the edges, in this order."""
+        return Edges(*(column[rows] for column in self._columns()))
+
+    def and_those_of(self, *others: Edges) -> Edges:
+        """These edges and the others behind them."""
+        tables = (self, *others)
+        return Edges(
+            *(np.concatenate(columns) for columns in zip(*(table._columns() for table in tables), strict=True))
+        )
+
+    def _columns(self) -> tuple[Any, ...]:
+        return (self.nodes, self.travelled, self.free, self.clearance, self.required, self.usable)
+
 
 @message
 class RoadmapState:
     """The roadmap and its edges as checked at one stage.
 
     stage. ids: (n,) ascending, the names of the nodes, next_id: that of the next new one. anchor: (n,) the goal in
-    whose arrival frame A each node is kept, p_AN: (n, 2), m. edges: (e, 2) nodes, all that were ever proposed.
-    travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. points: (n, 2) the nodes in M at
-    this stage, m, sigma: (n,) m, the deviation of the robot there relative to the surfaces. edge_clearance and
-    edge_required: (e,) m, what it has and needs (beyond COMFORT or what any needs no more is told apart). usable: (e,).
-    links: edges to nodes that rest.
+    whose arrival frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m, sigma:
+    (n,) m, the deviation of the robot there relative to the surfaces. edges: all that were ever proposed, between rows
+    of the nodes. links: edges to nodes that rest, between names.
     """
 
     stage: int
@@ -104,36 +123,32 @@ class RoadmapState:
     next_id: int
     anchor: IntArray
     p_AN: FloatArray
-    edges: IntArray
-    travelled: BoolArray
-    free: BoolArray
     points: FloatArray
     sigma: FloatArray
-    edge_clearance: FloatArray
-    edge_required: FloatArray
-    usable: BoolArray
-    links: Links
+    edges: Edges
+    links: Edges
+
+
+def unchecked(nodes: IntArray, travelled: BoolArray) -> Edges:
+    """New edges between nodes (e, 2), of which the robot has driven some (e,)."""
+    no, zero = np.zeros(len(nodes), dtype=np.bool_), np.zeros(len(nodes))
+    return Edges(nodes, travelled, no, zero, zero, no)
 
 
 def empty_roadmap() -> RoadmapState:
     """The roadmap before the first goal."""
-    none, number, pairs, yes = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
-    no_pairs = np.zeros((0, 2), dtype=np.int64)
+    number, pairs = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    none = unchecked(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.bool_))
     return RoadmapState(
         stage=0,
         ids=number,
         next_id=0,
         anchor=number,
         p_AN=pairs,
-        edges=no_pairs,
-        travelled=yes,
-        free=yes,
         points=pairs,
-        sigma=none,
-        edge_clearance=none,
-        edge_required=none,
-        usable=yes,
-        links=Links(no_pairs, yes, yes, none, none, yes),
+        sigma=np.zeros(0),
+        edges=none,
+        links=none,
     )
 
 
@@ -341,60 +356,27 @@ def extend(
     stars the map holds, if it is a part of one. reach: m round the newest goal; farther away nothing is added and all
     stays as it was checked last. The same arguments give the same roadmap.
     """
-    density, accepted = EFFORTS[effort]
-    rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
-    nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
-    path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
-    travelled, chain = _travelled_nodes(nodes, path, estimate, tfg.segments, parameters.robot.radius)
-    nodes = np.vstack([nodes, travelled])
-    first_new = len(state.anchor)
-    proposals, spacing = _proposals(rng, tfg, parameters.robot.radius, density)
-    goal = estimate.X_MA[-1]
-    inside = within(proposals, goal, reach - EDGE_LENGTH)
-    proposals, spacing = proposals[inside], spacing[inside]
-    # Old nodes that the newest map leaves too little room must not keep better ones out of the middle of a passage.
-    room = parameters.robot.radius + NODE_MARGIN
-    roomy = clearance(np.hstack([nodes] * 2), tfg.segments, room) >= room
-    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
-
     goals = np.arange(len(estimate.X_MA)) if goals is None else goals
+    path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
+    points, chain = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach)
+    first_new = len(state.anchor)
+    fresh = len(points) - first_new
     _, nearest = cKDTree(estimate.X_MA[goals, :2]).query(points[first_new:])
     anchor = np.append(state.anchor, goals[nearest])
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
-    chain_edges = np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
-    edges = np.vstack([state.edges, chain_edges, _nearest_edges(points, first_new)])
-    new = len(edges) - len(state.edges)
-    was_travelled = np.append(state.travelled, np.arange(new) < len(chain_edges))
-    # One row for each pair of nodes; a travelled one stands for its twin.
-    pair = edges @ np.array([len(points), 1])
-    order = np.argsort(2 * pair + ~was_travelled, kind="stable")
-    order = order[np.diff(pair[order], prepend=-1) > 0]
-    edges, was_travelled = edges[order], was_travelled[order]
-    was_free, usable = (np.append(array, np.zeros(new, dtype=np.bool_))[order] for array in (state.free, state.usable))
-    has, need = (np.append(array, np.zeros(new))[order] for array in (state.edge_clearance, state.edge_required))
-
-    around = np.append(within(points[:first_new], goal, reach), np.ones(len(points) - first_new, dtype=np.bool_))
-    checked = np.flatnonzero(around[edges].all(axis=1))
-    sigma = np.append(state.sigma, np.zeros(len(points) - first_new))
+    around = np.append(within(points[:first_new], estimate.X_MA[-1], reach), np.ones(fresh, dtype=np.bool_))
+    sigma = np.append(state.sigma, np.zeros(fresh))
     sigma[around] = predicted_deviation(
         points[around], estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
     )
-    probability = max(parameters.planner.collision_probability, accepted)
-    need[checked] = required_clearance(parameters.robot.radius, np.maximum(*sigma[edges[checked].T]), probability)
-    lines = points[edges[checked]].reshape(-1, 4)
-    has[checked] = clearance(lines, tfg.segments, max(COMFORT, float(need[checked].max(initial=0.0))))
-    least = parameters.robot.radius + TRAVELLED_MARGIN
-    free = was_free | was_travelled
-    ask = ~free[checked] & (has[checked] >= parameters.robot.radius)
-    free[checked[ask]] = in_free_space(lines[ask], tfg)
+    proposed = np.vstack([chain, _nearest_edges(points, first_new)])
+    was_driven = np.arange(len(proposed)) < len(chain)
+    edges = _distinct(state.edges.and_those_of(unchecked(proposed, was_driven)), len(points))
+    asked = np.flatnonzero(around[edges.nodes].all(axis=1))
+    edges = _checked(edges, asked, points, sigma, tfg, parameters, EFFORTS[effort][1])
     home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(goals), -1]])
-    usable[checked] = free[checked] & (has[checked] >= need[checked])
-    driven_room = np.full(len(edges), -np.inf)
-    driven_room[checked] = np.where(was_travelled[checked], has[checked], -np.inf)
-    usable |= _needed(edges, usable, driven_room, least, home, here, len(points))
-    need[checked] = np.where(usable, np.minimum(need, has), need)[checked]
-    fresh = len(points) - first_new
+    edges = _with_needed(edges, asked, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
     return replace(
         state,
         stage=estimate.stage,
@@ -402,15 +384,78 @@ def extend(
         next_id=state.next_id + fresh,
         anchor=anchor,
         p_AN=p_AN,
-        edges=edges,
-        travelled=was_travelled,
-        free=free,
         points=points,
         sigma=sigma,
-        edge_clearance=has,
-        edge_required=need,
-        usable=usable,
+        edges=edges,
     )
+
+
+def _with_new_nodes(
+    state: RoadmapState,
+    tfg: TfgMap,
+    estimate: MapEstimate,
+    parameters: RoadmapParameters,
+    driven: FloatArray,
+    effort: int,
+    reach: float,
+) -> tuple[FloatArray, IntArray]:
+    """The nodes (n, 2), m in M, the old ones first, then those of the way driven (d, 2), then samples; and the chain of
+    edges (e, 2), smaller node first, along that way. Further arguments as of `extend`."""
+    radius = parameters.robot.radius
+    nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
+    travelled, chain = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius)
+    nodes = np.vstack([nodes, travelled])
+    rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
+    proposals, spacing = _proposals(rng, tfg, radius, EFFORTS[effort][0])
+    inside = within(proposals, estimate.X_MA[-1], reach - EDGE_LENGTH)
+    proposals, spacing = proposals[inside], spacing[inside]
+    # Old nodes that the newest map leaves too little room must not keep better ones out of the middle of a passage.
+    room = radius + NODE_MARGIN
+    roomy = clearance(np.hstack([nodes] * 2), tfg.segments, room) >= room
+    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
+    return points, np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
+
+
+def _distinct(edges: Edges, count: int) -> Edges:
+    """One edge for each pair of count nodes, in the order of the nodes; a travelled one stands for its twin."""
+    pair = edges.nodes @ np.array([count, 1])
+    order = np.argsort(2 * pair + ~edges.travelled, kind="stable")
+    return edges.of(order[np.diff(pair[order], prepend=-1) > 0])
+
+
+def _checked(
+    edges: Edges,
+    asked: IntArray,
+    points: FloatArray,
+    sigma: FloatArray,
+    tfg: TfgMap,
+    parameters: RoadmapParameters,
+    accepted: float,
+) -> Edges:
+    """The edges between points (n, 2), some (a,) of them checked against the map: each usable where it lies in free
+    space and has the room that it needs by the deviations sigma (n,), m, for the probability of a collision that is
+    accepted, or the planner's, if that is more."""
+    has, need = edges.clearance.copy(), edges.required.copy()
+    free, usable = edges.free | edges.travelled, edges.usable.copy()
+    nodes = edges.nodes[asked]
+    probability = max(parameters.planner.collision_probability, accepted)
+    need[asked] = required_clearance(parameters.robot.radius, np.maximum(*sigma[nodes.T]), probability)
+    lines = points[nodes].reshape(-1, 4)
+    has[asked] = clearance(lines, tfg.segments, max(COMFORT, float(need[asked].max(initial=0.0))))
+    ask = ~free[asked] & (has[asked] >= parameters.robot.radius)
+    free[asked[ask]] = in_free_space(lines[ask], tfg)
+    usable[asked] = free[asked] & (has[asked] >= need[asked])
+    return replace(edges, clearance=has, required=need, free=free, usable=usable)
+
+
+def _with_needed(edges: Edges, asked: IntArray, least: float, home: int, here: int, count: int) -> Edges:
+    """The edges, of those just checked (a,) the ones usable too that are `_needed`."""
+    room = np.full(len(edges), -np.inf)
+    room[asked] = np.where(edges.travelled[asked], edges.clearance[asked], -np.inf)
+    usable = edges.usable | _needed(edges.nodes, edges.usable, room, least, home, here, count)
+    required = edges.required.copy()
+    required[asked] = np.where(usable, np.minimum(required, edges.clearance), required)[asked]
+    return replace(edges, required=required, usable=usable)
 
 
 def _entry(goals: IntArray) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, replace
-from tfg_drake.planning.roadmap import Links, RoadmapState, empty_roadmap, place_in_map
+from tfg_drake.planning.roadmap import Edges, RoadmapState, empty_roadmap, place_in_map
 from tfg_drake.resting import Parted, undivided, whole
 
 _NODES = ("anchor", "p_AN", "points", "sigma")
@@ -28,8 +28,8 @@ def cut(state: RoadmapState, goals: IntArray, stays: BoolArray) -> tuple[Roadmap
     links = _links(state)
     near = np.asarray(_has(state.ids[kept], links.nodes).any(axis=1))
     return (
-        _with_links(_of_nodes(state, kept), _some(links, near)),
-        _with_links(_of_nodes(state, ~kept), _some(links, ~near)),
+        _with_links(_of_nodes(state, kept), links.of(near)),
+        _with_links(_of_nodes(state, ~kept), links.of(~near)),
     )
 
 
@@ -39,10 +39,8 @@ def joined(states: Sequence[RoadmapState], goals: Sequence[IntArray]) -> Roadmap
     order = np.argsort(np.concatenate([state.ids for state in states]))
     nodes: dict[str, Any] = {name: np.concatenate([getattr(state, name) for state in states])[order] for name in _NODES}
     ids = np.concatenate([state.ids for state in states])[order]
-    tables = [_links(state) for state in states]
-    names = ("nodes", "travelled", "free", "clearance", "required", "usable")
-    links = Links(*(np.concatenate([getattr(table, name) for table in tables]) for name in names))
-    return _with_links(replace(states[0], ids=ids, **nodes), links)
+    first, *others = (_links(state) for state in states)
+    return _with_links(replace(states[0], ids=ids, **nodes), first.and_those_of(*others))
 
 
 def whole_roadmap(roadmaps: Parted[RoadmapState], X_MA: FloatArray) -> RoadmapState:
@@ -55,46 +53,18 @@ def _of_nodes(state: RoadmapState, keep: BoolArray) -> RoadmapState:
     return replace(state, ids=state.ids[keep], **{name: getattr(state, name)[keep] for name in _NODES})
 
 
-def _links(state: RoadmapState) -> Links:
+def _links(state: RoadmapState) -> Edges:
     """All edges of a part by the names of their nodes, those to other parts last."""
-    links = state.links
-    return Links(
-        np.vstack([state.ids[state.edges], links.nodes]),
-        np.append(state.travelled, links.travelled),
-        np.append(state.free, links.free),
-        np.append(state.edge_clearance, links.clearance),
-        np.append(state.edge_required, links.required),
-        np.append(state.usable, links.usable),
-    )
+    return replace(state.edges, nodes=state.ids[state.edges.nodes]).and_those_of(state.links)
 
 
-def _with_links(state: RoadmapState, links: Links) -> RoadmapState:
+def _with_links(state: RoadmapState, links: Edges) -> RoadmapState:
     """A part with these edges instead of its own: those that have both ends in it in the order of their nodes."""
     inner = np.asarray(_has(state.ids, links.nodes).all(axis=1))
-    own = _some(links, inner)
-    edges = np.searchsorted(state.ids, own.nodes)
-    order = np.lexsort(edges.T[::-1])
-    return replace(
-        state,
-        edges=edges[order],
-        travelled=own.travelled[order],
-        free=own.free[order],
-        edge_clearance=own.clearance[order],
-        edge_required=own.required[order],
-        usable=own.usable[order],
-        links=_some(links, ~inner),
-    )
-
-
-def _some(links: Links, keep: BoolArray) -> Links:
-    return Links(
-        links.nodes[keep],
-        links.travelled[keep],
-        links.free[keep],
-        links.clearance[keep],
-        links.required[keep],
-        links.usable[keep],
-    )
+    own = links.of(inner)
+    nodes = np.searchsorted(state.ids, own.nodes)
+    edges = replace(own, nodes=nodes).of(np.lexsort(nodes.T[::-1]))
+    return replace(state, edges=edges, links=links.of(~inner))
 
 
 def _has(ids: IntArray, names: IntArray) -> BoolArray:

@@ -67,10 +67,10 @@ def routes(
     if n == 0:
         none = np.zeros(0)
         return Routes(none, np.zeros(0, dtype=np.int64), none, none)
-    a, b = state.edges[state.usable].T
-    has = state.edge_clearance[state.usable]
+    usable = state.edges.of(state.edges.usable)
+    (a, b), has = usable.nodes.T, usable.clearance
     if obstacles is not None and len(obstacles):
-        room = clearance(state.points[state.edges[state.usable]].reshape(-1, 4), obstacles, COMFORT)
+        room = clearance(state.points[usable.nodes].reshape(-1, 4), obstacles, COMFORT)
         passable = room >= robot.radius + OBSTACLE_MARGIN
         a, b, has = a[passable], b[passable], np.minimum(has, room)[passable]
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
@@ -189,8 +189,8 @@ def _with_room(
     """Nodes (n,) that a robot could get to that strayed from its path, relative to the map, by this deviation (m)."""
     n = len(state.points)
     need = required_clearance(robot.radius, np.array(deviation), planner.collision_probability)
-    fits = state.usable | (state.free & (state.edge_clearance >= need))
-    label = components(state.edges[fits], n)
+    fits = state.edges.usable | (state.edges.free & (state.edges.clearance >= need))
+    label = components(state.edges.nodes[fits], n)
     joined = np.zeros(n, dtype=np.bool_)
     joined[label[np.isfinite(ways.cost)]] = True
     return joined[label]
@@ -211,7 +211,7 @@ def roadmap_message(
     return Roadmap(
         stage=state.stage,
         points=state.points,
-        edges=state.edges[state.usable],
+        edges=state.edges.nodes[state.edges.usable],
         reachable=np.isfinite(ways.cost),
         enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, planner),
         roomy=_with_room(state, ways, robot, FAIR_DEVIATION, planner),
