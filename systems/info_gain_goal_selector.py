@@ -88,7 +88,10 @@ class InfoGainGoalSelector(LeafSystem):
         if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
         # On its way to a goal outside of the working map the robot weighs all there is against it.
-        underway = now.goal.node >= 0 and not roadmap.reaches(np.array([now.goal.node]))[0]
+        underway = now.goal.node >= 0 and (
+            np.hypot(*(now.goal.p_MG - working.estimate.X_MD[:2])) > working.reach
+            or not roadmap.reaches(np.array([now.goal.node]))[0]
+        )
         goal = None if underway else self._Choose(working.estimate, working.tfg, roadmap, now.remembered)
         if goal is None or (goal.verdict != "goal" and not working.is_all):
             estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)

@@ -202,6 +202,24 @@ def test_a_sliver_of_frontier_is_not_worth_a_visit():
         assert selector.goal().verdict == verdict
 
 
+def test_a_sliver_far_off_promises_more_than_nothing_as_the_robot_finds_its_place_again_on_its_way():
+    estimate, tfg = half_known_room()
+    sliver = dataclasses.replace(tfg, frontier_length=np.full(15, 0.02))
+    far = np.array([100.0, 80.0, 2.0])
+    estimate = dataclasses.replace(
+        estimate, X_MD=far, local=np.zeros(0, dtype=np.int64), covariance=np.diag([1.0, 1.0, 0.01])
+    )
+    there = roadmap()
+    selector = Selector()
+    selector.ready(map=estimate, tfg=sliver, roadmap=dataclasses.replace(there, travel_time=there.travel_time + 250.0))
+    goal = selector.goal()
+    assert goal.verdict == "goal"
+    assert len(goal.gain) > 10
+    assert goal.gain.min() > 0.0
+    assert (goal.pose_price == 0.0).all()
+    assert (goal.exploitation == 0.0).all()
+
+
 def test_far_off_a_place_promises_what_it_did_when_the_robot_was_near():
     selector = Selector()
     selector.ready()

@@ -136,6 +136,7 @@ def choose(
         now = _screened(expected_of, tags, time[ask] + stay)
     else:
         now = expected_of(np.arange(len(asked)), tags)
+    now = _found_again(now, here[np.isin(nodes, asked)])
     gains = _filled(previous, roadmap.names(candidates), ask, now, enough)
     known = np.full(len(candidates), explorer.least_tags)
     known[ask] = tags.count
@@ -283,6 +284,13 @@ def _replaced(gains: Gains, rows: IntArray, exact: Gains) -> Gains:
         exploration=put(gains.exploration, exact.exploration),
         pose_price=put(gains.pose_price, exact.pose_price),
     )
+
+
+def _found_again(gains: Gains, known: BoolArray) -> Gains:
+    """The gains (c,) without the pose's price where the landmarks are not known (c,) jointly with the pose here: on its
+    way there the robot will find its place by what it sees, not by odometry from here."""
+    price = np.where(known, 0.0, gains.pose_price)
+    return Gains(gains.exploitation, gains.exploration + price, gains.pose_price - price)
 
 
 def _filled(
