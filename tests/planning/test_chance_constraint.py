@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from tfg_drake.planning.chance_constraint import collision_probability, localised_deviation, required_clearance
+from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.messages import replace
+from tfg_drake.planning.chance_constraint import (
+    collision_probability,
+    localised_deviation,
+    predicted_deviation,
+    required_clearance,
+)
+from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.tfg.graph import empty_map as empty_tfg
 
 
 def deviation(targets, frames=4.0):
@@ -49,6 +58,22 @@ def test_an_uncertain_map_adds_what_the_robot_does_not_share_with_the_surface(se
     views = np.array([0, 4]), np.arange(4)
     sigma = localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, 4.0, S)[0]
     assert sigma == pytest.approx(worst, rel=0.01)
+
+
+def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jointly():
+    p_ML = np.array([[3.0, 0.0], [3.1, 0.0], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0]])
+    all_of_it = replace(
+        empty_map(), ids=np.arange(5), p_ML=p_ML, local=np.arange(5), covariance=np.diag([1e-8] * 10 + [0.0] * 3)
+    )
+    two = replace(all_of_it, local=np.arange(2), covariance=np.diag([1e-8] * 4 + [0.0] * 3))
+    tfg = replace(empty_tfg(), facing=-p_ML / np.hypot(*p_ML.T)[:, None])
+    place = np.zeros((1, 2))
+    sigma = [
+        predicted_deviation(place, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)[0]
+        for estimate in (all_of_it, two)
+    ]
+    np.testing.assert_allclose(sigma[1], sigma[0], rtol=1e-3)
+    assert sigma[0] < 0.05
 
 
 def test_one_landmark_does_not_localise():

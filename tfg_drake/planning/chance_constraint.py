@@ -152,7 +152,7 @@ def predicted_deviation(
     """Deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
 
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
-    field of view covers), and of the map there, as far as its landmarks are known jointly; elsewhere that of the
+    field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
     `speed` (m/s).
     """
@@ -166,7 +166,8 @@ def predicted_deviation(
     frames *= min(1.0, sensor.field_of_view / (2 * math.pi))
     noise = sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames
     local = local_view(near, estimate)
-    joint = local.count >= 2
+    # By few of those in view that happen to be known jointly the place would be known worse than it is.
+    joint = (local.count >= 2) & (local.count >= np.minimum(near.count, LOCALISATION_TAGS))
     sigma = np.empty(len(points))
     for which, view, p_ML, covariance in (
         (joint, local, estimate.p_ML[estimate.local], estimate.covariance),
