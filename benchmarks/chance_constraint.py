@@ -101,7 +101,7 @@ def main() -> None:
                 if len(path) < 2:
                     continue
                 hits = collisions(path, loose, tfg, scenario.robot, sensor, odometry, rng, options.rollouts)
-                sigma = predicted_deviation(path, loose, tfg, sensor, odometry, scenario.robot.max_speed)
+                sigma, _ = predicted_deviation(path, loose, tfg, sensor, odometry, scenario.robot.max_speed)
                 need = required_clearance(scenario.robot.radius, sigma, probability)
                 open_anyway = clearance(np.hstack([path, path]), tfg.segments, 1.0) < np.minimum(need, 1.0) - SLACK
                 kept += int(open_anyway.sum())

@@ -68,12 +68,19 @@ def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jo
     two = replace(all_of_it, local=np.arange(2), covariance=np.diag([1e-8] * 4 + [0.0] * 3))
     tfg = replace(empty_tfg(), facing=-p_ML / np.hypot(*p_ML.T)[:, None])
     place = np.zeros((1, 2))
-    sigma = [
-        predicted_deviation(place, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)[0]
-        for estimate in (all_of_it, two)
-    ]
-    np.testing.assert_allclose(sigma[1], sigma[0], rtol=1e-3)
-    assert sigma[0] < 0.05
+
+    def at_place(estimate, before):
+        sigma, settled = predicted_deviation(
+            place, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5, np.array([before])
+        )
+        return sigma[0], bool(settled[0])
+
+    sigma, settled = at_place(all_of_it, 0.123)
+    assert settled
+    assert sigma < 0.05
+    assert at_place(two, np.inf) == (pytest.approx(sigma, rel=1e-3), False)
+    # It is what it was when all were known.
+    assert at_place(two, 0.123) == (0.123, True)
 
 
 def test_one_landmark_does_not_localise():

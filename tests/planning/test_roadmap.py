@@ -340,6 +340,7 @@ def test_an_old_node_without_room_keeps_none_from_the_middle_of_a_narrow_door():
         p_AN=np.array([[0.0, 0.07]]) - [-4.0, 0.0],
         points=np.array([[0.0, 0.07]]),
         sigma=np.zeros(1),
+        settled=np.zeros(1, dtype=bool),
     )
     estimate, tfg = known(two_rooms(0.5), [(-4, 0, 0)])
     state = extend(state, tfg, estimate, PARAMETERS)

@@ -14,7 +14,7 @@ from tfg_drake.resting import awake, extended, rearranged
 
 CORRIDOR = np.array([[x, y, x + 1, y] for x in range(80) for y in (-1.0, 1.0)], dtype=float)
 GOALS = [(x, 0, 0) for x in range(3, 78, 4)]
-FIELDS = ("ids", "anchor", "p_AN", "points", "sigma")
+FIELDS = ("ids", "anchor", "p_AN", "points", "sigma", "settled")
 COLUMNS = ("nodes", "travelled", "free", "clearance", "required", "usable")
 
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import norm
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, View, local_view, visible_targets
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
@@ -148,13 +148,16 @@ def predicted_deviation(
     sensor: TagSensorConfig,
     odometry: OdometryConfig,
     speed: float,
-) -> FloatArray:
+    before: FloatArray | float = math.inf,
+) -> tuple[FloatArray, BoolArray]:
     """Deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
 
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
     field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
-    `speed` (m/s).
+    `speed` (m/s). before: (n,) m, what it was when enough landmarks there were last known jointly, inf where they never
+    were: far from the robot it stays that, nothing has changed there since. Returns also which (n,) are so known, now
+    or then.
     """
     near = View(
         *visible_targets(
@@ -184,7 +187,9 @@ def predicted_deviation(
         along = odometry.distance_noise**2 * d + (odometry.distance_scale * d) ** 2
         across = d**2 * (odometry.gyro_noise**2 * time / 3 + (odometry.gyro_bias * time) ** 2 / 4)
         sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + np.maximum(along, across))
-    return np.sqrt(sigma**2 + TRACKING_DEVIATION**2)
+    sigma = np.sqrt(sigma**2 + TRACKING_DEVIATION**2)
+    remembered = ~joint & (near.count >= 2) & (local.count < near.count) & np.isfinite(before)
+    return np.where(remembered, before, sigma), joint | remembered
 
 
 def required_clearance(radius: float, sigma: FloatArray, collision_probability: float) -> FloatArray:

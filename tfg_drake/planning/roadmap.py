@@ -114,7 +114,8 @@ class RoadmapState:
 
     stage. ids: (n,) ascending, the names of the nodes, next_id: that of the next new one. anchor: (n,) the goal in
     whose arrival frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m, sigma:
-    (n,) m, the deviation of the robot there relative to the surfaces. edges: all that were ever proposed, between rows
+    (n,) m, the deviation of the robot there relative to the surfaces, settled: (n,) whether by landmarks known jointly,
+    now or when the robot was last near. edges: all that were ever proposed, between rows
     of the nodes. links: edges to nodes that rest, between names.
     """
 
@@ -125,6 +126,7 @@ class RoadmapState:
     p_AN: FloatArray
     points: FloatArray
     sigma: FloatArray
+    settled: BoolArray
     edges: Edges
     links: Edges
 
@@ -147,6 +149,7 @@ def empty_roadmap() -> RoadmapState:
         p_AN=pairs,
         points=pairs,
         sigma=np.zeros(0),
+        settled=np.zeros(0, dtype=np.bool_),
         edges=none,
         links=none,
     )
@@ -366,9 +369,15 @@ def extend(
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
     around = np.append(within(points[:first_new], estimate.X_MA[-1], reach), np.ones(fresh, dtype=np.bool_))
-    sigma = np.append(state.sigma, np.zeros(fresh))
-    sigma[around] = predicted_deviation(
-        points[around], estimate, tfg, parameters.sensor, parameters.odometry, parameters.robot.max_speed
+    sigma, settled = np.append(state.sigma, np.zeros(fresh)), np.append(state.settled, np.zeros(fresh, dtype=np.bool_))
+    sigma[around], settled[around] = predicted_deviation(
+        points[around],
+        estimate,
+        tfg,
+        parameters.sensor,
+        parameters.odometry,
+        parameters.robot.max_speed,
+        np.where(settled, sigma, np.inf)[around],
     )
     proposed = np.vstack([chain, _nearest_edges(points, first_new)])
     was_driven = np.arange(len(proposed)) < len(chain)
@@ -386,6 +395,7 @@ def extend(
         p_AN=p_AN,
         points=points,
         sigma=sigma,
+        settled=settled,
         edges=edges,
     )
 

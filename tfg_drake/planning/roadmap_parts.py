@@ -11,7 +11,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, replace
 from tfg_drake.planning.roadmap import Edges, RoadmapState, empty_roadmap, place_in_map
 from tfg_drake.resting import Parted, undivided, whole
 
-_NODES = ("anchor", "p_AN", "points", "sigma")
+_NODES = ("anchor", "p_AN", "points", "sigma", "settled")
 
 
 def empty_roadmaps() -> Parted[RoadmapState]:
