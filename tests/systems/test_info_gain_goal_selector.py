@@ -142,15 +142,61 @@ def test_no_goal_is_chosen_where_the_robot_has_turned_before():
     best = first.goal()
     square = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
     assert best.node in best.candidates
-    # A look all round, and a glance that shows hardly anything to one side.
-    for nearest, candidate in ((1.0, False), (0.01, True)):
+    # A look all round, a glance that shows hardly anything to one side, and the same glance again and again.
+    for nearest, times, candidate in ((1.0, 1, False), (0.01, 1, True), (0.01, 5, True), (0.01, 6, False)):
         star = best.p_MG + square * np.array([1.0, 1.0, 1.0, nearest])[:, None]
         looked = dataclasses.replace(
-            tfg, star_offsets=np.array([0, 4]), star_vertices=star, star_centers=best.p_MG[None].copy()
+            tfg,
+            star_offsets=4 * np.arange(times + 1),
+            star_vertices=np.tile(star, (times, 1)),
+            star_centers=np.tile(best.p_MG, (times, 1)),
         )
         again = Selector()
         again.ready(tfg=looked)
         assert (best.node in again.goal().candidates) == candidate
+
+
+def test_on_its_way_the_robot_is_not_turned_round_by_what_comes_into_sight_far_away():
+    estimate, tfg = half_known_room()
+    # A large map: not all of it is known jointly.
+    estimate = dataclasses.replace(estimate, local=np.arange(2), covariance=1e-2 * np.eye(7))
+    # Three corridors side by side, open in the west, in the east and, the one in the middle, in the south.
+    x, y = np.full(15, 4.35), np.linspace(-3.5, 3.5, 15)
+    sides = np.array([[-1.0, -4, -1, 4], [1.0, -4, 1, 4]])
+    frontiers = {"west": np.stack([-x, y], axis=1), "east": np.stack([x, y], axis=1)}
+    frontiers["south"] = np.stack([np.linspace(-0.5, 0.5, 15), -x], axis=1)
+    normals = {"west": [1.0, 0.0], "east": [-1.0, 0.0], "south": [0.0, 1.0]}
+
+    def corridors(stage, *names):
+        return dataclasses.replace(
+            tfg,
+            stage=stage,
+            segments=np.vstack([tfg.segments[2:], sides]),
+            frontiers=np.vstack([frontiers[name] for name in names]),
+            frontier_length=np.full(15 * len(names), 0.5),
+            frontier_normal=np.repeat([normals[name] for name in names], 15, axis=0),
+        )
+
+    there = roadmap()
+    column = np.select([there.points[:, 0] < -1.0, there.points[:, 0] > 1.0], ["west", "east"], "south")
+    time = np.select([column == "west", column == "east"], [20.0, 40.0], 200.0)
+    for still_open, goes_on in ((["west"], True), ([], False)):
+        of_all = dataclasses.replace(there, travel_time=np.where(there.reachable, time, np.inf))
+        selector = Selector()
+        selector.ready(map=estimate, tfg=corridors(1, "west"), roadmap=of_all)
+        before = selector.goal().node
+        assert column[before] == "west"
+        # A tour that ends in the south, the farthest of all, may well begin in the east.
+        selector.ready(
+            map=dataclasses.replace(estimate, stage=2),
+            tfg=corridors(2, *still_open, "east", "south"),
+            roadmap=dataclasses.replace(of_all, stage=2),
+            mission=MissionStatus("choose", 2, 1.0),
+        )
+        goal = selector.goal()
+        assert (goal.node == before) == goes_on
+        assert column[goal.node] == ("west" if goes_on else "east")
+        assert np.abs(goal.look).min() > 1.5  # to the west
 
 
 def test_no_goal_is_chosen_where_the_robot_is():

@@ -27,6 +27,8 @@ OVERHEAD = 1.0
 NOTHING_AFTER = 5
 # The robot never turns again within this of where it has turned before, m: it would see the same once more.
 APART = 0.3
+# Nor where it has looked so often, whichever way: what is still open there does not show from there.
+MOST_LOOKS = 6
 # Candidates are screened by so many of the tags in view, and so many of the best, by each of two rules, judged by all.
 SCREENING_TAGS = 32
 EXACT = 60
@@ -66,10 +68,14 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
 
 
 def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
-    """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round nor its own (2,)."""
+    """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
+    nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
     distance, _ = cKDTree(np.vstack([tfg.star_centers[turned], p_MD])).query(points, distance_upper_bound=APART)
-    return np.asarray(np.isinf(distance))
+    if len(tfg.star_centers) < MOST_LOOKS:
+        return np.asarray(np.isinf(distance))
+    last, _ = cKDTree(tfg.star_centers).query(points, k=[MOST_LOOKS], distance_upper_bound=APART)
+    return np.asarray(np.isinf(distance) & np.isinf(last[:, 0]))
 
 
 def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
@@ -152,6 +158,13 @@ def choose(
         # It goes all the way there: what it comes to is no candidate any more.
         value[roadmap.names(candidates) == previous.node] = 1.0
     best = pick(value, open_to, known >= explorer.least_tags)
+    if explorer.goal == "tour" and best >= 0 and len(estimate.local) < len(estimate.ids):
+        before = np.flatnonzero((roadmap.names(candidates) == previous.node) & open_to & enough)
+        # Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour,
+        # must not turn the robot round before it is done with what is nearer.
+        if len(before) and time[before[0]] < time[best]:
+            best = int(before[0])
+            look = open_ahead[best] > 0.0
     if best >= 0:
         node, p_MG, verdict = int(candidates[best]), points[best], "goal"
         rate = gains.gain[best] / (time[best] + stay)
