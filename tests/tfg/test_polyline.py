@@ -85,4 +85,24 @@ def test_uncovered_runs() -> None:
 def test_a_polyline_does_not_join_itself() -> None:
     segments, owner = segments_of(*pack([np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[1.05, 0.0], [2.0, 0.0]])]))
     ends = np.array([[0.0, 0.0], [1.0, 0.0], [1.05, 0.0], [2.0, 0.0]])
-    assert joined(ends, np.array([0, 0, 1, 1]), segments, owner, 0.1).tolist() == [False, True, True, False]
+    outwards, is_last = np.array([[-1.0, 0.0], [1.0, 0.0]] * 2), np.array([False, True] * 2)
+    assert joined(ends, outwards, is_last, np.array([0, 0, 1, 1]), segments, owner, 0.1).tolist() == [
+        False, True, True, False,
+    ]  # fmt: skip
+
+
+def test_a_polyline_is_joined_by_what_goes_on_not_by_the_same_face_once_more() -> None:
+    end, outwards = np.array([[1.0, 0.0]]), np.array([[1.0, 0.0]])
+    for other, is_joined in (
+        ([0.3, 0.01, 0.98, 0.01], False),  # the same once more
+        ([0.3, 0.01, 1.2, 0.01], True),  # it goes on
+        ([1.05, 0.0, 1.05, -1.0], True),  # round the corner
+        ([0.98, -0.1, 0.3, -0.1], True),  # the other face
+    ):
+        segments = np.array([[0.0, 0.0, 1.0, 0.0], other])
+        found = joined(end, outwards, np.array([True]), np.array([0]), segments, np.array([0, 1]), 0.15)
+        assert found.tolist() == [is_joined]
+        # The same polyline, run the other way, as it is seen from the other side.
+        flipped = segments[:, [2, 3, 0, 1]]
+        found = joined(end, outwards, np.array([False]), np.array([0]), flipped, np.array([0, 1]), 0.15)
+        assert found.tolist() == [is_joined]

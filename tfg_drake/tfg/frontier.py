@@ -243,7 +243,8 @@ def find_open_ends(
     behind = sign * np.stack([along[:, 1], -along[:, 0]], axis=1)
     points = at + UNINSPECTED_STANDOFF * along + END_GAP * behind
     segments, segment_owner = segments_of(offsets, vertices)
-    is_open = ~joined(at, owner, segments, segment_owner, END_GAP) & inside_any(points, *stars)
+    is_last = np.repeat([False, True], len(offsets) - 1)
+    is_open = ~joined(at, along, is_last, owner, segments, segment_owner, END_GAP) & inside_any(points, *stars)
     # The other face of a thin wall is not round the corner but behind: see find_unseen_backs.
     is_open &= ~inside_any(at - END_GAP * along + THIN_WALL * behind, *stars)
     points, along, at = points[is_open], along[is_open], at[is_open]

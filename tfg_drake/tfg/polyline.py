@@ -17,6 +17,8 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # How far a segment covers what lies beyond its ends, m: enough for no gap at a polyline's corners.
 END_REACH = 0.03
+# Cosine of the greatest angle between two pieces of one face.
+SAME_FACE = 0.9
 
 
 def pack(polylines: Sequence[FloatArray]) -> tuple[IntArray, FloatArray]:
@@ -157,9 +159,19 @@ def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, dista
 
 @njit(cache=True)
 def joined(
-    points: FloatArray, owner: IntArray, segments: FloatArray, segment_owner: IntArray, distance: float
+    points: FloatArray,
+    outwards: FloatArray,
+    is_last: BoolArray,
+    owner: IntArray,
+    segments: FloatArray,
+    segment_owner: IntArray,
+    distance: float,
 ) -> BoolArray:
-    """Which points (n, 2) of polylines (n,) lie within distance (m) of a segment (m, 4) of another polyline (m,)."""
+    """Which ends (n, 2) of polylines (n,) lie within distance (m) of a segment (m, 4) of another polyline (m,).
+
+    outwards: (n, 2) unit vectors in which the polylines would go on beyond their ends. is_last: (n,) whether that is
+    their last point. A segment of the same face that comes no farther is the same once more, and joins nothing.
+    """
     result = np.zeros(points.shape[0], dtype=np.bool_)
     grid = segment_grid(segments)
     near = np.empty(len(grid[4]), dtype=np.int64)
@@ -170,7 +182,13 @@ def joined(
             if segment_owner[j] == owner[i]:
                 continue
             s = segments[j]
-            if point_segment_distance(x, y, s[0], s[1], s[2], s[3]) <= distance:
+            if point_segment_distance(x, y, s[0], s[1], s[2], s[3]) > distance:
+                continue
+            first = (s[0] - x) * outwards[i, 0] + (s[1] - y) * outwards[i, 1]
+            last = (s[2] - x) * outwards[i, 0] + (s[3] - y) * outwards[i, 1]
+            ahead = last - first if is_last[i] else first - last
+            same_face = ahead > SAME_FACE * np.hypot(s[2] - s[0], s[3] - s[1])
+            if not same_face or max(first, last) > END_REACH:
                 result[i] = True
                 break
     return result
