@@ -21,7 +21,7 @@ from tfg_drake.config import GAINS
 from tfg_drake.diagrams.figures import stages_of
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 from tfg_drake.paper_figures import Field, gain_field
-from tfg_drake.planning.goal_choice import OVERHEAD
+from tfg_drake.planning.candidates import OVERHEAD
 
 
 def main() -> None:

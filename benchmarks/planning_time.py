@@ -22,7 +22,7 @@ import numpy as np
 
 from tfg_drake.diagrams.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
-from tfg_drake.planning import goal_choice, planner
+from tfg_drake.planning import candidates, goal_choice, planner
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 
 
@@ -52,7 +52,7 @@ def main() -> None:
 
     def compared(*arguments: Any) -> Any:
         choice = choose(*arguments)
-        with mock.patch.object(goal_choice, "EXACT", 10**9):
+        with mock.patch.object(candidates, "EXACT", 10**9):
             same.append(goal_choice.choose(*arguments).node == choice.node)
         return choice
 

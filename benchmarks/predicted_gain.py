@@ -27,6 +27,7 @@ from tfg_drake.diagrams.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate
 from tfg_drake.planning import goal_choice
+from tfg_drake.planning.candidates import frontier_seen
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.information_gain import (
@@ -114,7 +115,7 @@ def one_mission(scenario: Scenario, full_turn: bool) -> tuple[list[list[float]],
         choice = choose(estimate, tfg, roadmap, sensor, *others)
         if choice.node >= 0:
             view = expected_frontiers(choice.p_MG[None], tfg, sensor)
-            length = goal_choice.frontier_seen(choice.p_MG[None], view, tfg, sensor).sum()
+            length = frontier_seen(choice.p_MG[None], view, tfg, sensor).sum()
             expected.append(scenario.explorer.density * float(length))
         return choice
 

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.planning.candidates import apart_from_goals
 from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
-from tfg_drake.planning.goal_choice import apart_from_goals
 from tfg_drake.planning.information_gain import Gains, information_gain
 
 # Standard deviations, m, of the prior of new landmarks: the paper's high, medium and low.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,27 +11,14 @@ from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotC
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.budget import budget_left, way_home
-from tfg_drake.planning.exact_gain import share_seen
-from tfg_drake.planning.expected_view import View, expected_frontiers, expected_tags, local_view
+from tfg_drake.planning.candidates import Candidates, judged, time_at_goal
+from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
-from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
+from tfg_drake.planning.information_gain import information_gain
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, barred_places, given_up_open, why_end
-from tfg_drake.tfg.drift import known_jointly
-from tfg_drake.tfg.star_polygon import looked_round
 
-# Time lost at a goal besides the turn itself: settling, solving, planning, s.
-OVERHEAD = 1.0
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
-# The robot never turns again within this of where it has turned before, m: it would see the same once more.
-APART = 0.3
-# Nor where it has looked so often, whichever way: what is still open there does not show from there.
-MOST_LOOKS = 6
-# Candidates are screened by so many of the tags in view, and so many of the best, by each of two rules, judged by all.
-SCREENING_TAGS = 32
-EXACT = 60
-# A place is judged anew where all landmarks that it sees within this share of the sensor's range are known jointly.
-KNOWN_REACH = 0.5
 
 
 def empty_choice() -> GoalChoice:
@@ -54,41 +39,6 @@ def empty_choice() -> GoalChoice:
     )
 
 
-def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> IntArray:
-    """At most count of the nodes (n,), ascending, those that see a frontier (n,) first, evenly taken."""
-    if len(nodes) <= count:
-        return nodes
-    seeing, others = nodes[sees_frontier > 0], nodes[sees_frontier == 0]
-
-    def take(which: IntArray, number: int) -> IntArray:
-        return which[np.linspace(0, len(which) - 1, number).astype(np.int64)] if len(which) > number else which
-
-    seeing = take(seeing, count)
-    return np.sort(np.append(seeing, take(others, count - len(seeing))))
-
-
-def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
-    """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
-    nor its own (2,)."""
-    turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    distance, _ = cKDTree(np.vstack([tfg.star_centers[turned], p_MD])).query(points, distance_upper_bound=APART)
-    if len(tfg.star_centers) < MOST_LOOKS:
-        return np.asarray(np.isinf(distance))
-    last, _ = cKDTree(tfg.star_centers).query(points, k=[MOST_LOOKS], distance_upper_bound=APART)
-    return np.asarray(np.isinf(distance) & np.isinf(last[:, 0]))
-
-
-def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
-    """Whether what each of the points (n, 2), m in M, sees within KNOWN_REACH is known jointly with the departure pose,
-    (n,). Behind walls it need not be, but beyond the sensor's range from that pose nothing else is asked."""
-    reach = KNOWN_REACH * sensor.range
-    known = known_jointly(points, estimate, reach)
-    ask = np.flatnonzero(~known & (np.hypot(*(points - estimate.X_MD[:2]).T) < sensor.range))
-    view = expected_tags(points[ask], estimate, tfg, dataclasses.replace(sensor, range=reach))
-    known[ask] = local_view(view, estimate).count == view.count
-    return known
-
-
 @metered("goal")
 def choose(
     estimate: MapEstimate,
@@ -104,93 +54,48 @@ def choose(
     """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is the choice before. seed: of
     the rule that goes anywhere.
 
-    Candidates are the roadmap's reachable nodes, but for those next to past goals. Worth going to is what sees enough
-    live frontier, whatever its gain, and what promises more than explorer.stop_gain. On a large map, a place where the
-    landmarks are not known jointly with the robot's pose promises what it did when they last were (see `remember`):
-    nothing has changed there since. Candidates that come nowhere near the best promise what SCREENING_TAGS of their
-    tags do, a little less than they would, as long as any sees frontier: before the mission ends, all are judged in
-    full.
+    Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
-    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
-    sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
-    here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
-    kept = ~here & np.isin(roadmap.names(nodes), previous.candidates)
-    # Far away, where nothing was worth remembering, only what sees frontier is asked.
-    ask = ~kept & (here | (sees.count[nodes] > 0))
-    asked = thin_candidates(nodes[ask], sees.count[nodes[ask]], explorer.samples)
-    candidates = np.union1d(asked, nodes[kept])
-    ask = np.isin(candidates, asked)
-
-    def expected(points: FloatArray, time: FloatArray, tags: View, frontiers: View) -> Gains:
-        distance = robot.max_speed * time
-        return information_gain(points, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
-
-    def expected_of(rows: IntArray, tags: View) -> Gains:
-        nodes = asked[rows]
-        return expected(roadmap.points[nodes], roadmap.travel_time[nodes], tags, sees.of(nodes))
-
-    points, time = roadmap.points[candidates], roadmap.travel_time[candidates]
-    # The robot arrives facing some of what it came for, and turns half round for the rest, on average.
-    stay = 0.5 * max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
-    open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
-    enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
-    tags = expected_tags(points[ask], estimate, tfg, sensor)
-    if explorer.gain == "exact" and len(asked) > 2 * EXACT and enough[ask].any():
-        now = _screened(expected_of, tags, time[ask] + stay)
-    else:
-        now = expected_of(np.arange(len(asked)), tags)
-    now = _found_again(now, here[np.isin(nodes, asked)])
-    gains = _filled(previous, roadmap.names(candidates), ask, now, enough)
-    known = np.full(len(candidates), explorer.least_tags)
-    known[ask] = tags.count
-
+    candidates = judged(estimate, tfg, roadmap, sensor, odometry, robot, explorer, previous)
+    gains, stay = candidates.gains, time_at_goal(sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
-    worth = enough | (gains.gain > explorer.stop_gain)
-    affordable = budget.affords(roadmap, candidates)
+    worth = candidates.sees_enough | (gains.gain > explorer.stop_gain)
+    affordable = budget.affords(roadmap, candidates.nodes)
     open_to = worth & affordable
-    value, look = _values(gains, time, stay, open_ahead, open_to, candidates, tfg, roadmap, robot, explorer)
+    value, look = _values(candidates, stay, open_to, tfg, roadmap, robot, explorer)
     if explorer.goal == "random" and worth.any():
         # As long as any place is worth going to, every place will do.
-        open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates))
+        open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates.nodes))
         # It goes all the way there: what it comes to is no candidate any more.
-        value[roadmap.names(candidates) == previous.node] = 1.0
-    best = pick(value, open_to, known >= explorer.least_tags)
+        value[candidates.names == previous.node] = 1.0
+    best = pick(value, open_to, (candidates.tags < 0) | (candidates.tags >= explorer.least_tags))
     if explorer.goal == "tour" and best >= 0 and len(estimate.local) < len(estimate.ids):
-        before = np.flatnonzero((roadmap.names(candidates) == previous.node) & open_to & enough)
         # Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour,
         # must not turn the robot round before it is done with what is nearer.
-        if len(before) and time[before[0]] < time[best]:
+        before = np.flatnonzero((candidates.names == previous.node) & open_to & candidates.sees_enough)
+        if len(before) and candidates.time[before[0]] < candidates.time[best]:
             best = int(before[0])
-            look = open_ahead[best] > 0.0
+            look = candidates.open_ahead[best] > 0.0
     if best >= 0:
-        node, p_MG, verdict = int(candidates[best]), points[best], "goal"
-        rate = gains.gain[best] / (time[best] + stay)
+        node, p_MG, verdict = int(candidates.nodes[best]), candidates.points[best], "goal"
+        rate = gains.gain[best] / (candidates.time[best] + stay)
         reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     else:
         if worth.any():
             verdict, reason = "budget", f"{budget} of the budget are left: too little for another goal."
         else:
-            barred, barred_time = barred_places(roadmap, robot.max_speed)
-            views = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
-            _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
-            verdict, reason = why_end(
-                bool(len(candidates)),
-                float(expected(barred, barred_time, *views).gain.max(initial=0.0)),
-                given_up_open(tfg, roadmap, robot.radius + NODE_MARGIN),
-                float(tfg.frontier_length.sum()),
-                not roadmap.reachable[home],
-                explorer.stop_gain,
-            )
+            any_left = bool(len(candidates.nodes))
+            verdict, reason = _end(any_left, estimate, tfg, roadmap, sensor, odometry, robot, explorer)
         node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2]) if explorer.return_home else -1
         p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
     return GoalChoice(
         stage=estimate.stage,
         node=int(roadmap.names(np.array([node]))[0]) if node >= 0 else -1,
         p_MG=p_MG,
-        candidates=roadmap.names(candidates),
+        candidates=candidates.names,
         exploitation=gains.exploitation,
         exploration=gains.exploration,
         pose_price=gains.pose_price,
@@ -199,7 +104,33 @@ def choose(
         verdict=verdict,
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
-        look=_directions(tfg.frontiers[_seen(sees, candidates[best], look)] - p_MG) if best >= 0 else np.zeros(0),
+        look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
+    )
+
+
+def _end(
+    any_left: bool,
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    roadmap: Roadmap,
+    sensor: TagSensorConfig,
+    odometry: OdometryConfig,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+) -> tuple[str, str]:
+    """Verdict and reason where no candidate, if any is left, is worth going to."""
+    barred, time = barred_places(roadmap, robot.max_speed)
+    tags, frontiers = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
+    distance = robot.max_speed * time
+    gains = information_gain(barred, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
+    _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
+    return why_end(
+        any_left,
+        float(gains.gain.max(initial=0.0)),
+        given_up_open(tfg, roadmap, robot.radius + NODE_MARGIN),
+        float(tfg.frontier_length.sum()),
+        not roadmap.reachable[home],
+        explorer.stop_gain,
     )
 
 
@@ -226,9 +157,10 @@ def remember(before: GoalChoice, choice: GoalChoice, roadmap: Roadmap, stop_gain
     )
 
 
-def _seen(sees: View, node: int, look: BoolArray) -> IntArray:
-    """The frontier points that a node sees, of these only those to look at (f,) if it sees any of them."""
-    seen = sees.of(np.array([node])).index
+def _seen(open_ahead: FloatArray, look: BoolArray) -> IntArray:
+    """The frontier points of which a place sees some length (f,), of these only those to look at (f,) if it sees any of
+    them."""
+    seen = np.flatnonzero(open_ahead > 0.0)
     return seen[look[seen]] if look[seen].any() else seen
 
 
@@ -237,23 +169,10 @@ def _directions(d: FloatArray) -> FloatArray:
     return np.arctan2(d[:, 1], d[:, 0])
 
 
-def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: FloatArray) -> Gains:
-    """The gains of candidates by SCREENING_TAGS of the tags they see, those of the best by all.
-
-    expected: the gains of some rows of them that see these tags. time: (c,) s that each takes.
-    """
-    gains = expected(np.arange(len(time)), tags.thinned(SCREENING_TAGS))
-    best = _best(gains, time)
-    return _replaced(gains, best, expected(best, tags.of(best)))
-
-
 def _values(
-    gains: Gains,
-    time: FloatArray,
+    candidates: Candidates,
     stay: float,
-    open_ahead: FloatArray,
     open_to: BoolArray,
-    candidates: IntArray,
     tfg: TfgMap,
     roadmap: Roadmap,
     robot: RobotConfig,
@@ -262,79 +181,21 @@ def _values(
     """What each of the candidates (c,) is worth by the rule explorer.goal, and which of the live frontier points (f,)
     are to be looked at from the best.
 
-    time: (c,) s to get there, stay: s at each. open_ahead: (c, f) m that each sees of each live frontier point.
-    open_to: (c,) those that may be chosen.
+    stay: s at each. open_to: (c,) those that may be chosen.
     """
+    gains, time, open_ahead = candidates.gains, candidates.time, candidates.open_ahead
     all_of_it = np.ones(len(tfg.frontiers), dtype=np.bool_)
     paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
     if explorer.goal == "argmax":
         return paid, all_of_it
     if explorer.goal == "nearest_frontier":
-        apart = np.hypot(*(roadmap.points[candidates][:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
-        enough = open_to & (open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
-        return nearest_frontier(time, np.where((open_ahead > 0.0) & enough[:, None], apart, np.inf)), all_of_it
+        apart = np.hypot(*(candidates.points[:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
+        asked = (open_ahead > 0.0) & (open_to & candidates.sees_enough)[:, None]
+        return nearest_frontier(time, np.where(asked, apart, np.inf)), all_of_it
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
-        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates, roadmap, robot.max_speed)
+        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
     return gain_per_time(paid, time + stay), all_of_it
-
-
-def _best(gains: Gains, time: FloatArray) -> IntArray:
-    """The rows, ascending, of the EXACT candidates of most gain per time (c,), s, and of as many of most gain."""
-    return np.union1d(np.argsort(-gains.gain / time)[:EXACT], np.argsort(-gains.gain - gains.pose_price)[:EXACT])
-
-
-def _replaced(gains: Gains, rows: IntArray, exact: Gains) -> Gains:
-    """The gains (c,) with those of some rows (r,) put in the place of what they were."""
-
-    def put(all_of: FloatArray, some: FloatArray) -> FloatArray:
-        result = all_of.copy()
-        result[rows] = some
-        return result
-
-    return Gains(
-        exploitation=put(gains.exploitation, exact.exploitation),
-        exploration=put(gains.exploration, exact.exploration),
-        pose_price=put(gains.pose_price, exact.pose_price),
-    )
-
-
-def _found_again(gains: Gains, known: BoolArray) -> Gains:
-    """The gains (c,) without the pose's price where the landmarks are not known (c,) jointly with the pose here: on its
-    way there the robot will find its place by what it sees, not by odometry from here."""
-    price = np.where(known, 0.0, gains.pose_price)
-    return Gains(gains.exploitation, gains.exploration + price, gains.pose_price - price)
-
-
-def _filled(
-    previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains, sees_frontier: BoolArray
-) -> Gains:
-    """The gains of all candidates (c,), by name: those of the ones asked for (c,) now, of the others as they were
-    before, but for what they promised of a frontier that they do not see (c,) any more."""
-    row = np.searchsorted(previous.candidates, candidates[~asked])
-
-    def fill(now: FloatArray, before: FloatArray) -> FloatArray:
-        filled = np.empty(len(candidates))
-        filled[asked], filled[~asked] = now, before[row]
-        return filled
-
-    exploration = fill(gains.exploration, previous.exploration)
-    exploration[~asked & ~sees_frontier] = 0.0
-    return Gains(
-        exploitation=fill(gains.exploitation, previous.exploitation),
-        exploration=exploration,
-        pose_price=fill(gains.pose_price, previous.pose_price),
-    )
-
-
-def frontier_seen(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
-    """Length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, less where the view
-    ends soon behind it."""
-    point = np.repeat(np.arange(len(points)), frontiers.count)
-    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
-    length = np.zeros((len(points), len(tfg.frontiers)))
-    length[point, frontiers.index] = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
-    return length
 
 
 def pick(value: FloatArray, worth: BoolArray, preferred: BoolArray) -> int:

@@ -26,8 +26,8 @@ from tfg_drake.messages import (
     message,
     replace,
 )
+from tfg_drake.planning.candidates import apart_from_goals, frontier_seen
 from tfg_drake.planning.expected_view import View, expected_frontiers
-from tfg_drake.planning.goal_choice import apart_from_goals, frontier_seen
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
 from tfg_drake.planning.roadmap import (

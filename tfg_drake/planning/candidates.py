@@ -1,0 +1,209 @@
+"""The candidates for the next goal: which they are, and what each is expected to bring."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.planning.exact_gain import share_seen
+from tfg_drake.planning.expected_view import View, expected_tags, local_view
+from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
+from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
+from tfg_drake.tfg.drift import known_jointly
+from tfg_drake.tfg.star_polygon import looked_round
+
+# Time lost at a goal besides the turn itself: settling, solving, planning, s.
+OVERHEAD = 1.0
+# The robot never turns again within this of where it has turned before, m: it would see the same once more.
+APART = 0.3
+# Nor where it has looked so often, whichever way: what is still open there does not show from there.
+MOST_LOOKS = 6
+# Candidates are screened by so many of the tags in view, and so many of the best, by each of two rules, judged by all.
+SCREENING_TAGS = 32
+EXACT = 60
+# A place is judged anew where all landmarks that it sees within this share of the sensor's range are known jointly.
+KNOWN_REACH = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidates:
+    """Places to go to next.
+
+    nodes: (c,) of the roadmap, ascending, names: (c,) theirs. points: (c, 2) m in M, time: (c,) s to get there. gains:
+    what each promises. tags: (c,) known landmarks in view, -1 where a place promises what it did before. open_ahead:
+    (c, f) m that each sees of each live frontier point.
+    """
+
+    nodes: IntArray
+    names: IntArray
+    points: FloatArray
+    time: FloatArray
+    gains: Gains
+    tags: IntArray
+    open_ahead: FloatArray
+
+    @property
+    def sees_enough(self) -> BoolArray:
+        """Which (c,) see enough live frontier to be worth a visit, whatever their gain."""
+        return np.asarray(self.open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
+
+
+def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
+    """s. The robot arrives facing some of what it came for, and turns half round for the rest, on average."""
+    return 0.5 * max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
+
+
+def judged(
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    roadmap: Roadmap,
+    sensor: TagSensorConfig,
+    odometry: OdometryConfig,
+    robot: RobotConfig,
+    explorer: ExplorerConfig,
+    previous: GoalChoice,
+) -> Candidates:
+    """The roadmap's reachable nodes, but for those next to past goals, at most explorer.samples of them judged now.
+
+    On a large map, a place where the landmarks are not known jointly with the robot's pose promises what it did when
+    they last were, by the previous choice (see `goal_choice.remember`): nothing has changed there since. Candidates
+    that come nowhere near the best promise what SCREENING_TAGS of their tags do, a little less than they would, as long
+    as any sees frontier: before the mission ends, all are judged in full.
+    """
+    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
+    sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
+    here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
+    kept = ~here & np.isin(roadmap.names(nodes), previous.candidates)
+    # Far away, where nothing was worth remembering, only what sees frontier is asked.
+    ask = ~kept & (here | (sees.count[nodes] > 0))
+    asked = thin_candidates(nodes[ask], sees.count[nodes[ask]], explorer.samples)
+    candidates = np.union1d(asked, nodes[kept])
+    ask = np.isin(candidates, asked)
+    points, time, names = roadmap.points[candidates], roadmap.travel_time[candidates], roadmap.names(candidates)
+    open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
+    sees_enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
+
+    def expected(rows: IntArray, tags: View) -> Gains:
+        at, needed = roadmap.points[asked[rows]], roadmap.travel_time[asked[rows]]
+        distance, frontiers = robot.max_speed * needed, sees.of(asked[rows])
+        return information_gain(at, distance, needed, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
+
+    tags = expected_tags(points[ask], estimate, tfg, sensor)
+    if explorer.gain == "exact" and len(asked) > 2 * EXACT and sees_enough[ask].any():
+        now = _screened(expected, tags, time[ask] + time_at_goal(sensor, explorer))
+    else:
+        now = expected(np.arange(len(asked)), tags)
+    now = _found_again(now, here[np.isin(nodes, asked)])
+    in_view = np.full(len(candidates), -1)
+    in_view[ask] = tags.count
+    gains = _filled(previous, names, ask, now, sees_enough)
+    return Candidates(candidates, names, points, time, gains, in_view, open_ahead)
+
+
+def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> IntArray:
+    """At most count of the nodes (n,), ascending, those that see a frontier (n,) first, evenly taken."""
+    if len(nodes) <= count:
+        return nodes
+    seeing, others = nodes[sees_frontier > 0], nodes[sees_frontier == 0]
+
+    def take(which: IntArray, number: int) -> IntArray:
+        return which[np.linspace(0, len(which) - 1, number).astype(np.int64)] if len(which) > number else which
+
+    seeing = take(seeing, count)
+    return np.sort(np.append(seeing, take(others, count - len(seeing))))
+
+
+def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
+    """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
+    nor its own (2,)."""
+    turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    distance, _ = cKDTree(np.vstack([tfg.star_centers[turned], p_MD])).query(points, distance_upper_bound=APART)
+    if len(tfg.star_centers) < MOST_LOOKS:
+        return np.asarray(np.isinf(distance))
+    last, _ = cKDTree(tfg.star_centers).query(points, k=[MOST_LOOKS], distance_upper_bound=APART)
+    return np.asarray(np.isinf(distance) & np.isinf(last[:, 0]))
+
+
+def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
+    """Whether what each of the points (n, 2), m in M, sees within KNOWN_REACH is known jointly with the departure pose,
+    (n,). Behind walls it need not be, but beyond the sensor's range from that pose nothing else is asked."""
+    reach = KNOWN_REACH * sensor.range
+    known = known_jointly(points, estimate, reach)
+    ask = np.flatnonzero(~known & (np.hypot(*(points - estimate.X_MD[:2]).T) < sensor.range))
+    view = expected_tags(points[ask], estimate, tfg, dataclasses.replace(sensor, range=reach))
+    known[ask] = local_view(view, estimate).count == view.count
+    return known
+
+
+def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: FloatArray) -> Gains:
+    """The gains of candidates by SCREENING_TAGS of the tags they see, those of the best by all.
+
+    expected: the gains of some rows of them that see these tags. time: (c,) s that each takes.
+    """
+    gains = expected(np.arange(len(time)), tags.thinned(SCREENING_TAGS))
+    best = _best(gains, time)
+    return _replaced(gains, best, expected(best, tags.of(best)))
+
+
+def _best(gains: Gains, time: FloatArray) -> IntArray:
+    """The rows, ascending, of the EXACT candidates of most gain per time (c,), s, and of as many of most gain."""
+    return np.union1d(np.argsort(-gains.gain / time)[:EXACT], np.argsort(-gains.gain - gains.pose_price)[:EXACT])
+
+
+def _replaced(gains: Gains, rows: IntArray, exact: Gains) -> Gains:
+    """The gains (c,) with those of some rows (r,) put in the place of what they were."""
+
+    def put(all_of: FloatArray, some: FloatArray) -> FloatArray:
+        result = all_of.copy()
+        result[rows] = some
+        return result
+
+    return Gains(
+        exploitation=put(gains.exploitation, exact.exploitation),
+        exploration=put(gains.exploration, exact.exploration),
+        pose_price=put(gains.pose_price, exact.pose_price),
+    )
+
+
+def _found_again(gains: Gains, known: BoolArray) -> Gains:
+    """The gains (c,) without the pose's price where the landmarks are not known (c,) jointly with the pose here: on its
+    way there the robot will find its place by what it sees, not by odometry from here."""
+    price = np.where(known, 0.0, gains.pose_price)
+    return Gains(gains.exploitation, gains.exploration + price, gains.pose_price - price)
+
+
+def _filled(
+    previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains, sees_frontier: BoolArray
+) -> Gains:
+    """The gains of all candidates (c,), by name: those of the ones asked for (c,) now, of the others as they were
+    before, but for what they promised of a frontier that they do not see (c,) any more."""
+    row = np.searchsorted(previous.candidates, candidates[~asked])
+
+    def fill(now: FloatArray, before: FloatArray) -> FloatArray:
+        filled = np.empty(len(candidates))
+        filled[asked], filled[~asked] = now, before[row]
+        return filled
+
+    exploration = fill(gains.exploration, previous.exploration)
+    exploration[~asked & ~sees_frontier] = 0.0
+    return Gains(
+        exploitation=fill(gains.exploitation, previous.exploitation),
+        exploration=exploration,
+        pose_price=fill(gains.pose_price, previous.pose_price),
+    )
+
+
+def frontier_seen(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
+    """Length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, less where the view
+    ends soon behind it."""
+    point = np.repeat(np.arange(len(points)), frontiers.count)
+    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
+    length = np.zeros((len(points), len(tfg.frontiers)))
+    length[point, frontiers.index] = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
+    return length
