@@ -21,10 +21,13 @@ from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
 _MAPPED, _MISSED = "#12876f", "#d62728"
-# Goals nearer to each other than this are not both numbered, m.
+# Goals nearer to each other than this, m and in points of the drawing, are not both numbered.
 NUMBER_SPACING = 1.5
+NUMBER_POINTS = 36.0
 _ESTIMATE, _TRUTH = "#1f4e9c", "#7fb2e5"
 _FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
+# Of the drawing, inches.
+_WIDTH = 11.0
 _POINTS_PER_INCH = 72.0
 
 
@@ -123,9 +126,8 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
 
 def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]):  # type: ignore[no-untyped-def]
     """Figure and axes for an area, m, and a symbol's size in points, from the scale of the drawing."""
-    width = 11.0
-    height = float(np.clip(width * (y[1] - y[0]) / (x[1] - x[0]), 3.5, 12.0))
-    figure = Figure(figsize=(width, height + 1.1), layout="constrained")
+    height = float(np.clip(_WIDTH * (y[1] - y[0]) / (x[1] - x[0]), 3.5, 12.0))
+    figure = Figure(figsize=(_WIDTH, height + 1.1), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set(xlim=x, ylim=y, aspect="equal", xlabel="x (m)", ylabel="y (m)")
@@ -133,7 +135,7 @@ def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]):  # type
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.set_title(title, loc="left", fontsize=10)
-    return figure, axes, float(np.clip(0.2 * width * _POINTS_PER_INCH / (x[1] - x[0]), 1.2, 6.0))
+    return figure, axes, float(np.clip(0.2 * _WIDTH * _POINTS_PER_INCH / (x[1] - x[0]), 1.2, 6.0))
 
 
 def _write(figure: Figure, path: Path) -> None:
@@ -171,7 +173,9 @@ def draw_landmarks(axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: Float
     outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T)
     label = "landmark mapped, 3\u03c3"
     axes.plot(*p_WL.T, "o", color=_MAPPED, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
-    rings = PolyCollection(list(outlines), facecolors="none", edgecolors=_MAPPED, linewidths=0.5, zorder=4)
+    # Thin where there are many on little room.
+    width = min(0.5, 0.15 * symbol)
+    rings = PolyCollection(list(outlines), facecolors="none", edgecolors=_MAPPED, linewidths=width, zorder=4)
     axes.add_collection(rings)
 
 
@@ -195,10 +199,12 @@ def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: igno
     goals = compose(X_WM, X_MA)[:, :2] if len(X_MA) else np.zeros((0, 2))
     if not len(goals):
         return
+    x_min, x_max = axes.get_xlim()
+    spacing = max(NUMBER_SPACING, NUMBER_POINTS * (x_max - x_min) / (_WIDTH * _POINTS_PER_INCH))
     numbered: list[int] = []
     # The last first: where the robot came back, the newer number says so.
     for number in range(len(goals) - 1, -1, -1):
-        if all(np.hypot(*(goals[number] - goals[other])) > NUMBER_SPACING for other in numbered):
+        if all(np.hypot(*(goals[number] - goals[other])) > spacing for other in numbered):
             numbered.append(number)
     axes.plot(*goals.T, "o", markersize=3, color=_ESTIMATE, linewidth=0, label="goal or glance", zorder=4.9)
     ring = {"markersize": 10, "color": "white", "markeredgecolor": _ESTIMATE, "linewidth": 0}
