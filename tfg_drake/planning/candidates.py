@@ -132,7 +132,8 @@ def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
 
 def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
     """Whether what each of the points (n, 2), m in M, sees within KNOWN_REACH is known jointly with the departure pose,
-    (n,). Behind walls it need not be, but beyond the sensor's range from that pose nothing else is asked."""
+    (n,): what stands behind walls does not matter. Out of the sensor's range from that pose all that is as near counts,
+    seen or not."""
     reach = KNOWN_REACH * sensor.range
     known = known_jointly(points, estimate, reach)
     ask = np.flatnonzero(~known & (np.hypot(*(points - estimate.X_MD[:2]).T) < sensor.range))
