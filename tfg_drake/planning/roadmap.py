@@ -115,8 +115,8 @@ class RoadmapState:
     stage. ids: (n,) ascending, the names of the nodes, next_id: that of the next new one. anchor: (n,) the goal in
     whose arrival frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m, sigma:
     (n,) m, the deviation of the robot there relative to the surfaces, settled: (n,) whether by landmarks known jointly,
-    now or when the robot was last near. edges: all that were ever proposed, between rows
-    of the nodes. links: edges to nodes that rest, between names.
+    now or when the robot was last near. edges: all that were ever proposed, between rows of the nodes. links: edges to
+    nodes that rest, between names.
     """
 
     stage: int
