@@ -39,18 +39,18 @@ SLACK = 0.02
 Stage = tuple[MapEstimate, TfgMap, RoadmapState]
 
 
-def stages_of(scenario: Scenario) -> list[Stage]:
-    """Map, TFG and roadmap of every stage of a mission."""
+def stages_of(scenario: Scenario, max_time: float) -> list[Stage]:
+    """Map, TFG and roadmap of every stage of a mission of at most this time, s."""
     stages: list[Stage] = []
     grow = planner.grow
 
-    def noted(state, estimate, tfg, parameters):  # type: ignore[no-untyped-def]
-        state = grow(state, estimate, tfg, parameters)
-        stages.append((estimate, tfg, state.nodes))
+    def noted(state, working, parameters):  # type: ignore[no-untyped-def]
+        state = grow(state, working, parameters)
+        stages.append((working.estimate, working.tfg, state.nodes))
         return state
 
     with mock.patch.object(planner, "grow", noted):
-        explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="chance-")))
+        explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="chance-")), max_time=max_time)
     return stages
 
 
@@ -71,6 +71,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario", nargs="?", default="paper")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--max-time", type=float, default=3600.0, help="of the mission, s")
     parser.add_argument("--inflate", type=float, default=3.0)
     parser.add_argument("--rollouts", type=int, default=10_000)
     parser.add_argument("--paths", type=int, default=3)
@@ -79,7 +80,7 @@ def main() -> None:
     options = parser.parse_args()
     scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
     scenario.seed = options.seed
-    stages = stages_of(scenario)
+    stages = stages_of(scenario, options.max_time)
     sensor, odometry = inflated(scenario, options.inflate)
     print("risk   asked   paths  points  kept  worst point  points above   path mean  path most  reachable")
     for risk, probability in itertools.product(RISKS, options.probability):
