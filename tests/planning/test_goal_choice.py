@@ -1,15 +1,13 @@
 import numpy as np
 
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.goal_choice import pick
+from tfg_drake.planning.goal_choice import pick, preferred
 from tfg_drake.planning.mission_end import given_up_open, why_end
 from tfg_drake.tfg.graph import empty_map
 
 
-def best(value, worth, preferred=None):
-    worth = np.asarray(worth, dtype=bool)
-    preferred = worth if preferred is None else np.asarray(preferred, dtype=bool)
-    return pick(np.asarray(value, dtype=float), worth, preferred)
+def best(value, worth):
+    return pick(np.asarray(value, dtype=float), np.asarray(worth, dtype=bool))
 
 
 def test_the_most_value_wins_and_the_first_of_equals():
@@ -22,9 +20,11 @@ def test_only_what_is_worth_going_to_is_picked():
     assert best([], []) == -1
 
 
-def test_a_preferred_place_wins_where_there_is_one():
-    assert best([9, 1], [1, 1], [0, 1]) == 1
-    assert best([9, 1], [1, 0], [0, 1]) == 0
+def test_places_that_see_enough_known_tags_are_preferred_where_there_are_any():
+    open_to, tags = np.array([True, True, True, False]), np.array([7, 8, -1, 9])
+    np.testing.assert_array_equal(preferred(open_to, tags, 8), [False, True, True, False])
+    np.testing.assert_array_equal(preferred(open_to, tags, 0), open_to)
+    np.testing.assert_array_equal(preferred(open_to, np.array([7, 3, 2, 9]), 8), open_to)
 
 
 def test_a_place_that_the_rule_does_not_want_is_picked_only_where_no_other_is_left():

@@ -48,8 +48,9 @@ def roadmap(stage=1):
 
 
 class Selector:
-    def __init__(self):
-        self.system = InfoGainGoalSelector(RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig())
+    def __init__(self, **explorer):
+        config = ExplorerConfig(**explorer)
+        self.system = InfoGainGoalSelector(RobotConfig(), OdometryConfig(), TagSensorConfig(), config)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.now = {}
@@ -197,6 +198,17 @@ def test_on_its_way_the_robot_is_not_turned_round_by_what_comes_into_sight_far_a
         assert (goal.node == before) == goes_on
         assert column[goal.node] == ("west" if goes_on else "east")
         assert np.abs(goal.look).min() > 1.5  # to the west
+
+
+def test_a_tour_is_planned_over_the_places_that_see_enough_known_tags():
+    _, tfg = half_known_room()
+    behind_a_wall = dataclasses.replace(tfg, segments=np.vstack([tfg.segments, [[-1.5, -4.0, -1.5, 0.5]]]))
+    for least_tags in range(4):
+        selector = Selector(goal="tour", least_tags=least_tags)
+        selector.ready(tfg=behind_a_wall)
+        goal = selector.goal()
+        value = goal.value[goal.candidates == goal.node]
+        assert -np.inf < value == goal.value.max()
 
 
 def test_no_goal_is_chosen_where_the_robot_is():

@@ -64,14 +64,15 @@ def choose(
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
     worth = candidates.sees_enough | (gains.gain > explorer.stop_gain)
     affordable = budget.affords(roadmap, candidates.nodes)
-    open_to = worth & affordable
+    # As long as any place is worth going to, every place will do for a goal drawn at random.
+    anywhere = explorer.goal == "random" and bool(worth.any())
+    open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
     value, look = _values(candidates, stay, open_to, tfg, roadmap, robot, explorer)
-    if explorer.goal == "random" and worth.any():
-        # As long as any place is worth going to, every place will do.
-        open_to, value = affordable, np.random.default_rng((seed, estimate.stage)).random(len(candidates.nodes))
+    if anywhere:
+        value = np.random.default_rng((seed, estimate.stage)).random(len(candidates.nodes))
         # It goes all the way there: what it comes to is no candidate any more.
         value[candidates.names == previous.node] = 1.0
-    best = pick(value, open_to, (candidates.tags < 0) | (candidates.tags >= explorer.least_tags))
+    best = pick(value, open_to)
     if explorer.goal == "tour" and best >= 0 and len(estimate.local) < len(estimate.ids):
         # Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour,
         # must not turn the robot round before it is done with what is nearer.
@@ -198,9 +199,16 @@ def _values(
     return gain_per_time(paid, time + stay), all_of_it
 
 
-def pick(value: FloatArray, worth: BoolArray, preferred: BoolArray) -> int:
-    """The candidate (c,) of most value, the first of equals, among those worth going to (c,), if possible a preferred
-    one (c,); -1 if none is worth it."""
-    among = worth & preferred if (worth & preferred).any() else worth
-    among = among & (value > -np.inf) if (among & (value > -np.inf)).any() else among
+def preferred(open_to: BoolArray, tags: IntArray, least_tags: int) -> BoolArray:
+    """Of the candidates that may be chosen (c,) those that see so many of the known tags (c,), all where none does.
+
+    tags: -1 where it is not known.
+    """
+    sees_enough = open_to & ((tags < 0) | (tags >= least_tags))
+    return sees_enough if sees_enough.any() else open_to
+
+
+def pick(value: FloatArray, worth: BoolArray) -> int:
+    """The candidate (c,) of most value, the first of equals, among those worth going to (c,); -1 if none is."""
+    among = worth & (value > -np.inf) if (worth & (value > -np.inf)).any() else worth
     return int(np.argmax(np.where(among, value, -np.inf))) if among.any() else -1
