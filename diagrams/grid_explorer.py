@@ -5,6 +5,8 @@ odometry, scan -> grid mapper -> goal selector -> grid planner -> follower -> ve
 
 from __future__ import annotations
 
+import dataclasses
+
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import AssembleExplorer
@@ -25,7 +27,8 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
     weighted: goals by the weighted sum of grid entropy and pose uncertainty (the paper's eq. 1), not the nearest
     frontier.
     """
-    robot, explorer = scenario.robot, scenario.explorer
+    # The first look is for the heading of a map of tags: scan matching gains nothing from it.
+    robot, explorer = scenario.robot, dataclasses.replace(scenario.explorer, first_look=0.0, first_turns=1)
 
     def choose(grid: GridMap, pose: PoseEstimate, tried: TriedPlaces) -> tuple[GoalChoice, TriedPlaces]:
         if weighted:

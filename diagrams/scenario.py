@@ -118,6 +118,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.samples": (1.0, math.inf),
     "explorer.frontier_attempts": (1.0, math.inf),
     "explorer.turn_rate": (0.0, math.inf),
+    "explorer.first_turns": (1.0, math.inf),
     "planner.collision_probability": (0.0, 0.5),
     "hardware.max_speed": (0.0, math.inf),
     "grid.resolution": (0.0, math.inf),

@@ -33,7 +33,8 @@ class PurePursuitFollower(LeafSystem):
     """Follows the path while the mission says that the robot drives, turns in place in its phase "observe", and stands
     still otherwise.
 
-    At a goal it turns as far as it takes to look in the directions that the goal names, anywhere else all round.
+    At a goal it turns as far as it takes to look in the directions that the goal names, where the mission starts it
+    looks and turns as long as the explorer's configuration says, anywhere else it turns all round.
 
     .. pydrake_system::
 
@@ -54,7 +55,7 @@ class PurePursuitFollower(LeafSystem):
         """field_of_view: rad, in which all sensors see that look round; None to turn all round at every goal."""
         super().__init__()
         self._field_of_view = field_of_view
-        self._robot, self._turn_rate, self._first_look = robot, explorer.turn_rate, explorer.first_look
+        self._robot, self._explorer = robot, explorer
         self._pose = declare_message_input(self, "pose")
         self._path = declare_message_input(self, "path")
         self._goal = declare_message_input(self, "goal")
@@ -101,21 +102,20 @@ class PurePursuitFollower(LeafSystem):
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
-            # First of all all of it, for the map's heading: the end sees again what the beginning saw.
-            x[FIRST] = x[THEN] = 2.0 * np.pi
+            x[FIRST] = x[THEN] = 2.0 * np.pi * (self._explorer.first_turns if mission.stage == 0 else 1)
             if mission.stage > 0 and self._field_of_view is not None:
                 at_goal = goal.stage == mission.stage and mission.failures == 0
                 x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
-        if mission.stage == 0 and x[STAMP] < mission.since + self._first_look:
+        if mission.stage == 0 and x[STAMP] < mission.since + self._explorer.first_look:
             return
         before = 0.0
         for leg, target in enumerate((x[FIRST], x[THEN])):
             if x[LEGS] == leg:
                 x[LEGS] += (target - x[TURNED]) * (target - before) <= 0.0
             if x[LEGS] == leg:
-                x[TURN_RATE] = turn_in_place(x[TURNED], target, self._turn_rate, self._robot)
+                x[TURN_RATE] = turn_in_place(x[TURNED], target, self._explorer.turn_rate, self._robot)
             before = target
 
     def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> None:

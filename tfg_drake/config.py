@@ -172,14 +172,15 @@ class ExplorerConfig:
     # Goals tried at one frontier point before it is given up.
     frontier_attempts: int = 3
     # Turn rate while observing at a goal, rad/s.
-    turn_rate: float = 1.0
+    turn_rate: float = 1.2
     # On its way to a goal the robot maps what it has ahead once in this time, s, and chooses anew; 0: only at goals.
     glance_period: float = 2.0
     # The way between goals is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
     path_keyframe_period: float = 5.0
-    # The robot stands and looks this long before its first turn, s: the map's heading is that of the start pose, and
-    # half of what turns the finished map is how well that was known.
-    first_look: float = 6.0
+    # The robot stands and looks this long before it first moves, s, and then turns round so many times: the map's
+    # heading is that of the start pose, and half of what turns the finished map is how well that was known.
+    first_look: float = 8.0
+    first_turns: int = 2
 
 
 @dataclasses.dataclass
