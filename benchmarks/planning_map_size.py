@@ -174,7 +174,7 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int, *, ring: bool = Fals
     copies = Copies(count)
     graphs, estimate, panorama, sightings, tags, robot, explorer = asked["update"]
     state, _, parameters = asked["grow"]
-    *_, previous, seed = asked["choose"]
+    *_, goal_parameters, previous = asked["choose"]
     if ring:
         estimate = with_a_loop_open(estimate, graphs.near)
     goals, names = graphs.near.stage, state.nodes.next_id
@@ -187,15 +187,14 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int, *, ring: bool = Fals
     ends.append(time.thread_time())
     state = planner.grow(state, working, parameters)
     ends.append(time.thread_time())
-    others = asked["choose"][3:-2]
-    choice = choose(working.estimate, working.tfg, state.roadmap, *others, previous, seed)
+    choice = choose(working.estimate, working.tfg, state.roadmap, goal_parameters, previous)
     remember(previous, choice, state.roadmap, explorer.stop_gain)
     ends.append(time.thread_time())
     tfg = resolve(whole_graph(graphs), estimate, robot, explorer)
     obstacles = planner.obstacles_in_map(state, estimate)
     nodes = whole_roadmap(state.parts, estimate.X_MA)
     roadmap = planner.make_roadmap(nodes, tfg, estimate, parameters, obstacles, state.driven_before)
-    choose(estimate, tfg, roadmap, *others, previous, seed)
+    choose(estimate, tfg, roadmap, goal_parameters, previous)
     ends.append(time.thread_time())
     ms = 1e3 * np.diff(ends)
     return [*ms[:3], ms[:3].sum(), ms[3]]

@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, WorkingMap, message
+from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import choose, empty_choice, remember
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -59,8 +60,7 @@ class InfoGainGoalSelector(LeafSystem):
     ):
         """seed: of the goals, where explorer.goal is random."""
         super().__init__()
-        self._robot, self._sensor, self._odometry, self._explorer = robot, sensor, odometry, explorer
-        self._seed = seed
+        self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
         self._working_map = declare_message_input(self, "working_map")
@@ -92,16 +92,11 @@ class InfoGainGoalSelector(LeafSystem):
             np.hypot(*(now.goal.p_MG - working.estimate.X_MD[:2])) > working.reach
             or not roadmap.reaches(np.array([now.goal.node]))[0]
         )
-        goal = None if underway else self._Choose(working.estimate, working.tfg, roadmap, now.remembered)
+        goal = None if underway else choose(working.estimate, working.tfg, roadmap, self._parameters, now.remembered)
         if goal is None or (goal.verdict != "goal" and not working.is_all):
             estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
             roadmap = eval_message(self._roadmap, context, Roadmap)
-            goal = self._Choose(estimate, tfg, roadmap, now.remembered)
-        remembered = remember(now.remembered, goal, roadmap, self._explorer.stop_gain)
+            goal = choose(estimate, tfg, roadmap, self._parameters, now.remembered)
+        remembered = remember(now.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
         set_state_message(state, self._state, _SelectorState(goal, remembered))
         return EventStatus.Succeeded()
-
-    def _Choose(self, estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, before: GoalChoice) -> GoalChoice:
-        return choose(
-            estimate, tfg, roadmap, self._sensor, self._odometry, self._robot, self._explorer, before, self._seed
-        )

@@ -32,6 +32,18 @@ KNOWN_REACH = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
+class GoalParameters:
+    """What the choice of goals needs to know of the robot, its sensors and the explorer, and the seed of the rule that
+    goes anywhere."""
+
+    robot: RobotConfig
+    sensor: TagSensorConfig
+    odometry: OdometryConfig
+    explorer: ExplorerConfig
+    seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
 class Candidates:
     """Places to go to next.
 
@@ -63,10 +75,7 @@ def judged(
     estimate: MapEstimate,
     tfg: TfgMap,
     roadmap: Roadmap,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    robot: RobotConfig,
-    explorer: ExplorerConfig,
+    parameters: GoalParameters,
     previous: GoalChoice,
 ) -> Candidates:
     """The roadmap's reachable nodes, but for those next to past goals, at most explorer.samples of them judged now.
@@ -76,6 +85,7 @@ def judged(
     that come nowhere near the best promise what SCREENING_TAGS of their tags do, a little less than they would, as long
     as any sees frontier: before the mission ends, all are judged in full.
     """
+    sensor, odometry, explorer = parameters.sensor, parameters.odometry, parameters.explorer
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
@@ -91,7 +101,7 @@ def judged(
 
     def expected(rows: IntArray, tags: View) -> Gains:
         at, needed = roadmap.points[asked[rows]], roadmap.travel_time[asked[rows]]
-        distance, frontiers = robot.max_speed * needed, sees.of(asked[rows])
+        distance, frontiers = parameters.robot.max_speed * needed, sees.of(asked[rows])
         return information_gain(at, distance, needed, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
     tags = expected_tags(points[ask], estimate, tfg, sensor)

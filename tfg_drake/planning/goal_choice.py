@@ -7,11 +7,11 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import NODE_MARGIN, ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.budget import budget_left, way_home
-from tfg_drake.planning.candidates import Candidates, judged, time_at_goal
+from tfg_drake.planning.candidates import Candidates, GoalParameters, judged, time_at_goal
 from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.information_gain import information_gain
@@ -44,23 +44,19 @@ def choose(
     estimate: MapEstimate,
     tfg: TfgMap,
     roadmap: Roadmap,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    robot: RobotConfig,
-    explorer: ExplorerConfig,
+    parameters: GoalParameters,
     previous: GoalChoice,
-    seed: int = 0,
 ) -> GoalChoice:
-    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is the choice before. seed: of
-    the rule that goes anywhere.
+    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is the choice before.
 
     Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
-    candidates = judged(estimate, tfg, roadmap, sensor, odometry, robot, explorer, previous)
-    gains, stay = candidates.gains, time_at_goal(sensor, explorer)
+    robot, explorer = parameters.robot, parameters.explorer
+    candidates = judged(estimate, tfg, roadmap, parameters, previous)
+    gains, stay = candidates.gains, time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
     worth = candidates.sees_enough | (gains.gain > explorer.stop_gain)
     affordable = budget.affords(roadmap, candidates.nodes)
@@ -69,7 +65,7 @@ def choose(
     open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
     value, look = _values(candidates, stay, open_to, tfg, roadmap, robot, explorer)
     if anywhere:
-        value = np.random.default_rng((seed, estimate.stage)).random(len(candidates.nodes))
+        value = np.random.default_rng((parameters.seed, estimate.stage)).random(len(candidates.nodes))
         # It goes all the way there: what it comes to is no candidate any more.
         value[candidates.names == previous.node] = 1.0
     best = pick(value, open_to)
@@ -89,7 +85,7 @@ def choose(
             verdict, reason = "budget", f"{budget} of the budget are left: too little for another goal."
         else:
             any_left = bool(len(candidates.nodes))
-            verdict, reason = _end(any_left, estimate, tfg, roadmap, sensor, odometry, robot, explorer)
+            verdict, reason = _end(any_left, estimate, tfg, roadmap, parameters)
         node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2]) if explorer.return_home else -1
         p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
     return GoalChoice(
@@ -114,16 +110,16 @@ def _end(
     estimate: MapEstimate,
     tfg: TfgMap,
     roadmap: Roadmap,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    robot: RobotConfig,
-    explorer: ExplorerConfig,
+    parameters: GoalParameters,
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate, if any is left, is worth going to."""
+    robot, sensor, explorer = parameters.robot, parameters.sensor, parameters.explorer
     barred, time = barred_places(roadmap, robot.max_speed)
     tags, frontiers = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
     distance = robot.max_speed * time
-    gains = information_gain(barred, distance, time, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
+    gains = information_gain(
+        barred, distance, time, tags, frontiers, estimate, tfg, sensor, parameters.odometry, explorer
+    )
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     return why_end(
         any_left,
