@@ -7,9 +7,6 @@ from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import goal_graph
 from tfg_drake.tfg.graph import empty_map
 
-IDS = np.zeros(0, dtype=np.int64)
-NONE = np.zeros((0, 2))
-
 
 def test_a_past_goal_is_no_place_to_see_a_frontier_from():
     estimate = replace(goal_graph.empty_map(), stage=1, covariance=np.eye(3), X_MA=np.zeros((1, 3)))
@@ -37,11 +34,15 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
     parameters = RoadmapParameters(
         RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PlannerConfig(), seed=1
     )
-    X_MA = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]])
+    X_MA = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0], [1.6, 0.0, 0.0]])
     X_MD = X_MA + np.array([0.375, 0.0, 0.0])
     circle = 3.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     state = initial_state()
-    for k in (1, 2):
+    for k in (1, 2, 3):
+        if k > 1:
+            # What the planner notes while the robot drives, until the glance has ended.
+            way = np.arange(X_MD[k - 2, 0] + 0.1, X_MD[k - 1, 0] + 1e-9, 0.1)[:, None] * [1.0, 0.0]
+            state = replace(state, driven=np.vstack([state.driven, way]))
         estimate = replace(goal_graph.empty_map(), stage=k, covariance=np.eye(3), X_MA=X_MA[:k], X_MD=X_MD[k - 1])
         tfg = replace(
             empty_map(),
@@ -52,5 +53,7 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
         )
         state = grow(state, WorkingMap(estimate, tfg, np.ones(k, dtype=bool)), parameters)
     a, b = state.nodes.points[state.nodes.edges.nodes[state.nodes.edges.travelled]].transpose(1, 0, 2)
-    assert np.hypot(*(a - b).T).sum() > 0.7
-    assert state.driven_before == 0.375
+    np.testing.assert_allclose(np.sort(np.append(a[:, 0], b[:, 0]))[[0, -1]], [0.0, X_MD[2, 0]], atol=0.15)
+    assert np.hypot(*(a - b).T).sum() > 1.5
+    # From the first glance's end to the last one's, every metre once.
+    np.testing.assert_allclose(state.driven_before, 1.6, atol=0.05)

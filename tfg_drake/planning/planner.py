@@ -59,7 +59,8 @@ class PlannerState:
     parts: the roadmap itself. roadmap, path, status: what it says of what is near. replans: the mission's count when
     the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
     goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the
-    robot has been at this stage, m in M, driven_before: m, before this stage.
+    robot has been at this stage, m in M, from where the newest goal's observation began on; driven_before: m, until it
+    ended.
     """
 
     parts: Parted[RoadmapState]
@@ -142,7 +143,8 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
     """The state with the roadmap extended to the newest goal of the map; what of that rests, rests here, too."""
     estimate, tfg = working.estimate, working.tfg
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
-    driven_before = state.driven_before + float(np.hypot(*np.diff(state.driven, axis=0).T).sum())
+    # The way during a glance, from A to D, comes first in the list and was counted at the end of the one before.
+    driven_before = state.driven_before + float(np.hypot(*np.diff(state.driven[1:], axis=0).T).sum())
     state = replace(state, driven_before=driven_before)
     parts = rearranged(state.parts, working.near, cut, joined)
     nodes = parts.near

@@ -304,11 +304,12 @@ def _travelled_nodes(
 ) -> tuple[FloatArray, list[tuple[int, int]]]:
     """New nodes along the way driven (d, 2) to the last goal, and the chain of edges between them and existing nodes.
 
-    An old node nearby stands for a new one where there is room for that.
+    It ends where the robot drove on from there; if it was carried since, the goal alone is new. An old node nearby
+    stands for a new one where there is room for that.
     """
     goal = estimate.X_MA[-1, :2]
     chain = goal[None]
-    if len(driven) and np.hypot(*(driven[-1] - goal)) < 0.5:
+    if len(driven) and np.hypot(*(driven[-1] - estimate.X_MD[:2])) < 0.5:
         chain = np.vstack([driven, goal])
         chain = chain[_chords(chain)]
     room = clearance(np.hstack([chain, chain]), segments, 1.0)
