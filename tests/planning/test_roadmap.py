@@ -107,9 +107,7 @@ def test_edges_keep_their_clearance_and_stay_in_the_free_space():
     lines = shapely.linestrings(state.points[state.edges.nodes[state.edges.usable]])
     walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
     distance = shapely.distance(lines, walls)
-    untravelled = ~state.edges.travelled[state.edges.usable]
-    np.testing.assert_array_less(ROBOT.radius + 0.02, distance[untravelled])
-    np.testing.assert_array_less(ROBOT.radius, distance)
+    np.testing.assert_array_less(ROBOT.radius + 0.02, distance)
     free = shapely.union_all([shapely.Polygon(v) for v in np.split(tfg.star_vertices, tfg.star_offsets[1:-1])])
     assert shapely.covers(free.buffer(0.3), lines).all()
 
@@ -134,13 +132,12 @@ def test_is_the_same_every_time():
 
 def test_moves_with_the_map():
     goals = [(-4, 1, 0), (3, 0.5, 1)]
-    state, estimate, _ = build(two_rooms(), goals)
+    state, _, _ = build(two_rooms(), goals)
     shift = np.array([0.4, -0.3, 0.2])
     moved_estimate, moved_tfg = known(two_rooms(), goals, shift)
     moved = extend(state, moved_tfg, moved_estimate, PARAMETERS)
     n = len(state.points)
     np.testing.assert_allclose(moved.points[:n], transform(shift, state.points), atol=1e-9)
-    assert moved.stage == estimate.stage
 
 
 def test_more_effort_gives_more_nodes():
@@ -383,6 +380,17 @@ def test_a_tight_bend_once_driven_can_be_driven_back():
     state, estimate, tfg = build(walls, [(-3.0, 0.0, 0.0), (0.0, 2.5, 1.57)], way)
     ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
     assert np.isfinite(ways.cost[nearest(state, (-3.0, 0.0))])
+
+
+def test_the_risk_of_a_whole_path_does_not_keep_a_robot_where_it_is_shut_in():
+    sure = dataclasses.replace(PLANNER, risk="path")
+    # It stands nearer to a wall than its radius and a margin; then in a door driven through that is too narrow by now.
+    state, _, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    beside = np.array([-3.0, -2.0 + ROBOT.radius + 0.01, 1.57])
+    assert np.isfinite(routes(state, tfg, beside, ROBOT, sure).cost[nearest(state, (-4, 1))])
+    driven = resample(np.array([[-4.0, 0], [4, 0]]), 0.1)
+    state, estimate, tfg = build(two_rooms(0.42), [(-4, 0, 0), (4, 0, 0)], driven)
+    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, sure).cost[nearest(state, (-4, 0))])
 
 
 def test_a_path_keeps_the_risk_of_the_whole_by_a_detour_or_stays_away():

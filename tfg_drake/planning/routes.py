@@ -59,9 +59,9 @@ def routes(
     """Cheapest ways from the robot's pose X_MB (3,) to every node.
 
     An edge costs length * (1 + 2 max(0, 1 - d)^2), d its clearance in metres. With planner.risk "path" an edge's risk
-    costs too, and what cannot be reached within planner.collision_probability counts as unreachable. obstacles: (b, 4)
-    segments met at this stage that the map does not hold, m in M. A robot that stands too near a surface may still
-    leave, as long as it comes no nearer.
+    costs too, and what cannot be reached within planner.collision_probability counts as unreachable; of ways that are
+    open though too narrow it is not asked. obstacles: (b, 4) segments met at this stage that the map does not hold, m
+    in M. A robot that stands too near a surface may still leave, as long as it comes no nearer.
     """
     n = len(state.points)
     if n == 0:
@@ -69,10 +69,12 @@ def routes(
         return Routes(none, np.zeros(0, dtype=np.int64), none, none)
     usable = state.edges.of(state.edges.usable)
     (a, b), has = usable.nodes.T, usable.clearance
+    # Open though too narrow, as the robot came by it and nothing else leads back: no risk that it has a choice about.
+    forced = usable.clearance <= usable.required
     if obstacles is not None and len(obstacles):
         room = clearance(state.points[usable.nodes].reshape(-1, 4), obstacles, COMFORT)
         passable = room >= robot.radius + OBSTACLE_MARGIN
-        a, b, has = a[passable], b[passable], np.minimum(has, room)[passable]
+        a, b, has, forced = a[passable], b[passable], np.minimum(has, room)[passable], forced[passable]
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
     length = np.hypot(*(state.points[a] - state.points[b]).T)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
@@ -85,6 +87,7 @@ def routes(
     if planner.risk == "path":
         sigma = state.sigma[[a, b]].max(axis=0)
         risk = _edge_risk(lengths, gap, np.concatenate([sigma, sigma, state.sigma[links]]), robot.radius)
+        risk[np.concatenate([forced, forced, links_has < robot.radius + NODE_MARGIN])] = 0.0
         weight += RISK_LENGTH * risk / planner.collision_probability
     graph = csr_matrix((weight, (source, target)), shape=(n + 1, n + 1))
     cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
