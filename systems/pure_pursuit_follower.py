@@ -104,7 +104,7 @@ class PurePursuitFollower(LeafSystem):
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
             x[FIRST] = x[THEN] = 2.0 * np.pi * (self._explorer.first_turns if mission.stage == 0 else 1)
             if mission.stage > 0 and self._field_of_view is not None:
-                at_goal = goal.stage == mission.stage and mission.failures == 0
+                at_goal = goal.stage == mission.stage and mission.failures == 0 and x[FINISHED]
                 x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading

@@ -70,8 +70,28 @@ def test_turns_until_all_was_in_view_and_slows_down():
     assert rig.context.get_time() < abs(first) + 2.0
 
 
+def arrived():
+    """At the goal that its path led to."""
+    rig = Rig([[-0.1, 0.0], [0.0, 0.0]])
+    rig.phase("follow")
+    assert rig.run(1.0, lambda status: status.arrived)
+    rig.phase("observe")
+    return rig
+
+
+def test_on_its_way_to_a_goal_it_looks_all_round_whatever_the_goal_asks_for():
+    rig = Rig([[0.0, 0.0], [9.0, 0.0]])
+    rig.goal = replace(rig.goal, look=np.array([0.2]))
+    rig.phase("follow")
+    rig.run(3.0)
+    rig.phase("observe")
+    rig.run(2.0)
+    assert not rig.status().turn_done
+    assert rig.run(12, lambda status: status.turn_done)
+
+
 def test_looks_where_the_goal_says_to_either_side():
-    rig = Rig()
+    rig = arrived()
     rig.goal = replace(rig.goal, look=np.array([1.2, -1.5]))
     headings = []
     assert rig.run(12, lambda status: headings.append(rig.X[2]) or status.turn_done)
@@ -80,7 +100,7 @@ def test_looks_where_the_goal_says_to_either_side():
 
 
 def test_what_is_in_view_already_is_looked_at_for_a_moment():
-    rig = Rig()
+    rig = arrived()
     rig.goal = replace(rig.goal, look=np.array([0.2]))
     assert not rig.run(LOOK_TIME - PERIOD, lambda status: status.turn_done)
     assert rig.run(2 * PERIOD, lambda status: status.turn_done)
