@@ -1,4 +1,4 @@
-"""The explorer: seven components and the mission sequencer, from what a TurtleBot senses to what its base is told.
+"""The explorer: five components and the mission sequencer, from what a TurtleBot senses to what its base is told.
 
 odometry, detections -> slam estimator -> tfg builder -> prm planner <-> goal selector
                              |                               |

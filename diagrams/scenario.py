@@ -111,7 +111,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "scan.field_of_view": (0.0, 2.0 * math.pi),
     "scan.resolution": (1e-4, math.pi),
     "scan.rate": (1.0, math.inf),
-    "safety.command_timeout": (0.0, math.inf),
+    "safety.scan_timeout": (0.0, math.inf),
     "disturbances[].duration": (0.0, math.inf),
     "explorer.density": (0.0, math.inf),
     "explorer.prior_sigma": (0.0, math.inf),

@@ -1,4 +1,4 @@
-"""The goal selector: once a stage, the roadmap node that promises the most information per time."""
+"""The goal selector: once a stage, the roadmap node to drive to next."""
 
 from __future__ import annotations
 

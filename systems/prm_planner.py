@@ -82,7 +82,8 @@ class PrmPlanner(LeafSystem):
         ticket = {self.abstract_state_ticket(self._state)}
         # Who looks at all of a large map's roadmap does so again and again: once a stage is enough.
         self._RoadmapOfAll = functools.lru_cache(maxsize=1)(self._MakeRoadmapOfAll)
-        declare_message_output(self, "roadmap", self._Roadmap, {self.all_sources_ticket()})
+        whole = {self.input_port_ticket(port.get_index()) for port in (self._map, self._tfg)}
+        declare_message_output(self, "roadmap", self._Roadmap, ticket | whole)
         declare_message_output(self, "working_roadmap", lambda context: self._State(context).roadmap, ticket)
         declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
         declare_message_output(self, "path_status", lambda context: self._State(context).status, ticket)

@@ -98,7 +98,7 @@ class SafetyConfig:
     """The filter between any controller and the base."""
 
     # Without a scan younger than this there is no forward speed, s.
-    command_timeout: float = 0.6
+    scan_timeout: float = 0.6
     # Nothing nearer to the robot's outline than this in its direction of travel, m, by the scan.
     stop_distance: float = 0.04
     # How long the base backs away after a bumper hit, s, and how fast, m/s.
@@ -154,7 +154,8 @@ class ExplorerConfig:
     gain: str = "exact"
     # The rule by which the next goal is picked, one of GOAL_RULES.
     goal: str = "tour"
-    # Whether the choice pays for arriving with an uncertain pose, and how many known tags a goal should have in view.
+    # Whether goals are preferred by their gain less the price of arriving with an uncertain pose, and how many known
+    # tags a goal should have in view.
     pose_price: bool = True
     least_tags: int = 0
     # Seconds and metres that the mission may take, 0: as many as it needs; and whether the robot comes home at the end.
@@ -167,7 +168,7 @@ class ExplorerConfig:
     prior_sigma: float = 10.0
     # Roadmap nodes whose information gain is evaluated each stage.
     samples: int = 400
-    # The mission is complete when no frontier lives and no candidate promises more than this, nats.
+    # The mission is complete when no candidate sees enough frontier or promises more than this, nats.
     stop_gain: float = 20.0
     # Goals tried at one frontier point before it is given up.
     frontier_attempts: int = 3

@@ -274,7 +274,7 @@ class Roadmap:
     the robot stands, along edges. enterable: (n,) there is room enough for the robot all the way, though perhaps not
     for its uncertainty; roomy: (n,) there is room for a robot that knows its place fairly well, too. travel_time: (n,)
     expected s from the robot, turns included, inf where unreachable, travel_length: (n,) m. home_time and home_length:
-    (n,) the same from each node to where the robot began, empty unless it must come home. driven: m, so far.
+    (n,) the same between each node and where the robot began, empty unless it must come home. driven: m, so far.
     frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
     TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, the
     nodes' names, which they keep from stage to stage; empty where that is their index.

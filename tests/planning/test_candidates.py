@@ -19,6 +19,9 @@ def test_candidates_are_thinned_evenly_and_frontiers_come_first(sees, count):
     assert set(kept) <= set(nodes)
     seeing = set(nodes[flags > 0])
     assert len(seeing & set(kept)) == min(len(seeing), count)
+    for of in (sorted(seeing), sorted(set(nodes) - seeing)):
+        gaps = np.diff(np.flatnonzero(np.isin(of, kept)))
+        assert not len(gaps) or np.ptp(gaps) <= 1
 
 
 def test_a_place_is_judged_anew_where_all_it_sees_is_known_jointly_whatever_stands_behind_walls():

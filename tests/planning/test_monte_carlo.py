@@ -44,10 +44,11 @@ def shares(case, odometry=EXACT_WHEELS, seed=0):
 
 
 def test_samples_have_the_joint_covariance():
-    _, estimate, _, _ = beside_a_wall(1e-3, 0.05, 0.02, shared=1.0)
-    samples = draw(estimate, np.random.default_rng(0), 200_000)
-    every = np.hstack([samples.dL.reshape(-1, 6), samples.dX])
-    np.testing.assert_allclose(np.cov(every.T), estimate.covariance, atol=0.01)
+    for shared in (0.0, 0.1):
+        _, estimate, _, _ = beside_a_wall(1e-3, 0.05, 0.02, shared=shared)
+        samples = draw(estimate, np.random.default_rng(0), 200_000)
+        every = np.hstack([samples.dL.reshape(-1, 6), samples.dX])
+        np.testing.assert_allclose(np.cov(every.T), estimate.covariance, rtol=0.03, atol=1e-4)
 
 
 def test_a_blind_robot_collides_as_often_as_its_pose_and_the_wall_are_off():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tfg_drake.messages import replace
-from tfg_drake.planning.scripted_drive import STEP, next_place, straight_path
+from tfg_drake.planning.path import PATH_STEP
+from tfg_drake.planning.scripted_drive import next_place, straight_path
 from tfg_drake.tfg.graph import empty_map
 
 DRIVE = np.array([[1.0, 2.0], [3.0, 4.0]])
@@ -34,7 +35,7 @@ def test_the_path_is_straight_and_dense():
     assert (path.id, path.stage) == (7, 2)
     assert path.points[0] == pytest.approx([0.0, 1.0])
     assert path.points[-1] == pytest.approx([3.0, 5.0])
-    assert np.hypot(*np.diff(path.points, axis=0).T).max() <= STEP + 1e-9
+    assert np.hypot(*np.diff(path.points, axis=0).T).max() <= PATH_STEP + 1e-9
     assert 4.0 * path.points[:, 0] - 3.0 * (path.points[:, 1] - 1.0) == pytest.approx(0.0, abs=1e-9)
 
 

@@ -14,7 +14,7 @@ from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.frontier import FREE, OCCUPIED, CellArray, cell_at, center_of, classify
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, LaserScan, replace
-from tfg_drake.planning.path import PATH_STEP, SHORTCUT_CLEARANCE, path_is_free, resample, round_corners
+from tfg_drake.planning.path import PATH_STEP, SHORTCUT_CLEARANCE, lines_between, path_is_free, resample, round_corners
 from tfg_drake.planning.roadmap import COMFORT
 
 # How much more than in the open a metre costs that all but touches something.
@@ -131,10 +131,6 @@ def in_cells(grid: GridMap, points: FloatArray) -> FloatArray:
     return np.ascontiguousarray(((points - grid.origin) / grid.resolution)[:, ::-1])
 
 
-def _lines(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.hstack(np.broadcast_arrays(np.atleast_2d(a), np.atleast_2d(b)))
-
-
 def occupied_near(grid: GridMap, cells: CellArray, points: FloatArray, reach: float) -> FloatArray:
     """The centres of the occupied cells within the box of points (n, 2) and `reach` (m) more, as segments (m, 4) of no
     length, m in M."""
@@ -177,7 +173,7 @@ def _ways_out(grid: GridMap, cells: CellArray, traversable: BoolArray, p_MB: Flo
         return found, away
     blocks = occupied_near(grid, cells, p_MB[None], WAY_OUT + COMFORT)
     own = float(point_distance(p_MB[None], blocks)[0])
-    no_nearer = clearance(_lines(p_MB, centers), blocks, COMFORT) >= min(own, COMFORT) - 1e-9
+    no_nearer = clearance(lines_between(p_MB, centers), blocks, COMFORT) >= min(own, COMFORT) - 1e-9
     # Hemmed in: straight over whatever the map shows there to the nearest cell.
     chosen = no_nearer if no_nearer.any() else away == away.min()
     return found[chosen], away[chosen]
@@ -213,14 +209,14 @@ def _shorten(grid: GridMap, cells: CellArray, points: FloatArray, blocks: FloatA
     if len(points) < 3:
         return points
     closed = cells != FREE
-    pieces = clearance(_lines(points[:-1], points[1:]), blocks, SHORTCUT_CLEARANCE)
+    pieces = clearance(lines_between(points[:-1], points[1:]), blocks, SHORTCUT_CLEARANCE)
     last = len(points) - 1
     kept, i = [0], 0
     while i < last:
         ends = np.arange(i + SHORTCUT_STRIDE, min(i + SHORTCUT_SPAN, last + 1), SHORTCUT_STRIDE)
         if last <= i + SHORTCUT_SPAN:
             ends = np.union1d(ends, [last])
-        lines = _lines(points[i], points[ends])
+        lines = lines_between(points[i], points[ends])
         replaced = np.minimum.accumulate(pieces[i : ends[-1]])[ends - i - 1]
         good = clearance(lines, blocks, SHORTCUT_CLEARANCE) >= replaced - 1e-9
         good &= sees(closed, in_cells(grid, lines[:, :2]), in_cells(grid, lines[:, 2:]))
@@ -246,7 +242,7 @@ def path_in_grid_is_free(points: FloatArray, grid: GridMap, p_MB: FloatArray, ro
     need = robot.radius + 0.5 * grid.resolution
     blocks = occupied_near(grid, classify(grid), np.vstack([rest, p_MB]), need)
     own = float(point_distance(p_MB[None], blocks)[0])
-    return bool(clearance(_lines(rest[:-1], rest[1:]), blocks, need).min() >= min(need, 0.95 * own))
+    return bool(clearance(lines_between(rest[:-1], rest[1:]), blocks, need).min() >= min(need, 0.95 * own))
 
 
 def path_in_scan_is_free(

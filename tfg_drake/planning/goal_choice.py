@@ -47,7 +47,8 @@ def choose(
     parameters: GoalParameters,
     previous: GoalChoice,
 ) -> GoalChoice:
-    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is the choice before.
+    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is what all choices before it
+    found worth remembering (see remember).
 
     Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
     """

@@ -54,7 +54,10 @@ def collisions(
     rng: np.random.Generator,
     rollouts: int,
 ) -> BoolArray:
-    """Which rollouts (s,) touch a surface at which points (k,) of a path (k, 2), m in M, from X_MD on, (s, k)."""
+    """Which rollouts (s,) touch a surface at which points (k,) of a path (k, 2), m in M, from X_MD on, (s, k).
+
+    The path has at least two points, and at least one landmark is known jointly with X_MD.
+    """
     truth = draw(estimate, rng, rollouts)
     off = _pose_errors(path, estimate, tfg, robot.max_speed, sensor, odometry, truth, rng)
     ends = _moved_ends(tfg.segments, tfg.segment_ids, estimate)
@@ -91,7 +94,8 @@ def _pose_errors(
     off = np.empty((count, k, 2))
     driven = 0.0
     for i in range(k):
-        c, s = math.cos(heading[i]), math.sin(heading[i])
+        # The step that led here was in the direction of the piece before.
+        c, s = math.cos(heading[max(i - 1, 0)]), math.sin(heading[max(i - 1, 0)])
         dt = step[i] / speed
         F = np.eye(3)
         F[0, 2], F[1, 2] = -step[i] * s, step[i] * c
@@ -126,7 +130,7 @@ def _pose_errors(
             P = 0.5 * (P + P.T)
         keep = math.exp(-step[i] / TRACKING_LENGTH)
         tracking = keep * tracking + math.sqrt(1.0 - keep * keep) * rng.normal(0.0, TRACKING_DEVIATION, count)
-        off[:, i] = e[:, :2] + tracking[:, None] * [-s, c]
+        off[:, i] = e[:, :2] + tracking[:, None] * [-math.sin(heading[i]), math.cos(heading[i])]
     return off
 
 

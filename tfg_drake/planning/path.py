@@ -9,7 +9,7 @@ from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.messages import FloatArray, LaserScan, TfgMap
 from tfg_drake.planning.chance_constraint import required_clearance
-from tfg_drake.planning.roadmap import COMFORT, FREE_STEP, OBSTACLE_MARGIN, RoadmapState, in_free_space
+from tfg_drake.planning.roadmap import COMFORT, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, routes
 
 # A shortcut is as good as what it replaces with this clearance, m.
@@ -31,6 +31,8 @@ LOOK_AHEAD = 2.0
 MAPPED_WITHIN = 0.08
 # Returns this far off still belong to the obstacle that blocks the path, m.
 OBSTACLE_REACH = 1.0
+# Neighbouring returns nearer to each other than this are of one obstacle: the robot does not fit between them, m.
+SAME_OBSTACLE = 0.33
 
 
 def resample(points: FloatArray, step: float) -> FloatArray:
@@ -41,7 +43,8 @@ def resample(points: FloatArray, step: float) -> FloatArray:
     return np.stack([np.interp(s, along, points[:, 0]), np.interp(s, along, points[:, 1])], axis=1)
 
 
-def _lines(a: FloatArray, b: FloatArray) -> FloatArray:
+def lines_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Segments (n, 4) from points (n, 2) to others (n, 2); either may be one alone, (2,)."""
     return np.hstack(np.broadcast_arrays(np.atleast_2d(a), np.atleast_2d(b)))
 
 
@@ -58,12 +61,12 @@ def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: floa
     whichever is less, and lies in known free space.
     """
     points = _insert(points, SHORTCUT_STEP)
-    pieces = clearance(_lines(points[:-1], points[1:]), segments, enough)
+    pieces = clearance(lines_between(points[:-1], points[1:]), segments, enough)
     kept = [0]
     i = 0
     while i < len(points) - 1:
         ends = np.arange(i + 2, min(i + 1 + SHORTCUT_REACH, len(points)))
-        lines = _lines(points[i], points[ends]) if len(ends) else np.zeros((0, 4))
+        lines = lines_between(points[i], points[ends]) if len(ends) else np.zeros((0, 4))
         replaced = np.minimum.accumulate(pieces[i : i + 1 + len(ends)])[1:]
         good = clearance(lines, segments, enough) >= replaced - 1e-9
         i += 1
@@ -82,13 +85,13 @@ def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> Fl
     for before, corner, after in zip(points[:-2], points[1:-1], points[2:], strict=True):
         back, on = before - corner, after - corner
         reach = [float(np.hypot(*back)), float(np.hypot(*on))]
-        sharp = clearance(_lines(corner, np.stack([before, after])), segments, enough).min()
+        sharp = clearance(lines_between(corner, np.stack([before, after])), segments, enough).min()
         cut = min(ROUNDING, 0.5 * min(reach))
         arc = corner[None]
         while cut > 0.05:
             a, b = corner + back / reach[0] * cut, corner + on / reach[1] * cut
             proposal = (1 - t) ** 2 * a + 2 * t * (1 - t) * corner + t**2 * b
-            if clearance(_lines(proposal[:-1], proposal[1:]), segments, enough).min() >= sharp - 1e-9:
+            if clearance(lines_between(proposal[:-1], proposal[1:]), segments, enough).min() >= sharp - 1e-9:
                 arc = proposal
                 break
             cut *= 0.6
@@ -134,7 +137,7 @@ def _where_it_stops(
     if speed <= 0.0:
         return X_MB
     X_MS = compose(X_MB, np.array([speed * (REACTION + 0.5 * speed / robot.max_acceleration), 0.0, 0.0]))
-    ahead = _lines(X_MB[:2], X_MS[:2])
+    ahead = lines_between(X_MB[:2], X_MS[:2])
     room = clearance(ahead, segments, COMFORT)[0] >= robot.radius + NODE_MARGIN
     return X_MS if room and in_free_space(ahead, tfg)[0] else X_MB
 
@@ -166,8 +169,8 @@ def _ahead(points: FloatArray, X_MB: FloatArray) -> FloatArray:
     nearest = int(np.argmin(np.hypot(*(points - X_MB[:2]).T)))
     ahead = points[nearest : nearest + 1 + round(LOOK_AHEAD / PATH_STEP)]
     if len(ahead) == 1:
-        return _lines(ahead, ahead)
-    return _lines(ahead[:-1], ahead[1:])
+        return lines_between(ahead, ahead)
+    return lines_between(ahead[:-1], ahead[1:])
 
 
 def path_is_free(
@@ -195,7 +198,8 @@ def unmapped_obstacles(
 ) -> FloatArray:
     """What blocks a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
 
-    The returns within a metre of the path ahead that no mapped surface explains, neighbours joined to a surface.
+    The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains,
+    neighbours too close for the robot to pass between them joined to a surface.
     """
     hits = _returns(scan, X_MB)
     distance = point_distance(hits, _ahead(points, X_MB))
@@ -203,5 +207,5 @@ def unmapped_obstacles(
     if len(hits) == 0:
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])
-    joined = np.hypot(*(following - hits).T) < OBSTACLE_MARGIN + FREE_STEP
-    return _lines(hits, np.where(joined[:, None], following, hits))
+    joined = np.hypot(*(following - hits).T) < SAME_OBSTACLE
+    return lines_between(hits, np.where(joined[:, None], following, hits))

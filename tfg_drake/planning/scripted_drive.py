@@ -6,9 +6,7 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray, GoalChoice, Path, TfgMap, replace
 from tfg_drake.planning.goal_choice import empty_choice
-
-# Points of a path are this far apart, m.
-STEP = 0.1
+from tfg_drake.planning.path import PATH_STEP, resample
 
 
 def next_place(drive: FloatArray, stage: int, tfg: TfgMap) -> GoalChoice:
@@ -31,5 +29,4 @@ def next_place(drive: FloatArray, stage: int, tfg: TfgMap) -> GoalChoice:
 
 def straight_path(path_id: int, stage: int, X_MB: FloatArray, p_MG: FloatArray) -> Path:
     """The straight way from the robot X_MB (3,) to a place (2,), m in M."""
-    count = max(2, 1 + int(np.ceil(np.hypot(*(p_MG - X_MB[:2])) / STEP)))
-    return Path(path_id, stage, np.linspace(X_MB[:2], p_MG, count))
+    return Path(path_id, stage, resample(np.stack([X_MB[:2], p_MG]), PATH_STEP))

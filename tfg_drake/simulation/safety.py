@@ -94,7 +94,7 @@ def filter_command(
       long as the bumper is still pressed when it ends.
     - Speed, turn rate and their rates stay within the robot's limits.
     - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance). Without
-      a scan younger than command_timeout there is no forward speed. Turning in place and backing away stay allowed.
+      a scan younger than scan_timeout there is no forward speed. Turning in place and backing away stay allowed.
     """
     if hazards.cliff or hazards.wheel_drop:
         return np.zeros(STATE_SIZE)
@@ -127,7 +127,7 @@ def _speed_allowed(
 ) -> float:
     """The greatest forward speed (m/s) from which the base can stop in time."""
     age = stamp - scan.stamp
-    if age > safety.command_timeout:
+    if age > safety.scan_timeout:
         return 0.0
     # The base has moved on since the scan; its velocity changed little in that time.
     X_SB = advance(np.zeros(3), float(state[SPEED]), float(state[TURN_RATE]), age)
