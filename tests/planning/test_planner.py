@@ -56,4 +56,4 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
     np.testing.assert_allclose(np.sort(np.append(a[:, 0], b[:, 0]))[[0, -1]], [0.0, X_MD[2, 0]], atol=0.15)
     assert np.hypot(*(a - b).T).sum() > 1.5
     # From the first glance's end to the last one's, every metre once.
-    np.testing.assert_allclose(state.driven_before, 1.6, atol=0.05)
+    np.testing.assert_allclose(state.driven_before, 1.6)

@@ -138,13 +138,24 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
     return len(state.driven) > 0 and bool(np.hypot(*(pose.X_MB[:2] - state.driven[-1])) >= DRIVEN_STEP)
 
 
+def _length(driven: FloatArray, p_MD: FloatArray) -> float:
+    """Length, m, of the way driven (d, 2), m in M, from where one observation ended to where (2,) the next did.
+
+    The way during a glance comes first in it and was counted at the end of the stage before; what is not noted at the
+    end is a step at most, and where it is more, somebody carried the robot.
+    """
+    if not len(driven):
+        return 0.0
+    unnoted = min(DRIVEN_STEP, float(np.hypot(*(p_MD - driven[-1]))))
+    return float(np.hypot(*np.diff(driven[1:], axis=0).T).sum()) + unnoted
+
+
 @metered("roadmap")
 def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters) -> PlannerState:
     """The state with the roadmap extended to the newest goal of the map; what of that rests, rests here, too."""
     estimate, tfg = working.estimate, working.tfg
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
-    # The way during a glance, from A to D, comes first in the list and was counted at the end of the one before.
-    driven_before = state.driven_before + float(np.hypot(*np.diff(state.driven[1:], axis=0).T).sum())
+    driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
     state = replace(state, driven_before=driven_before)
     parts = rearranged(state.parts, working.near, cut, joined)
     nodes = parts.near
