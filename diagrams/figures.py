@@ -68,7 +68,7 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
     with threadpool_limits(limits=1):
         stages, stamps, p_MB = stages_of(scenario, on_stage)
     chosen = stages[min(GAIN_STAGE, len(stages)) - 1]
-    field = Field(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+    field = Field(scenario.tags, scenario.odometry, scenario.explorer)
     growth = [stages[round(k * (len(stages) - 1) / (GROWTH - 1))] for k in range(GROWTH)]
     figures = {
         "information_gain": draw_gains(chosen, field),

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tests.systems.test_info_gain_goal_selector import half_known_room, roadmap
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.paper_figures import (
     FORMATS,
     Field,
@@ -19,7 +19,7 @@ from tfg_drake.paper_figures import (
 )
 from tfg_drake.planning.goal_choice import empty_choice
 
-FIELD = Field(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+FIELD = Field(TagSensorConfig(), OdometryConfig(), ExplorerConfig())
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.figure import Figure
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.candidates import apart_from_goals
@@ -43,7 +43,6 @@ class Stage:
 class Field:
     """The parameters that an information gain depends on."""
 
-    robot: RobotConfig
     sensor: TagSensorConfig
     odometry: OdometryConfig
     explorer: ExplorerConfig
@@ -53,13 +52,13 @@ def gain_field(stage: Stage, field: Field, explorer: ExplorerConfig) -> tuple[In
     """The nodes (c,) of the roadmap where the robot could turn, and what a turn at each is expected to gain."""
     roadmap = stage.roadmap
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, stage.tfg, stage.estimate.X_MD[:2]))
-    points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
+    points = roadmap.points[nodes]
     tags = expected_tags(points, stage.estimate, stage.tfg, field.sensor)
     frontiers = expected_frontiers(points, stage.tfg, field.sensor)
     return nodes, information_gain(
         points,
-        field.robot.max_speed * time,
-        time,
+        roadmap.travel_length[nodes],
+        roadmap.travel_time[nodes],
         tags,
         frontiers,
         stage.estimate,

@@ -211,6 +211,16 @@ def test_a_tour_is_planned_over_the_places_that_see_enough_known_tags():
         assert -np.inf < value == goal.value.max()
 
 
+def test_a_pose_is_paid_for_by_the_length_of_the_way_there_too():
+    prices = []
+    for longer in (1.0, 20.0):
+        there = roadmap()
+        selector = Selector()
+        selector.ready(roadmap=dataclasses.replace(there, travel_length=longer * there.travel_length))
+        prices.append(selector.goal().pose_price)
+    assert (prices[1] > prices[0]).all()
+
+
 def test_no_goal_is_chosen_where_the_robot_is():
     estimate, _ = half_known_room()
     first = Selector()

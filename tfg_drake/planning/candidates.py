@@ -101,7 +101,7 @@ def judged(
 
     def expected(rows: IntArray, tags: View) -> Gains:
         at, needed = roadmap.points[asked[rows]], roadmap.travel_time[asked[rows]]
-        distance, frontiers = parameters.robot.max_speed * needed, sees.of(asked[rows])
+        distance, frontiers = roadmap.travel_length[asked[rows]], sees.of(asked[rows])
         return information_gain(at, distance, needed, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
     tags = expected_tags(points[ask], estimate, tfg, sensor)

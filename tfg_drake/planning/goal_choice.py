@@ -115,9 +115,8 @@ def _end(
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate, if any is left, is worth going to."""
     robot, sensor, explorer = parameters.robot, parameters.sensor, parameters.explorer
-    barred, time = barred_places(roadmap, robot.max_speed)
+    barred, distance, time = barred_places(roadmap, robot.max_speed)
     tags, frontiers = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
-    distance = robot.max_speed * time
     gains = information_gain(
         barred, distance, time, tags, frontiers, estimate, tfg, sensor, parameters.odometry, explorer
     )

@@ -15,14 +15,15 @@ AT_HAND = 1.0
 ENOUGH_FRONTIER = 0.24
 
 
-def barred_places(roadmap: Roadmap, speed: float) -> tuple[FloatArray, FloatArray]:
-    """Places (b, 2), m in M, with room for the robot but which it may not try to reach, and how long (b,), s, it would
-    take at the speed (m/s), were it surer of its own place and the map's."""
+def barred_places(roadmap: Roadmap, speed: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places (b, 2), m in M, with room for the robot but which it may not try to reach, and how far (b,), m, and long
+    (b,), s, it would have to drive at the speed (m/s), were it surer of its own place and the map's."""
     if not roadmap.reachable.any():
-        return np.zeros((0, 2)), np.zeros(0)
+        return np.zeros((0, 2)), np.zeros(0), np.zeros(0)
     points = roadmap.points[roadmap.roomy & ~roadmap.reachable]
-    distance, nearest = cKDTree(roadmap.points[roadmap.reachable]).query(points)
-    return points, roadmap.travel_time[roadmap.reachable][nearest] + distance / speed
+    beyond, nearest = cKDTree(roadmap.points[roadmap.reachable]).query(points)
+    nearest = np.flatnonzero(roadmap.reachable)[nearest]
+    return points, roadmap.travel_length[nearest] + beyond, roadmap.travel_time[nearest] + beyond / speed
 
 
 def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
