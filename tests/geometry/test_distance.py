@@ -4,7 +4,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tfg_drake.geometry.distance import clearance, point_distance, segment_distance
+from tfg_drake.geometry.distance import clearance, enter, point_distance, segment_distance
 
 
 def random_segments(rng, n):
@@ -31,6 +31,19 @@ def test_segment_distance_agrees_with_shapely(seed):
     assert 0 < (expected == 0).sum() < 200
     np.testing.assert_allclose(segment_distance(edges, segments), expected, atol=1e-12)
     np.testing.assert_allclose(clearance(edges, segments, 0.7), np.minimum(expected, 0.7), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_enter_agrees_with_shapely(seed):
+    rng = np.random.default_rng(seed)
+    segments, edges = random_segments(rng, 12), random_segments(rng, 200)
+    crosses = shapely.crosses(lines(edges)[:, None], lines(segments)[None])
+    # In front is on the left: the three points run counter-clockwise.
+    ring = np.concatenate([np.tile(segments[None], (200, 1, 1)), np.tile(edges[:, None, :2], (1, 12, 1))], axis=2)
+    in_front = shapely.is_ccw(shapely.linearrings(ring.reshape(200, 12, 3, 2)))
+    expected = (crosses & in_front).any(axis=1)
+    assert 0 < expected.sum() < crosses.any(axis=1).sum()
+    np.testing.assert_array_equal(enter(edges, segments), expected)
 
 
 coordinate = st.integers(-3, 3).map(float)

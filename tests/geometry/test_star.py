@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tfg_drake.geometry.star import inside_any, inspected
+from tfg_drake.geometry.star import ALONG, inside_any, inspected, looked_through
 
 
 def _stars(seed: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -59,3 +59,43 @@ def test_inspected_needs_free_line_of_sight() -> None:
         np.array([[4.0, 0.0]]), np.array([[-1.0, 0.0]]), np.array([0, 4]), square, np.zeros((1, 2)), 9.0, 1.3
     )
     assert seen.tolist() == [False]
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10_000), st.integers(0, 4))
+def test_looked_through_agrees_with_shapely(seed: int, count: int) -> None:
+    star_offsets, star_vertices, centers = _stars(seed, count)
+    rng = np.random.default_rng(seed + 1)
+    sizes = rng.integers(2, 5, 60)
+    offsets = np.append(0, np.cumsum(sizes))
+    vertices = np.repeat(rng.uniform(-6.0, 6.0, (60, 2)), sizes, axis=0) + rng.normal(0.0, 0.15, (offsets[-1], 2))
+    expected = np.zeros(60, dtype=bool)
+    for i in range(60):
+        line = vertices[offsets[i] : offsets[i + 1]]
+        chord, middle = line[-1] - line[0], 0.5 * (line[0] + line[-1])
+        for j in range(count):
+            polygon = shapely.Polygon(star_vertices[star_offsets[j] : star_offsets[j + 1]])
+            towards = centers[j] - middle
+            sine = (chord[0] * towards[1] - chord[1] * towards[0]) / (np.hypot(*chord) * np.hypot(*towards))
+            polyline = shapely.LineString(line)
+            deep = polygon.contains(polyline) and polygon.exterior.distance(polyline) >= 0.1
+            expected[i] |= deep and sine < ALONG
+    result = looked_through(offsets, vertices, star_offsets, star_vertices, centers, 0.1)
+    np.testing.assert_array_equal(result, expected)
+
+
+@pytest.mark.parametrize(
+    ("surface", "depth", "expected"),
+    [
+        (((1.0, 0.5), (1.0, -0.5)), 0.2, True),
+        (((1.0, -0.5), (1.0, 0.5)), 0.2, False),
+        (((1.0, -0.1), (2.0, -0.1)), 0.2, True),
+        (((1.0, 0.5), (1.0, -0.5)), 2.1, False),
+        (((2.5, -0.5), (3.5, 0.5)), 0.2, False),
+    ],
+    ids=["from behind", "its front", "along it", "not so deep", "half outside"],
+)
+def test_a_surface_in_what_was_seen_free(surface: tuple, depth: float, expected: bool) -> None:
+    square = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
+    seen = looked_through(np.array([0, 2]), np.array(surface), np.array([0, 4]), square, np.zeros((1, 2)), depth)
+    assert seen.tolist() == [expected]

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.geometry.segment_grid import cell_range, segment_grid
-from tfg_drake.messages import FloatArray
+from tfg_drake.geometry.segment_grid import cell_range, rows_in_box, segment_grid
+from tfg_drake.messages import BoolArray, FloatArray
 
 
 @njit(cache=True)
@@ -30,6 +30,12 @@ def point_segment_distance(x: float, y: float, x0: float, y0: float, x1: float, 
     """Distance (m) from the point (x, y) to the segment (x0, y0)-(x1, y1)."""
     nx, ny = nearest_on_segment(x, y, x0, y0, x1, y1)
     return math.sqrt((nx - x) ** 2 + (ny - y) ** 2)
+
+
+@njit(cache=True)
+def side_of(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
+    """More than 0 where (x, y) lies to the left of the line from (x0, y0) to (x1, y1), less to its right."""
+    return (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)
 
 
 @njit(cache=True)
@@ -98,3 +104,19 @@ def clearance(edges: FloatArray, segments: FloatArray, reach: float) -> FloatArr
                 best = min(best, segment_segment_distance(ax, ay, bx, by, cx, cy, dx, dy))
         distance[i] = best
     return distance
+
+
+@njit(cache=True)
+def enter(edges: FloatArray, segments: FloatArray) -> BoolArray:
+    """Which edges (e, 4) run through a segment (m, 4) from its front, on its left, to its back, (e,)."""
+    result = np.zeros(len(edges), dtype=np.bool_)
+    grid = segment_grid(segments)
+    near = np.empty(len(grid[4]), dtype=np.int64)
+    for i in range(len(edges)):
+        ax, ay, bx, by = edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3]
+        for k in range(rows_in_box(grid, min(ax, bx), max(ax, bx), min(ay, by), max(ay, by), near)):
+            cx, cy, dx, dy = segments[near[k], 0], segments[near[k], 1], segments[near[k], 2], segments[near[k], 3]
+            if side_of(ax, ay, cx, cy, dx, dy) > 0.0 and segments_cross(ax, ay, bx, by, cx, cy, dx, dy):
+                result[i] = True
+                break
+    return result

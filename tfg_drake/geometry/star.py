@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.distance import segment_segment_distance
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
+
+# The sine of the angle below which one looks along a surface and not at its front.
+ALONG = 0.5
 
 
 @njit(cache=True)
@@ -95,6 +101,62 @@ def inspected(
                 result[i] = True
                 break
     return result
+
+
+@njit(cache=True)
+def looked_through(
+    offsets: IntArray,
+    vertices: FloatArray,
+    star_offsets: IntArray,
+    star_vertices: FloatArray,
+    star_centers: FloatArray,
+    depth: float,
+) -> BoolArray:
+    """Which surfaces (s,) some star's centre looked through, not at their front.
+
+    Surface i is the polyline vertices[offsets[i]:offsets[i + 1]] with its front on the left; the centre lies behind it
+    or looks along it (see ALONG), by its two ends, and all of it is at least depth (m) inside the star. Star polygons
+    as in `inside_any`.
+    """
+    radii = _square_radii(star_offsets, star_vertices, star_centers)
+    reach = np.sqrt(radii.max()) if len(radii) > 0 else 0.0
+    grid = segment_grid(np.hstack((star_centers, star_centers)))
+    near = np.empty(len(star_centers), dtype=np.int64)
+    result = np.zeros(len(offsets) - 1, dtype=np.bool_)
+    for i in range(len(offsets) - 1):
+        first, last = vertices[offsets[i]], vertices[offsets[i + 1] - 1]
+        x, y = first[0], first[1]
+        for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
+            j = near[k]
+            center = star_centers[j]
+            if (x - center[0]) ** 2 + (y - center[1]) ** 2 > radii[j]:
+                continue
+            dx, dy = center[0] - 0.5 * (x + last[0]), center[1] - 0.5 * (y + last[1])
+            in_front = (last[0] - x) * dy - (last[1] - y) * dx
+            if in_front >= ALONG * math.hypot(last[0] - x, last[1] - y) * math.hypot(dx, dy):
+                continue
+            star = star_vertices[star_offsets[j] : star_offsets[j + 1]]
+            if _deep_inside(vertices[offsets[i] : offsets[i + 1]], star, depth):
+                result[i] = True
+                break
+    return result
+
+
+@njit(cache=True)
+def _deep_inside(polyline: FloatArray, star: FloatArray, depth: float) -> bool:
+    """Whether a polyline (v, 2) lies at least depth (m) inside a polygon (w, 2)."""
+    for v in range(len(polyline)):
+        if not _inside(polyline[v, 0], polyline[v, 1], star, 0, len(star)):
+            return False
+    for v in range(len(polyline) - 1):
+        ax, ay, bx, by = polyline[v, 0], polyline[v, 1], polyline[v + 1, 0], polyline[v + 1, 1]
+        previous = len(star) - 1
+        for w in range(len(star)):
+            cx, cy, dx, dy = star[previous, 0], star[previous, 1], star[w, 0], star[w, 1]
+            if segment_segment_distance(ax, ay, bx, by, cx, cy, dx, dy) < depth:
+                return False
+            previous = w
+    return True
 
 
 def covered_area(

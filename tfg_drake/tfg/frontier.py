@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.distance import clearance, enter
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, TfgMap, message
 from tfg_drake.tfg.drift import DRIFT_SIGMAS
@@ -248,7 +248,8 @@ def find_open_ends(
     # The other face of a thin wall is not round the corner but behind: see find_unseen_backs.
     is_open &= ~inside_any(at - END_GAP * along + THIN_WALL * behind, *stars)
     points, along, at = points[is_open], along[is_open], at[is_open]
-    is_open = _unexplained(at + 1e-3 * along, points, segments)
+    cut_off = clearance(np.hstack([at + 1e-3 * along, points]), segments, 1e-6) == 0.0
+    is_open = ~cut_off & _off_surface(points, segments)
     return points[is_open], along[is_open]
 
 
@@ -309,14 +310,15 @@ def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
 
     points and segments (m, 4) in one frame.
     """
-    return _unexplained(points.p + (PUSH + ROOT) * points.normal, points.p, segments)
+    # Where little is seen through a gap, the line begins behind the surface on the other side of it: that one does not
+    # cut it off.
+    lines = np.hstack([points.p + (PUSH + ROOT) * points.normal, points.p])
+    return np.asarray(~enter(lines, segments) & _off_surface(points.p, segments))
 
 
-def _unexplained(root: FloatArray, p: FloatArray, segments: FloatArray) -> BoolArray:
-    """Which points p (f, 2) no surface (m, 4) runs through or cuts off from their roots (f, 2), (f,)."""
-    cut_off = clearance(np.concatenate([root, p], axis=1), segments, 1e-6) == 0.0
-    on_surface = clearance(np.concatenate([p, p], axis=1), segments, SURFACE_DISTANCE)
-    return np.asarray(~cut_off & (on_surface >= SURFACE_DISTANCE))
+def _off_surface(p: FloatArray, segments: FloatArray) -> BoolArray:
+    """Which points p (f, 2) no surface (m, 4) runs through, (f,)."""
+    return np.asarray(clearance(np.hstack([p, p]), segments, SURFACE_DISTANCE) >= SURFACE_DISTANCE)
 
 
 def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:

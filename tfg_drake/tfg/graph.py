@@ -19,7 +19,7 @@ from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig, TagSensor
 from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
-from tfg_drake.geometry.star import inside_any, inspected
+from tfg_drake.geometry.star import inside_any, inspected, looked_through
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import drift_between, known_jointly
@@ -57,6 +57,9 @@ TRIED_DISTANCE = 0.5
 NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
+# A surface that lies this far within the free space of a goal which did not look at its front is not there, m: it was
+# mapped from elsewhere, and until a loop closes the two have drifted apart.
+DRIFTED = 0.2
 
 
 @message
@@ -247,7 +250,7 @@ def update(
         graph.tried,
         graph.tried_count,
     )
-    return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer)
+    return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer, goals)
 
 
 def resolve(
@@ -260,18 +263,20 @@ def resolve(
 ) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
 
+    Surfaces that have drifted into free space (see DRIFTED) are left out, until they fit again.
+
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
-    segments, owner = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
+    stars = _stars(graph, estimate, goals)
+    pieces, owner, stand = _pieces(graph, estimate, stars)
+    bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), pieces, BARE_TAG) >= BARE_TAG
+    posts = estimate.ids[bare]
+    segments, owner = pieces[stand], owner[stand]
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     frontier = live_frontiers(graph, estimate, segments, explorer)
     shadows = _open_shadows(graph, estimate, segments)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
-    X_MA = estimate.X_MA if goals is None else estimate.X_MA[goals]
-    star_offsets, star_vertices, star_centers = _place_stars(graph.star_offsets, graph.star_vertices, X_MA)
-    bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), segments, BARE_TAG) >= BARE_TAG
-    posts = estimate.ids[bare]
     return TfgMap(
         stage=graph.stage,
         segments=np.vstack([segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
@@ -281,9 +286,9 @@ def resolve(
         frontiers=frontier.p,
         frontier_length=frontier.length,
         frontier_normal=frontier.normal,
-        star_offsets=star_offsets,
-        star_vertices=star_vertices,
-        star_centers=star_centers,
+        star_offsets=stars[0],
+        star_vertices=stars[1],
+        star_centers=stars[2],
         given_up=given_up.p,
         given_up_length=given_up.length,
         given_up_normal=given_up.normal,
@@ -394,6 +399,22 @@ def _update_facing(
     return ids[has], tag_goal[has], facing[has], distance[has]
 
 
+def _stars(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The graph's stars in the map frame, those of all its goals or of these (k,)."""
+    X_MA = estimate.X_MA[: graph.stage] if goals is None else estimate.X_MA[goals]
+    return _place_stars(graph.star_offsets, graph.star_vertices, X_MA)
+
+
+def _pieces(
+    graph: TfgGraph, estimate: MapEstimate, stars: tuple[IntArray, FloatArray, FloatArray]
+) -> tuple[FloatArray, IntArray, BoolArray]:
+    """All pieces of surface (m, 4) in the map frame, the surface each is of (m,), and which stand (m,): the others have
+    drifted into the free space of the stars."""
+    placed = place(graph.surfaces, estimate)
+    pieces, owner = segments_of(graph.surfaces.offsets, placed)
+    return pieces, owner, ~looked_through(graph.surfaces.offsets, placed, *stars, DRIFTED)[owner]
+
+
 def _place_stars(
     star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -454,12 +475,17 @@ def _count_attempts(
     panorama: Panorama,
     tags: TagSensorConfig,
     explorer: ExplorerConfig,
+    goals: IntArray | None,
 ) -> TfgGraph:
-    """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on."""
+    """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on.
+
+    goals: (k,) those that the graph before holds the stars of, if it is a part of one.
+    """
     center = estimate.X_MA[-1, :2]
 
-    def in_view(graph: TfgGraph) -> FloatArray:
-        segments, _ = segments_of(graph.surfaces.offsets, place(graph.surfaces, estimate))
+    def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
+        pieces, _, stand = _pieces(graph, estimate, _stars(graph, estimate, goals))
+        segments = pieces[stand]
         points = live_frontiers(graph, estimate, segments, explorer)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
@@ -472,7 +498,7 @@ def _count_attempts(
         return np.asarray(points.p[(distance <= reach) & ~(points.on_surface & slant) & clear & looked])
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
-    then, failed = in_view(before), in_view(after)
+    then, failed = in_view(before, goals), in_view(after, None if goals is None else np.append(goals, after.stage - 1))
     failed = failed[~far_from(failed, then, TRIED_DISTANCE)]
 
     tried = place_points(after.tried, estimate.X_MA)
