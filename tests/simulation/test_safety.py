@@ -115,3 +115,29 @@ def test_full_speed_at_a_wall_ends_before_it(heading):
     assert state[drive.SPEED] == pytest.approx(0.0, abs=0.01)
     # It stops near the wall, not far from it.
     assert 0.0 < state[drive.CLEARANCE] < 0.2
+
+
+@pytest.mark.parametrize("turn_rate", [1.3, -1.3])
+@pytest.mark.parametrize("spike", [(0.22, 0.22), (0.3, 0.22), (0.4, 0.22), (0.45, 0.3), (0.55, 0.3)])
+def test_a_turn_at_full_speed_does_not_swing_into_what_stands_beside_the_way(spike, turn_rate):
+    """Told to turn on the spot, the base still drives while it brakes."""
+    side = np.sign(turn_rate)
+    (x, y), base, state = spike, drive.initial_state(np.zeros(3), np.zeros((0, 4)), ROBOT), run([0.5, 0.0])
+    base[drive.SPEED] = ROBOT.max_speed
+    walls = np.array([[x, y * side, x + 0.1, (y + 0.3) * side], [x, y * side, x - 0.1, (y + 0.3) * side]])
+    turned = 0.0
+    for k in range(64):
+        if k % 3 == 0:
+            seen = scan_of(walls, base[drive.X : drive.THETA + 1], stamp=k * PERIOD)
+        state = filter_command(state, k * PERIOD, np.array([0.0, turn_rate]), NONE, seen, ROBOT, SAFETY, PERIOD)
+        base = drive.step(base, state[:2], walls, ROBOT, PERIOD)
+        turned += base[drive.TURN_RATE] * PERIOD
+    assert base[drive.CLEARANCE] > 0.01
+    assert abs(turned) > 1.0
+
+
+def test_where_there_is_room_the_base_turns_while_it_brakes():
+    state = run([0.5, 0.0])
+    walls = [[0.5, -2.0, 0.5, -0.5], [0.5, 0.5, 0.5, 2.0]]
+    state = filter_command(state, 0.0, np.array([0.0, 1.3]), NONE, scan_of(walls), ROBOT, SAFETY, PERIOD)
+    assert state[TURN_RATE] == ROBOT.max_turn_acceleration * PERIOD

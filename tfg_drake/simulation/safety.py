@@ -64,6 +64,38 @@ def free_distance(
     return distance
 
 
+@njit(cache=True)
+def _nearest_while_braking(
+    angles: FloatArray,
+    ranges: FloatArray,
+    X_SB: FloatArray,
+    velocity: FloatArray,
+    turn_rate: float,
+    limits: FloatArray,
+    reach: float,
+    period: float,
+) -> float:
+    """How near (m) the base's centre comes to a return of a scan, braking as hard as it can from a velocity (2,).
+
+    X_SB: as in free_distance. turn_rate: rad/s that it turns with meanwhile, nan: what keeps it on its arc. limits:
+    (2,) of its acceleration, m/s^2, and turn acceleration, rad/s^2. Returns farther than reach (m) make no difference.
+    """
+    hit = ranges < np.inf
+    x, y = ranges[hit] * np.cos(angles[hit]), ranges[hit] * np.sin(angles[hit])
+    speed, turning = velocity[0], velocity[1]
+    curvature = turning / speed
+    pose, least = X_SB, reach
+    while speed > 0.0 and len(x) > 0:
+        pose = advance(pose, speed, turning, period)
+        speed -= limits[0] * period
+        if math.isnan(turn_rate):
+            turning = curvature * speed
+        else:
+            turning += min(limits[1] * period, max(-limits[1] * period, turn_rate - turning))
+        least = min(least, math.sqrt(((x - pose[0]) ** 2 + (y - pose[1]) ** 2).min()))
+    return least
+
+
 def _bounded(value: float, bound: float) -> float:
     return min(bound, max(-bound, value))
 
@@ -95,6 +127,8 @@ def filter_command(
     - Speed, turn rate and their rates stay within the robot's limits.
     - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance). Without
       a scan younger than scan_timeout there is no forward speed. Turning in place and backing away stay allowed.
+    - While it cannot be as slow as it is told, the base turns as it is told unless that takes it nearer to a return
+      than stop_distance and than its arc does: then it brakes on that.
     """
     if hazards.cliff or hazards.wheel_drop:
         return np.zeros(STATE_SIZE)
@@ -110,9 +144,33 @@ def filter_command(
     speed = before + _bounded(speed - before, robot.max_acceleration * period)
     turn_rate = _bounded(float(wanted[1]), robot.max_turn_rate)
     turn_rate = turn_before + _bounded(turn_rate - turn_before, robot.max_turn_acceleration * period)
+    if speed > max(0.0, float(wanted[0])) and not _turn_allowed(stamp, state, turn_rate, scan, robot, safety, period):
+        turn_rate = turn_before / before * speed
     if speed > 0.0:
         speed = min(speed, _speed_allowed(stamp, state, speed, turn_rate, scan, robot, safety, period))
     return np.array([speed, turn_rate, 0.0, 0.0])
+
+
+def _turn_allowed(
+    stamp: float,
+    state: FloatArray,
+    turn_rate: float,
+    scan: LaserScan,
+    robot: RobotConfig,
+    safety: SafetyConfig,
+    period: float,
+) -> bool:
+    """Whether the base may turn so (rad/s) while it brakes: it stays clear, or comes no nearer than on its arc."""
+    X_SB = advance(np.zeros(3), float(state[SPEED]), float(state[TURN_RATE]), stamp - scan.stamp)
+    limits = np.array([robot.max_acceleration, robot.max_turn_acceleration])
+    clear = robot.radius + safety.stop_distance
+
+    def nearest(rate: float, reach: float) -> float:
+        velocity = state[[SPEED, TURN_RATE]]
+        return float(_nearest_while_braking(scan.angles, scan.ranges, X_SB, velocity, rate, limits, reach, period))
+
+    turning = nearest(turn_rate, clear)
+    return turning == clear or turning >= nearest(math.nan, clear)
 
 
 def _speed_allowed(
