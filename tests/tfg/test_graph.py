@@ -11,7 +11,7 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import PoseEstimate, replace
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.tfg.frontier import PUSH, frontier_length_total, place_points
+from tfg_drake.tfg.frontier import PUSH, frontier_length_total, open_frontiers, place_points, points_of
 from tfg_drake.tfg.graph import Sightings, empty_graph, empty_map, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.polyline import sample
 from tfg_drake.tfg.surfaces import EDGE, END, LOOSE
@@ -329,6 +329,22 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simula
         later = resolve(world.graph, corrected, RobotConfig(), ExplorerConfig())
         assert (far_face(later) > 6.0) == held
         world.graph, world.X_MA = graph, goals
+
+
+@pytest.mark.parametrize(
+    ("wall", "is_open"),
+    [
+        ((0.1, -1.0, 0.1, 1.0), True),
+        ((-0.1, 1.0, -0.1, -1.0), False),
+        ((-0.3, 1.0, -0.3, -1.0), False),
+        ((-0.4, -1.0, -0.4, 1.0), False),
+    ],
+    ids=["across the gap", "behind the edge", "near the point", "behind the point"],
+)
+def test_what_is_seen_through_a_gap_is_open_but_for_a_wall_between(wall, is_open) -> None:
+    """The edge of the view is x = 0, and what is free begins on its right."""
+    shadow = points_of(0, np.array([[-PUSH, 0.0]]), np.array([[1.0, 0.0]]), np.ones(1))
+    assert open_frontiers(shadow, np.array([wall])).tolist() == [is_open]
 
 
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
