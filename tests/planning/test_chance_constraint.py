@@ -19,7 +19,7 @@ def deviation(targets, frames=4.0):
     n = len(targets)
     none = np.zeros((0, 0))
     views = np.array([0, n]), np.arange(n)
-    return localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, frames, none)[0]
+    return localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, frames, none, *views)[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -53,11 +53,40 @@ def test_an_uncertain_map_adds_what_the_robot_does_not_share_with_the_surface(se
     dL = rng.multivariate_normal(np.zeros(8), S, 200_000)
     seen = dL @ G.T + rng.normal(size=dL.shape)
     error = -np.linalg.lstsq(K, seen.T, rcond=None)[0][:2].T
-    # Only the first landmark is near enough to carry a surface.
+    # The first landmark carries the surface.
     worst = np.linalg.eigvalsh(np.cov((error - dL[:, :2]).T))[-1] ** 0.5
     views = np.array([0, 4]), np.arange(4)
-    sigma = localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, 4.0, S)[0]
+    first = np.array([0, 1]), np.array([0])
+    sigma = localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, 4.0, S, *first)[0]
     assert sigma == pytest.approx(worst, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("wall", "facing", "counts"),
+    [
+        ((-5.0, 0.5, 5.0, 0.5), (0.0, -1.0), False),
+        ((-5.0, 1.0, 5.0, 1.0), (0.0, 1.0), False),
+        ((-5.0, 1.0, 5.0, 1.0), (0.0, -1.0), True),
+        ((-5.0, 1.0, 5.0, 1.0), (0.99, -0.1), True),
+    ],
+    ids=["behind a wall", "the other face", "on the wall", "seen slantwise"],
+)
+def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, counts):
+    """The last landmark is 1 m off, and badly known."""
+    p_ML = np.array([[3.0, 0.0], [0.0, -3.0], [-3.0, 0.0], [0.0, 1.0]])
+    estimate = replace(
+        empty_map(),
+        ids=np.arange(4),
+        p_ML=p_ML,
+        local=np.arange(4),
+        covariance=np.diag([1e-8] * 6 + [0.25] * 2 + [0.0] * 3),
+    )
+    towards = -p_ML / np.hypot(*p_ML.T)[:, None]
+    tfg = replace(empty_tfg(), facing=np.vstack([towards[:3], facing]), segments=np.array([wall]))
+    # Seen too slantwise the last one is no help in finding the robot's place.
+    sigma, _ = predicted_deviation(np.zeros((1, 2)), estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)
+    assert (sigma[0] > 0.3) == counts
+    assert sigma[0] < 0.05 or counts
 
 
 def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jointly():

@@ -31,7 +31,8 @@ LOCALISATION_TAGS = 10
 LOCALISATION_TIME = 1.0
 # Deviation of the robot from its path and of a surface from the landmarks it is anchored to, m.
 TRACKING_DEVIATION = 0.02
-# Surfaces that a robot at a point might touch are carried by landmarks this near, m.
+# Surfaces that a robot at a point might touch are carried by landmarks this near, m, that face it with nothing between:
+# those in the room behind a wall may have drifted far from its front, and do not matter to who drives along that.
 SURFACE_REACH = 1.5
 
 
@@ -46,13 +47,15 @@ def localised_deviation(
     bearing_noise: float,
     frames: float,
     covariance: FloatArray,
+    near_offsets: IntArray,
+    near_index: IntArray,
 ) -> FloatArray:
     """Greatest deviation (n,), m, of a robot's position at each point, relative to the landmarks near it.
 
     Point i sees targets[index[offsets[i]:offsets[i + 1]]] of targets (t, 2), each in `frames` frames of range and
     bearing, heading unknown, and takes them to be where the map has them; LOCALISATION_TAGS of them count, the nearest.
     covariance: (>= 2t, >= 2t) of the targets, m^2; (0, 0) where their own errors are left out. Relative to which
-    targets: those within SURFACE_REACH. inf with fewer than two in view.
+    targets: near_index[near_offsets[i]:near_offsets[i + 1]]. inf with fewer than two in view.
     """
     out = np.full(len(points), np.inf)
     uncertain = len(covariance) > 0
@@ -109,9 +112,7 @@ def localised_deviation(
             xy += M[k, 0, 0] * n01 + M[k, 0, 1] * n11
             yy += M[k, 1, 0] * n01 + M[k, 1, 1] * n11
         worst = 0.0
-        for s in range(len(targets)):
-            if (targets[s, 0] - x) ** 2 + (targets[s, 1] - y) ** 2 > SURFACE_REACH**2:
-                continue
+        for s in near_index[near_offsets[i] : near_offsets[i + 1]]:
             n00, n01, n10, n11 = _shared(covariance, s, rows, M)
             a = xx - 2.0 * n00 + covariance[2 * s, 2 * s]
             b = xy - n01 - n10 + covariance[2 * s, 2 * s + 1]
@@ -159,12 +160,13 @@ def predicted_deviation(
     were: far from the robot it stays that, nothing has changed there since. Returns also which (n,) are so known, now
     or then.
     """
-    near = View(
-        *visible_targets(
-            points, estimate.p_ML, tfg.facing, tfg.segments,
-            min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence, SURFACE_TOLERANCE,
-        )
-    )  # fmt: skip
+
+    def in_view(reach: float, max_incidence: float) -> View:
+        lines = estimate.p_ML, tfg.facing, tfg.segments, reach, max_incidence, SURFACE_TOLERANCE
+        return View(*visible_targets(points, *lines))
+
+    near = in_view(min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence)
+    touchable = local_view(in_view(SURFACE_REACH, 0.5 * math.pi), estimate)
     frames = sensor.detection_probability * sensor.rate * LOCALISATION_TIME
     frames *= min(1.0, sensor.field_of_view / (2 * math.pi))
     noise = sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames
@@ -176,8 +178,11 @@ def predicted_deviation(
         (joint, local, estimate.p_ML[estimate.local], estimate.covariance),
         (~joint, near, estimate.p_ML, np.zeros((0, 0))),
     ):
-        view = view.of(np.flatnonzero(which))
-        sigma[which] = localised_deviation(points[which], view.offsets, view.index, p_ML, *noise, covariance)
+        rows = np.flatnonzero(which)
+        seen, carry = view.of(rows), touchable.of(rows)
+        sigma[which] = localised_deviation(
+            points[which], seen.offsets, seen.index, p_ML, *noise, covariance, carry.offsets, carry.index
+        )
     localised = np.isfinite(sigma)
     if not localised.all():
         anchors = np.vstack([points[localised], estimate.X_MD[None, :2]])
