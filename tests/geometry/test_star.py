@@ -1,5 +1,7 @@
 """Star polygons against shapely."""
 
+import itertools
+
 import numpy as np
 import pytest
 import shapely
@@ -66,36 +68,54 @@ def test_inspected_needs_free_line_of_sight() -> None:
 def test_looked_through_agrees_with_shapely(seed: int, count: int) -> None:
     star_offsets, star_vertices, centers = _stars(seed, count)
     rng = np.random.default_rng(seed + 1)
-    sizes = rng.integers(2, 5, 60)
+    sizes = rng.integers(2, 4, 60)
     offsets = np.append(0, np.cumsum(sizes))
     vertices = np.repeat(rng.uniform(-6.0, 6.0, (60, 2)), sizes, axis=0) + rng.normal(0.0, 0.15, (offsets[-1], 2))
+    rank, star_rank = rng.uniform(0.0, 1.0, 60), rng.uniform(0.0, 1.0, count)
+
+    def sine_of_view(a: np.ndarray, b: np.ndarray, eye: np.ndarray) -> float:
+        along, towards = b - a, eye - 0.5 * (a + b)
+        return (along[0] * towards[1] - along[1] * towards[0]) / (np.hypot(*along) * np.hypot(*towards))
+
     expected = np.zeros(60, dtype=bool)
     for i in range(60):
         line = vertices[offsets[i] : offsets[i + 1]]
-        chord, middle = line[-1] - line[0], 0.5 * (line[0] + line[-1])
         for j in range(count):
             polygon = shapely.Polygon(star_vertices[star_offsets[j] : star_offsets[j + 1]])
-            towards = centers[j] - middle
-            sine = (chord[0] * towards[1] - chord[1] * towards[0]) / (np.hypot(*chord) * np.hypot(*towards))
             polyline = shapely.LineString(line)
             deep = polygon.contains(polyline) and polygon.exterior.distance(polyline) >= 0.1
-            expected[i] |= deep and sine < ALONG
-    result = looked_through(offsets, vertices, star_offsets, star_vertices, centers, 0.1)
+            near = np.hypot(*(line[0] - centers[j])) <= 2.0
+            aside = all(sine_of_view(a, b, centers[j]) < ALONG for a, b in itertools.pairwise(line))
+            expected[i] |= deep and near and aside and star_rank[j] < rank[i]
+    result = looked_through(offsets, vertices, rank, star_offsets, star_vertices, centers, star_rank, 0.1, 2.0)
     np.testing.assert_array_equal(result, expected)
 
 
 @pytest.mark.parametrize(
-    ("surface", "depth", "expected"),
+    ("surface", "depth", "rank", "expected"),
     [
-        (((1.0, 0.5), (1.0, -0.5)), 0.2, True),
-        (((1.0, -0.5), (1.0, 0.5)), 0.2, False),
-        (((1.0, -0.1), (2.0, -0.1)), 0.2, True),
-        (((1.0, 0.5), (1.0, -0.5)), 2.1, False),
-        (((2.5, -0.5), (3.5, 0.5)), 0.2, False),
+        (((1.0, 0.5), (1.0, -0.5)), 0.2, 1.0, True),
+        (((1.0, -0.5), (1.0, 0.5)), 0.2, 1.0, False),
+        (((1.0, -0.1), (2.0, -0.1)), 0.2, 1.0, True),
+        (((1.0, 0.5), (1.0, -0.5)), 2.1, 1.0, False),
+        (((2.5, -0.5), (3.5, 0.5)), 0.2, 1.0, False),
+        (((1.0, 0.5), (1.0, -0.5)), 0.2, 0.0, False),
+        (((-0.5, 2.0), (-0.5, -0.5), (2.0, -0.5)), 0.2, 1.0, False),
+        (((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)), 0.2, 1.0, True),
     ],
-    ids=["from behind", "its front", "along it", "not so deep", "half outside"],
+    ids=[
+        "from behind",
+        "its front",
+        "along it",
+        "not so deep",
+        "half outside",
+        "mapped from here",
+        "a corner",
+        "a ring",
+    ],
 )
-def test_a_surface_in_what_was_seen_free(surface: tuple, depth: float, expected: bool) -> None:
+def test_a_surface_in_what_was_seen_free(surface: tuple, depth: float, rank: float, expected: bool) -> None:
     square = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
-    seen = looked_through(np.array([0, 2]), np.array(surface), np.array([0, 4]), square, np.zeros((1, 2)), depth)
+    of = np.array([0, len(surface)]), np.array(surface), np.array([rank])
+    seen = looked_through(*of, np.array([0, 4]), square, np.zeros((1, 2)), np.zeros(1), depth, 5.0)
     assert seen.tolist() == [expected]

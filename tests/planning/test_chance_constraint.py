@@ -62,18 +62,19 @@ def test_an_uncertain_map_adds_what_the_robot_does_not_share_with_the_surface(se
 
 
 @pytest.mark.parametrize(
-    ("wall", "facing", "counts"),
+    ("wall", "facing", "other", "counts"),
     [
-        ((-5.0, 0.5, 5.0, 0.5), (0.0, -1.0), False),
-        ((-5.0, 1.0, 5.0, 1.0), (0.0, 1.0), False),
-        ((-5.0, 1.0, 5.0, 1.0), (0.0, -1.0), True),
-        ((-5.0, 1.0, 5.0, 1.0), (0.99, -0.1), True),
+        ((-5.0, 0.5, 5.0, 0.5), (0.0, -1.0), 1.0, False),
+        ((-5.0, 1.0, 5.0, 1.0), (0.0, 1.0), 1.0, False),
+        ((-5.0, 1.0, 5.0, 1.0), (0.0, 1.0), 3.0, True),
+        ((-5.0, 1.0, 5.0, 1.0), (0.0, -1.0), 1.0, True),
+        ((-5.0, 1.0, 5.0, 1.0), (0.99, -0.1), 1.0, True),
     ],
-    ids=["behind a wall", "the other face", "on the wall", "seen slantwise"],
+    ids=["behind a wall", "the other face", "and nothing else near", "on the wall", "seen slantwise"],
 )
-def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, counts):
-    """The last landmark is 1 m off, and badly known."""
-    p_ML = np.array([[3.0, 0.0], [0.0, -3.0], [-3.0, 0.0], [0.0, 1.0]])
+def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, other, counts):
+    """The last landmark is 1 m off, and badly known, the last but one `other` metres off, and well known."""
+    p_ML = np.array([[3.0, 0.0], [0.0, -3.0], [-other, 0.0], [0.0, 1.0]])
     estimate = replace(
         empty_map(),
         ids=np.arange(4),

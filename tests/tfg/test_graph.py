@@ -347,6 +347,31 @@ def test_what_is_seen_through_a_gap_is_open_but_for_a_wall_between(wall, is_open
     assert open_frontiers(shadow, np.array([wall])).tolist() == [is_open]
 
 
+@pytest.mark.parametrize("here", [0, 1])
+def test_of_two_rooms_that_have_drifted_into_each_other_the_wall_of_the_nearer_stands(simulate, here) -> None:
+    """One wall, 0.1 m thick, between y = -0.05 and 0.05, the lower room drifted by 0.4 m into the upper one."""
+    rooms = [[(-4.0, -5.0), (4.0, -0.05)], [(-4.0, 0.05), (4.0, 5.0)]]
+    walls = []
+    for (x0, y0), (x1, y1) in rooms:
+        walls += [[x0, y0, x1, y0], [x1, y0, x1, y1], [x1, y1, x0, y1], [x0, y1, x0, y0]]
+    world = simulate(walls, spacing=1.0)
+    goals = [np.array([0.0, -2.5, 0.0]), np.array([0.0, 2.5, 0.0])]
+    for goal in goals if here == 1 else goals[::-1]:
+        world.observe(goal)
+    estimate = world.estimate
+    p_ML, X_MA = estimate.p_ML.copy(), estimate.X_MA.copy()
+    p_ML[p_ML[:, 1] < 0.0, 1] += 0.4
+    X_MA[X_MA[:, 1] < 0.0, 1] += 0.4
+    tfg = resolve(world.graph, replace(estimate, p_ML=p_ML, X_MA=X_MA), RobotConfig(), ExplorerConfig())
+    along = tfg.segments[:, 2:] - tfg.segments[:, :2]
+    length = []
+    for sign, y in ((-1.0, 0.35), (1.0, 0.05)):
+        which = (np.abs(tfg.segments[:, [1, 3]] - y).max(axis=1) < 0.05) & (sign * along[:, 0] > 0.0)
+        length.append(float(np.hypot(*along[which].T).sum()))
+    assert length[here] > 7.5
+    assert length[1 - here] < 4.0
+
+
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
     """In the middle of the left room, to the right: the room goes on behind the borders of the view."""
     tfg = two_rooms.observe(np.array([3.0, 3.0, 0.0]), glance=True)

@@ -107,39 +107,49 @@ def inspected(
 def looked_through(
     offsets: IntArray,
     vertices: FloatArray,
+    surface_rank: FloatArray,
     star_offsets: IntArray,
     star_vertices: FloatArray,
     star_centers: FloatArray,
+    star_rank: FloatArray,
     depth: float,
+    reach: float,
 ) -> BoolArray:
-    """Which surfaces (s,) some star's centre looked through, not at their front.
+    """Which surfaces (s,) the centre of a star of lower rank looked through, not at their front.
 
-    Surface i is the polyline vertices[offsets[i]:offsets[i + 1]] with its front on the left; the centre lies behind it
-    or looks along it (see ALONG), by its two ends, and all of it is at least depth (m) inside the star. Star polygons
-    as in `inside_any`.
+    Surface i is the polyline vertices[offsets[i]:offsets[i + 1]] with its front on the left; the centre lies behind
+    each piece of it or looks along that (see ALONG), its first point is within reach (m) of the centre, and all of it
+    at least depth (m) inside the star. surface_rank: (s,), star_rank: (k,). Star polygons as in `inside_any`.
     """
     radii = _square_radii(star_offsets, star_vertices, star_centers)
-    reach = np.sqrt(radii.max()) if len(radii) > 0 else 0.0
     grid = segment_grid(np.hstack((star_centers, star_centers)))
     near = np.empty(len(star_centers), dtype=np.int64)
     result = np.zeros(len(offsets) - 1, dtype=np.bool_)
     for i in range(len(offsets) - 1):
-        first, last = vertices[offsets[i]], vertices[offsets[i + 1] - 1]
-        x, y = first[0], first[1]
+        polyline = vertices[offsets[i] : offsets[i + 1]]
+        x, y = polyline[0, 0], polyline[0, 1]
         for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
             j = near[k]
-            center = star_centers[j]
-            if (x - center[0]) ** 2 + (y - center[1]) ** 2 > radii[j]:
+            if star_rank[j] >= surface_rank[i]:
                 continue
-            dx, dy = center[0] - 0.5 * (x + last[0]), center[1] - 0.5 * (y + last[1])
-            in_front = (last[0] - x) * dy - (last[1] - y) * dx
-            if in_front >= ALONG * math.hypot(last[0] - x, last[1] - y) * math.hypot(dx, dy):
+            cx, cy = star_centers[j, 0], star_centers[j, 1]
+            if (x - cx) ** 2 + (y - cy) ** 2 > min(radii[j], reach * reach) or _shows_front(polyline, cx, cy):
                 continue
-            star = star_vertices[star_offsets[j] : star_offsets[j + 1]]
-            if _deep_inside(vertices[offsets[i] : offsets[i + 1]], star, depth):
+            if _deep_inside(polyline, star_vertices[star_offsets[j] : star_offsets[j + 1]], depth):
                 result[i] = True
                 break
     return result
+
+
+@njit(cache=True)
+def _shows_front(polyline: FloatArray, x: float, y: float) -> bool:
+    """Whether a polyline (v, 2) shows (x, y) the front of any piece, and not only aslant (see ALONG)."""
+    for v in range(len(polyline) - 1):
+        ax, ay, bx, by = polyline[v, 0], polyline[v, 1], polyline[v + 1, 0], polyline[v + 1, 1]
+        dx, dy = x - 0.5 * (ax + bx), y - 0.5 * (ay + by)
+        if (bx - ax) * dy - (by - ay) * dx >= ALONG * math.hypot(bx - ax, by - ay) * math.hypot(dx, dy):
+            return True
+    return False
 
 
 @njit(cache=True)

@@ -55,7 +55,8 @@ def localised_deviation(
     Point i sees targets[index[offsets[i]:offsets[i + 1]]] of targets (t, 2), each in `frames` frames of range and
     bearing, heading unknown, and takes them to be where the map has them; LOCALISATION_TAGS of them count, the nearest.
     covariance: (>= 2t, >= 2t) of the targets, m^2; (0, 0) where their own errors are left out. Relative to which
-    targets: near_index[near_offsets[i]:near_offsets[i + 1]]. inf with fewer than two in view.
+    targets: near_index[near_offsets[i]:near_offsets[i + 1]], where there are none all within SURFACE_REACH. inf with
+    fewer than two in view.
     """
     out = np.full(len(points), np.inf)
     uncertain = len(covariance) > 0
@@ -112,7 +113,11 @@ def localised_deviation(
             xy += M[k, 0, 0] * n01 + M[k, 0, 1] * n11
             yy += M[k, 1, 0] * n01 + M[k, 1, 1] * n11
         worst = 0.0
-        for s in near_index[near_offsets[i] : near_offsets[i + 1]]:
+        carry = near_index[near_offsets[i] : near_offsets[i + 1]]
+        if len(carry) == 0:
+            # As in a door, where what carries the jambs looks away to either side.
+            carry = np.flatnonzero((targets[:, 0] - x) ** 2 + (targets[:, 1] - y) ** 2 <= SURFACE_REACH**2)
+        for s in carry:
             n00, n01, n10, n11 = _shared(covariance, s, rows, M)
             a = xx - 2.0 * n00 + covariance[2 * s, 2 * s]
             b = xy - n01 - n10 + covariance[2 * s, 2 * s + 1]

@@ -57,9 +57,11 @@ TRIED_DISTANCE = 0.5
 NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
-# A surface that lies this far within the free space of a goal which did not look at its front is not there, m: it was
-# mapped from elsewhere, and until a loop closes the two have drifted apart.
+# A surface that lies this far within the free space of a goal this near, m, which did not look at its front, was mapped
+# from elsewhere, and until a loop closes the two have drifted apart. What was mapped from the nearer of the two to the
+# newest goal stands: the robot knows where it is by what is round it.
 DRIFTED = 0.2
+DRIFTED_REACH = 5.0
 
 
 @message
@@ -410,9 +412,12 @@ def _pieces(
 ) -> tuple[FloatArray, IntArray, BoolArray]:
     """All pieces of surface (m, 4) in the map frame, the surface each is of (m,), and which stand (m,): the others have
     drifted into the free space of the stars."""
-    placed = place(graph.surfaces, estimate)
-    pieces, owner = segments_of(graph.surfaces.offsets, placed)
-    return pieces, owner, ~looked_through(graph.surfaces.offsets, placed, *stars, DRIFTED)[owner]
+    offsets, placed = graph.surfaces.offsets, place(graph.surfaces, estimate)
+    seen_from = np.hypot(*(estimate.X_MA[graph.surfaces.goal, :2] - estimate.X_MA[-1, :2]).T)
+    from_newest = np.hypot(*(stars[2] - estimate.X_MA[-1, :2]).T)
+    drifted = looked_through(offsets, placed, seen_from, *stars, from_newest, DRIFTED, DRIFTED_REACH)
+    pieces, owner = segments_of(offsets, placed)
+    return pieces, owner, ~drifted[owner]
 
 
 def _place_stars(
