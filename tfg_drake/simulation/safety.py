@@ -12,9 +12,9 @@ from tfg_drake.messages import FloatArray, Hazards, LaserScan
 from tfg_drake.simulation.differential_drive import advance
 
 # Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
-# (0: none) and the time left to it (s).
-SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT = range(4)
-STATE_SIZE = 4
+# (0: none) and the time left to it (s), and the speed that the base has then, which brakes no harder than it can (m/s).
+SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT, BASE_SPEED = range(5)
+STATE_SIZE = 5
 
 _RIGHT, _CENTRE, _LEFT = 1, 2, 4
 
@@ -70,28 +70,28 @@ def _nearest_while_braking(
     ranges: FloatArray,
     X_SB: FloatArray,
     velocity: FloatArray,
-    turn_rate: float,
+    turn_wanted: float,
     limits: FloatArray,
     reach: float,
     period: float,
 ) -> float:
-    """How near (m) the base's centre comes to a return of a scan, braking as hard as it can from a velocity (2,).
+    """How near (m) the base's centre comes to a return of a scan, braking as hard as it can.
 
-    X_SB: as in free_distance. turn_rate: rad/s that it turns with meanwhile, nan: what keeps it on its arc. limits:
-    (2,) of its acceleration, m/s^2, and turn acceleration, rad/s^2. Returns farther than reach (m) make no difference.
+    X_SB: as in free_distance. velocity: (2,) speed > 0 (m/s) and turn rate (rad/s) before. turn_wanted: rad/s, the turn
+    rate it goes over to meanwhile, nan: what keeps it on its arc. limits: (2,) of its acceleration, m/s^2, and turn
+    acceleration, rad/s^2. Returns farther than reach (m) make no difference.
     """
-    hit = ranges < np.inf
-    x, y = ranges[hit] * np.cos(angles[hit]), ranges[hit] * np.sin(angles[hit])
-    speed, turning = velocity[0], velocity[1]
-    curvature = turning / speed
+    speed, turn_rate = velocity[0], velocity[1]
+    curvature = turn_rate / speed
+    way = speed * period + 0.5 * speed * speed / limits[0]
+    near = ranges < reach + way + math.hypot(X_SB[0], X_SB[1])
+    x, y = ranges[near] * np.cos(angles[near]), ranges[near] * np.sin(angles[near])
     pose, least = X_SB, reach
     while speed > 0.0 and len(x) > 0:
-        pose = advance(pose, speed, turning, period)
+        pose = advance(pose, speed, turn_rate, period)
         speed -= limits[0] * period
-        if math.isnan(turn_rate):
-            turning = curvature * speed
-        else:
-            turning += min(limits[1] * period, max(-limits[1] * period, turn_rate - turning))
+        wanted = curvature * max(0.0, speed) if math.isnan(turn_wanted) else turn_wanted
+        turn_rate += min(limits[1] * period, max(-limits[1] * period, wanted - turn_rate))
         least = min(least, math.sqrt(((x - pose[0]) ** 2 + (y - pose[1]) ** 2).min()))
     return least
 
@@ -127,28 +127,32 @@ def filter_command(
     - Speed, turn rate and their rates stay within the robot's limits.
     - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance). Without
       a scan younger than scan_timeout there is no forward speed. Turning in place and backing away stay allowed.
-    - While it cannot be as slow as it is told, the base turns as it is told unless that takes it nearer to a return
+    - While the base cannot be as slow as it should, it turns as it is told unless that takes it nearer to a return
       than stop_distance and than its arc does: then it brakes on that.
     """
     if hazards.cliff or hazards.wheel_drop:
         return np.zeros(STATE_SIZE)
     left = float(state[REFLEX_LEFT]) - period
     bits = int(state[REFLEX_BITS]) | hazards.bumper if left > 0.0 else hazards.bumper
+    step, turn_step = robot.max_acceleration * period, robot.max_turn_acceleration * period
+    base_before = float(state[BASE_SPEED])
     if bits:
         speed, turn_rate = _reflex(bits, safety)
-        return np.array([speed, turn_rate, bits, left if left > 0.0 else safety.reflex_time])
+        base = base_before + _bounded(speed - base_before, step)
+        return np.array([speed, turn_rate, bits, left if left > 0.0 else safety.reflex_time, base])
 
     wanted = command if np.isfinite(command).all() else np.zeros(2)
     before, turn_before = float(state[SPEED]), float(state[TURN_RATE])
-    speed = _bounded(float(wanted[0]), robot.max_speed)
-    speed = before + _bounded(speed - before, robot.max_acceleration * period)
-    turn_rate = _bounded(float(wanted[1]), robot.max_turn_rate)
-    turn_rate = turn_before + _bounded(turn_rate - turn_before, robot.max_turn_acceleration * period)
-    if speed > max(0.0, float(wanted[0])) and not _turn_allowed(stamp, state, turn_rate, scan, robot, safety, period):
-        turn_rate = turn_before / before * speed
+    speed = before + _bounded(_bounded(float(wanted[0]), robot.max_speed) - before, step)
+    turn_wanted = _bounded(float(wanted[1]), robot.max_turn_rate)
+    turn_rate = turn_before + _bounded(turn_wanted - turn_before, turn_step)
     if speed > 0.0:
         speed = min(speed, _speed_allowed(stamp, state, speed, turn_rate, scan, robot, safety, period))
-    return np.array([speed, turn_rate, 0.0, 0.0])
+    base = base_before + _bounded(speed - base_before, step)
+    brakes = base_before > 0.0 and base > max(0.0, min(speed, float(wanted[0])))
+    if brakes and not _turn_allowed(stamp, state, turn_wanted, scan, robot, safety, period):
+        turn_rate = turn_before + _bounded(turn_before / base_before * base - turn_before, turn_step)
+    return np.array([speed, turn_rate, 0.0, 0.0, base])
 
 
 def _turn_allowed(
@@ -161,16 +165,19 @@ def _turn_allowed(
     period: float,
 ) -> bool:
     """Whether the base may turn so (rad/s) while it brakes: it stays clear, or comes no nearer than on its arc."""
-    X_SB = advance(np.zeros(3), float(state[SPEED]), float(state[TURN_RATE]), stamp - scan.stamp)
+    age = stamp - scan.stamp
+    if age > safety.scan_timeout:
+        return True
+    velocity = state[[BASE_SPEED, TURN_RATE]]
+    X_SB = advance(np.zeros(3), velocity[0], velocity[1], age)
     limits = np.array([robot.max_acceleration, robot.max_turn_acceleration])
     clear = robot.radius + safety.stop_distance
 
-    def nearest(rate: float, reach: float) -> float:
-        velocity = state[[SPEED, TURN_RATE]]
-        return float(_nearest_while_braking(scan.angles, scan.ranges, X_SB, velocity, rate, limits, reach, period))
+    def nearest(turn: float) -> float:
+        return float(_nearest_while_braking(scan.angles, scan.ranges, X_SB, velocity, turn, limits, clear, period))
 
-    turning = nearest(turn_rate, clear)
-    return turning == clear or turning >= nearest(math.nan, clear)
+    turned = nearest(turn_rate)
+    return turned == clear or turned >= nearest(math.nan)
 
 
 def _speed_allowed(
@@ -188,7 +195,7 @@ def _speed_allowed(
     if age > safety.scan_timeout:
         return 0.0
     # The base has moved on since the scan; its velocity changed little in that time.
-    X_SB = advance(np.zeros(3), float(state[SPEED]), float(state[TURN_RATE]), age)
+    X_SB = advance(np.zeros(3), float(state[BASE_SPEED]), float(state[TURN_RATE]), age)
     room = free_distance(scan, X_SB, speed, turn_rate, robot.radius, safety.side_margin) - safety.stop_distance
     if room == math.inf:
         return math.inf
