@@ -19,7 +19,7 @@ from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig, TagSensor
 from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
-from tfg_drake.geometry.star import inside_any, inspected, looked_through
+from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import drift_between, known_jointly
@@ -45,6 +45,7 @@ from tfg_drake.tfg.frontier import (
     select,
     uninspected_frontiers,
 )
+from tfg_drake.tfg.overlap import standing
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import panorama_links, segment
@@ -57,11 +58,6 @@ TRIED_DISTANCE = 0.5
 NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
-# A surface that lies this far within the free space of a goal this near, m, which did not look at its front, was mapped
-# from elsewhere, and until a loop closes the two have drifted apart. What was mapped from the nearer of the two to the
-# newest goal stands: the robot knows where it is by what is round it.
-DRIFTED = 0.2
-DRIFTED_REACH = 5.0
 
 
 @message
@@ -265,12 +261,12 @@ def resolve(
 ) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
 
-    Surfaces that have drifted into free space (see DRIFTED) are left out, until they fit again.
+    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
 
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
     stars = _stars(graph, estimate, goals)
-    pieces, owner, stand = _pieces(graph, estimate, stars)
+    pieces, owner, stand = _pieces(graph, estimate, stars, goals)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), pieces, BARE_TAG) >= BARE_TAG
     posts = estimate.ids[bare]
     segments, owner = pieces[stand], owner[stand]
@@ -408,16 +404,15 @@ def _stars(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> tu
 
 
 def _pieces(
-    graph: TfgGraph, estimate: MapEstimate, stars: tuple[IntArray, FloatArray, FloatArray]
+    graph: TfgGraph, estimate: MapEstimate, stars: tuple[IntArray, FloatArray, FloatArray], goals: IntArray | None
 ) -> tuple[FloatArray, IntArray, BoolArray]:
     """All pieces of surface (m, 4) in the map frame, the surface each is of (m,), and which stand (m,): the others have
     drifted into the free space of the stars."""
-    offsets, placed = graph.surfaces.offsets, place(graph.surfaces, estimate)
-    seen_from = np.hypot(*(estimate.X_MA[graph.surfaces.goal, :2] - estimate.X_MA[-1, :2]).T)
-    from_newest = np.hypot(*(stars[2] - estimate.X_MA[-1, :2]).T)
-    drifted = looked_through(offsets, placed, seen_from, *stars, from_newest, DRIFTED, DRIFTED_REACH)
-    pieces, owner = segments_of(offsets, placed)
-    return pieces, owner, ~drifted[owner]
+    placed = place(graph.surfaces, estimate)
+    pieces, owner = segments_of(graph.surfaces.offsets, placed)
+    of_goal = np.arange(graph.stage) if goals is None else goals
+    stand = standing(graph.surfaces, placed, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)
+    return pieces, owner, stand[owner]
 
 
 def _place_stars(
@@ -489,7 +484,7 @@ def _count_attempts(
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        pieces, _, stand = _pieces(graph, estimate, _stars(graph, estimate, goals))
+        pieces, _, stand = _pieces(graph, estimate, _stars(graph, estimate, goals), goals)
         segments = pieces[stand]
         points = live_frontiers(graph, estimate, segments, explorer)
         towards = center - points.p

@@ -1,0 +1,65 @@
+"""What stands where the map lies over itself.
+
+Two faces of a wall share no landmark. Until a loop closes, what was mapped from one side may lie in free space that was
+seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one that
+less ties to the robot.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from tfg_drake.geometry.star import looked_through
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
+from tfg_drake.tfg.surfaces import Surfaces
+
+# A surface this deep in the free space of a goal this near, m, that did not look at its front has drifted into it.
+DEPTH = 0.2
+REACH = 5.0
+
+
+def standing(
+    surfaces: Surfaces,
+    vertices: FloatArray,
+    tag_ids: IntArray,
+    tag_goal: IntArray,
+    stars: tuple[IntArray, FloatArray, FloatArray],
+    star_goal: IntArray,
+    estimate: MapEstimate,
+) -> BoolArray:
+    """Which surfaces (s,) stand: no goal that more ties to the newest one than to theirs has looked through them.
+
+    vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
+    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_goal: (k,) the goals they are of.
+    """
+    count, none = len(surfaces.goal), np.zeros(len(star_goal))
+
+    def through(surface_rank: FloatArray, star_rank: FloatArray) -> BoolArray:
+        return looked_through(surfaces.offsets, vertices, surface_rank, *stars, star_rank, DEPTH, REACH)
+
+    # As a rule there is nothing of the kind, and how the goals are tied does not matter.
+    if not through(np.ones(count), none).any():
+        return np.ones(count, dtype=np.bool_)
+    goal = np.concatenate([np.repeat(surfaces.goal, 2), tag_goal])
+    ids = np.concatenate([surfaces.ids.ravel(), tag_ids])
+    rank = distance_along_map(goal[ids >= 0], ids[ids >= 0], star_goal, estimate)
+    return np.asarray(~through(rank[surfaces.goal], rank[star_goal]))
+
+
+def distance_along_map(goal: IntArray, ids: IntArray, goals: IntArray, estimate: MapEstimate) -> FloatArray:
+    """How far (k,), m, each of the map's goals is from the last of some (g,), ascending, along what ties them together:
+    from a goal to a landmark that it saw, (p,) pairs of goal and ids, and from one of those some to the next; inf where
+    nothing does."""
+    k, n = len(estimate.X_MA), len(estimate.ids)
+    # Each pair once: a sparse matrix adds up what it is given twice.
+    pair = np.unique(goal * n + np.searchsorted(estimate.ids, ids))
+    saw, row = pair // n, pair % n
+    before = goals[:-1][np.diff(goals) == 1]
+    to_landmark = np.hypot(*(estimate.p_ML[row] - estimate.X_MA[saw, :2]).T)
+    to_next = np.hypot(*(estimate.X_MA[before + 1, :2] - estimate.X_MA[before, :2]).T)
+    # No length at all would be no tie.
+    length = np.maximum(np.append(to_landmark, to_next), 1e-9)
+    ties = csr_matrix((length, (np.append(saw, before), np.append(k + row, before + 1))), shape=(k + n, k + n))
+    return np.asarray(dijkstra(ties, directed=False, indices=goals[-1])[:k])
