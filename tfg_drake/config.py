@@ -181,7 +181,7 @@ class ExplorerConfig:
     # The robot stands and looks this long before it first moves, s, and then turns round so many times: the map's
     # heading is that of the start pose, and half of what turns the finished map is how well that was known.
     first_look: float = 8.0
-    first_turns: int = 2
+    first_turns: int = 3
 
 
 @dataclasses.dataclass

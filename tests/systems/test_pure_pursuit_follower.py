@@ -134,13 +134,13 @@ def test_drives_on_while_a_glance_is_mapped():
     assert not rig.V.any()
 
 
-def test_a_mission_begins_with_a_look_and_turns_round_twice():
+def test_a_mission_begins_with_a_look_and_turns_round_three_times():
     rig = Rig()
     rig.mission = MissionStatus(phase="observe", stage=0, since=0.0)
     rig._fix()
     assert not rig.run(ExplorerConfig().first_look, lambda _: rig.V[1] != 0.0)
-    assert rig.run(15, lambda status: status.turn_done)
-    assert 4 * math.pi <= rig.X[2] < 4 * math.pi + 0.05
+    assert rig.run(22, lambda status: status.turn_done)
+    assert 6 * math.pi <= rig.X[2] < 6 * math.pi + 0.05
 
 
 def test_every_observation_turns_anew():
