@@ -38,6 +38,9 @@ from tfg_drake.slam.map_window import (
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
 SMALL_STEP = 1e-3
+# Levenberg-Marquardt stops by itself; where it has lowered the error by less than this share it is not asked again: a
+# long loop that has just closed would take a quarter of an hour.
+CREEPING = 1e-4
 # Landmarks that goals outside the window have seen too may move this far, m, before the whole graph is solved.
 RIM_STEP = 0.01
 # As good as zero.
@@ -224,14 +227,15 @@ def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
         with contextlib.suppress(RuntimeError):
             step = linear.optimize(ordering)
             moved = values.retract(step)
-        moved_error = factors.error(moved)
+        moved_error, creeps = factors.error(moved), False
         if step is None or not moved_error <= error + 1e-6 * (1.0 + error):
             moved = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
             moved_error = factors.error(moved)
             if not moved_error <= error + 1e-6 * (1.0 + error):
                 break
+            creeps = error - moved_error < CREEPING * error
         values, error = moved, moved_error
-        if step is None or np.max(np.abs(step.vector())) < SMALL_STEP:
+        if step is None or creeps or np.max(np.abs(step.vector())) < SMALL_STEP:
             break
     return values
 
