@@ -18,7 +18,7 @@ def test_the_command_writes_every_figure_and_names_it(tmp_path, monkeypatch, cap
     stages_of = figures.stages_of
     monkeypatch.setattr(figures, "stages_of", lambda scenario, _: stages_of(scenario, lambda stage, time: stage == 2))
     monkeypatch.setattr(figures, "RUNS", 1)
-    monkeypatch.setattr(figures, "LONGEST", 22.0)
+    monkeypatch.setattr(figures, "LONGEST", 28.0)
     with pytest.raises(SystemExit) as end:
         cli.main(["figures", "--out", str(tmp_path)])
     assert end.value.code == 0

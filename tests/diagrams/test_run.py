@@ -110,10 +110,10 @@ def test_the_same_seed_gives_the_same_run(finished, tmp_path):
 
 def test_the_time_limit_ends_a_mission(tmp_path):
     seen = []
-    result = run.explore(room(), max_time=22.5, out_dir=tmp_path, on_progress=seen.append)
-    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 22.5)
-    assert result.summary["reason"] == "the time limit of 22.5 s was reached"
-    assert [progress.time for progress in seen] == [*np.arange(1.0, 23.0), 22.5]
+    result = run.explore(room(), max_time=28.5, out_dir=tmp_path, on_progress=seen.append)
+    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 28.5)
+    assert result.summary["reason"] == "the time limit of 28.5 s was reached"
+    assert [progress.time for progress in seen] == [*np.arange(1.0, 29.0), 28.5]
     assert seen[-1].landmarks == result.summary["landmarks_mapped"] > 0
     assert 10.0 < seen[-1].area < 24.1
 
@@ -129,12 +129,12 @@ def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
 
 def test_ctrl_c_leaves_a_usable_result(tmp_path):
     def interrupt(progress):
-        if progress.time == 20.0:
+        if progress.time == 26.0:
             os.kill(os.getpid(), signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
     result = run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
-    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 20 s")
+    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 26 s")
     assert load_map(tmp_path / "map.npz").stage == 1
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -152,14 +152,14 @@ def test_a_second_ctrl_c_aborts(tmp_path):
 def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, monkeypatch, error):
     class Failing(run.PoseVector):
         def _CalcVector(self, context, output):
-            if context.get_time() > 21.0:
+            if context.get_time() > 27.0:
                 raise error
             super()._CalcVector(context, output)
 
     monkeypatch.setattr(run, "PoseVector", Failing)
     summary = run.explore(room(), out_dir=tmp_path).summary
     assert summary["outcome"] == "fault"
-    assert summary["reason"] == f"{type(error).__name__} at 21.06 s: no way"
+    assert summary["reason"] == f"{type(error).__name__} at 27.06 s: no way"
     assert summary["stages"] == 1
     assert list(summary) == FIELDS
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
