@@ -152,14 +152,14 @@ def test_a_second_ctrl_c_aborts(tmp_path):
 def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, monkeypatch, error):
     class Failing(run.PoseVector):
         def _CalcVector(self, context, output):
-            if context.get_time() > 27.0:
+            if context.get_time() > 25.5:
                 raise error
             super()._CalcVector(context, output)
 
     monkeypatch.setattr(run, "PoseVector", Failing)
     summary = run.explore(room(), out_dir=tmp_path).summary
     assert summary["outcome"] == "fault"
-    assert summary["reason"] == f"{type(error).__name__} at 27.06 s: no way"
+    assert summary["reason"] == f"{type(error).__name__} at 25.56 s: no way"
     assert summary["stages"] == 1
     assert list(summary) == FIELDS
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
