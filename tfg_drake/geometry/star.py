@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.geometry.distance import segment_segment_distance
+from tfg_drake.geometry.distance import segment_segment_distance, side_of
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
@@ -147,7 +147,7 @@ def _shows_front(polyline: FloatArray, x: float, y: float) -> bool:
     for v in range(len(polyline) - 1):
         ax, ay, bx, by = polyline[v, 0], polyline[v, 1], polyline[v + 1, 0], polyline[v + 1, 1]
         dx, dy = x - 0.5 * (ax + bx), y - 0.5 * (ay + by)
-        if (bx - ax) * dy - (by - ay) * dx >= ALONG * math.hypot(bx - ax, by - ay) * math.hypot(dx, dy):
+        if side_of(x, y, ax, ay, bx, by) >= ALONG * math.hypot(bx - ax, by - ay) * math.hypot(dx, dy):
             return True
     return False
 

@@ -146,56 +146,54 @@ def filter_command(
     speed = before + _bounded(_bounded(float(wanted[0]), robot.max_speed) - before, step)
     turn_wanted = _bounded(float(wanted[1]), robot.max_turn_rate)
     turn_rate = turn_before + _bounded(turn_wanted - turn_before, turn_step)
+    X_SB = _pose_in_scan(state, stamp - scan.stamp, safety)
     if speed > 0.0:
-        speed = min(speed, _speed_allowed(stamp, state, speed, turn_rate, scan, robot, safety, period))
+        allowed = 0.0 if X_SB is None else _speed_allowed(scan, X_SB, speed, turn_rate, robot, safety, period)
+        speed = min(speed, allowed)
     base = base_before + _bounded(speed - base_before, step)
     brakes = base_before > 0.0 and base > max(0.0, min(speed, float(wanted[0])))
-    if brakes and not _turn_allowed(stamp, state, turn_wanted, scan, robot, safety, period):
+    velocity = state[[BASE_SPEED, TURN_RATE]]
+    if brakes and X_SB is not None and not _turn_allowed(scan, X_SB, velocity, turn_wanted, robot, safety, period):
         turn_rate = turn_before + _bounded(turn_before / base_before * base - turn_before, turn_step)
     return np.array([speed, turn_rate, 0.0, 0.0, base])
 
 
+def _pose_in_scan(state: FloatArray, age: float, safety: SafetyConfig) -> FloatArray | None:
+    """The body's pose now in the frame of a scan of this age (s); None where that is too old."""
+    # The base has moved on since the scan; its velocity changed little in that time.
+    return None if age > safety.scan_timeout else advance(np.zeros(3), state[BASE_SPEED], state[TURN_RATE], age)
+
+
 def _turn_allowed(
-    stamp: float,
-    state: FloatArray,
-    turn_rate: float,
     scan: LaserScan,
+    X_SB: FloatArray,
+    velocity: FloatArray,
+    turn_wanted: float,
     robot: RobotConfig,
     safety: SafetyConfig,
     period: float,
 ) -> bool:
-    """Whether the base may turn so (rad/s) while it brakes: it stays clear, or comes no nearer than on its arc."""
-    age = stamp - scan.stamp
-    if age > safety.scan_timeout:
-        return True
-    velocity = state[[BASE_SPEED, TURN_RATE]]
-    X_SB = advance(np.zeros(3), velocity[0], velocity[1], age)
+    """Whether the base may go over to a turn rate while it brakes: it stays clear, or no nearer than on its arc."""
     limits = np.array([robot.max_acceleration, robot.max_turn_acceleration])
     clear = robot.radius + safety.stop_distance
 
     def nearest(turn: float) -> float:
         return float(_nearest_while_braking(scan.angles, scan.ranges, X_SB, velocity, turn, limits, clear, period))
 
-    turned = nearest(turn_rate)
+    turned = nearest(turn_wanted)
     return turned == clear or turned >= nearest(math.nan)
 
 
 def _speed_allowed(
-    stamp: float,
-    state: FloatArray,
+    scan: LaserScan,
+    X_SB: FloatArray,
     speed: float,
     turn_rate: float,
-    scan: LaserScan,
     robot: RobotConfig,
     safety: SafetyConfig,
     period: float,
 ) -> float:
-    """The greatest forward speed (m/s) from which the base can stop in time."""
-    age = stamp - scan.stamp
-    if age > safety.scan_timeout:
-        return 0.0
-    # The base has moved on since the scan; its velocity changed little in that time.
-    X_SB = advance(np.zeros(3), float(state[BASE_SPEED]), float(state[TURN_RATE]), age)
+    """The greatest forward speed (m/s) from which the base can stop in time on the arc of a velocity (m/s, rad/s)."""
     room = free_distance(scan, X_SB, speed, turn_rate, robot.radius, safety.side_margin) - safety.stop_distance
     if room == math.inf:
         return math.inf

@@ -1,8 +1,8 @@
 """What stands where the map lies over itself.
 
 Two faces of a wall share no landmark. Until a loop closes, what was mapped from one side may lie in free space that was
-seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one that
-less ties to the robot.
+seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one whose
+place relative to the robot is known less well, as more ties lie between.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def standing(
     star_goal: IntArray,
     estimate: MapEstimate,
 ) -> BoolArray:
-    """Which surfaces (s,) stand: no goal that more ties to the newest one than to theirs has looked through them.
+    """Which surfaces (s,) stand: no goal that is tied more closely to the newest than theirs has looked through them.
 
     vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
     stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_goal: (k,) the goals they are of.
@@ -49,9 +49,10 @@ def standing(
 
 
 def distance_along_map(goal: IntArray, ids: IntArray, goals: IntArray, estimate: MapEstimate) -> FloatArray:
-    """How far (k,), m, each of the map's goals is from the last of some (g,), ascending, along what ties them together:
-    from a goal to a landmark that it saw, (p,) pairs of goal and ids, and from one of those some to the next; inf where
-    nothing does."""
+    """How far (k,), m, each of the map's goals is from the last of `goals` along what ties them; inf where none does.
+
+    What ties: a goal and a landmark that it saw, goal and ids (p,), and two of `goals` (g,), ascending, in succession.
+    """
     k, n = len(estimate.X_MA), len(estimate.ids)
     # Each pair once: a sparse matrix adds up what it is given twice.
     pair = np.unique(goal * n + np.searchsorted(estimate.ids, ids))
