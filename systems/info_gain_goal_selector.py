@@ -92,7 +92,8 @@ class InfoGainGoalSelector(LeafSystem):
             np.hypot(*(now.goal.p_MG - working.estimate.X_MD[:2])) > working.reach
             or not roadmap.reaches(np.array([now.goal.node]))[0]
         )
-        goal = None if underway else choose(working.estimate, working.tfg, roadmap, self._parameters, now.remembered)
+        part = working.estimate, working.tfg, roadmap, self._parameters, now.remembered
+        goal = None if underway else choose(*part, everything=working.is_all)
         if goal is None or (goal.verdict != "goal" and not working.is_all):
             estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
             roadmap = eval_message(self._roadmap, context, Roadmap)

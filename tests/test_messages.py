@@ -97,7 +97,8 @@ def test_frozen_arrays_keep_shape_type_and_values_in_c_order(array):
 
 def test_a_roadmaps_nodes_keep_their_names():
     no, yes = np.zeros(3), np.array([True, True, False])
-    part = Roadmap(1, np.zeros((3, 2)), np.zeros((0, 2), dtype=int), yes, yes, yes, no, no, ids=np.array([4, 7, 9]))
+    entry = np.array([0, 1, -1])
+    part = Roadmap(1, np.zeros((3, 2)), np.zeros((0, 2), dtype=int), yes, yes, entry, no, no, ids=np.array([4, 7, 9]))
     assert part.names(np.array([2, 0])).tolist() == [9, 4]
     assert part.nodes(np.array([9, 4, 5, 100])).tolist() == [2, 0, -1, -1]
     assert part.reaches(np.array([4, 9, 8])).tolist() == [True, False, False]

@@ -272,9 +272,10 @@ class Roadmap:
 
     stage. points: (n, 2) m. edges: (e, 2) node indices, those within the chance constraint. reachable: (n,) from where
     the robot stands, along edges. enterable: (n,) there is room enough for the robot all the way, though perhaps not
-    for its uncertainty; roomy: (n,) there is room for a robot that knows its place fairly well, too. travel_time: (n,)
-    expected s from the robot, turns included, inf where unreachable, travel_length: (n,) m. home_time and home_length:
-    (n,) the same between each node and where the robot began, empty unless it must come home. driven: m, so far.
+    for its uncertainty. entry: (n,) where there is room for a robot that knows its place fairly well, too, the last
+    reachable node on the way, -1 elsewhere. travel_time: (n,) expected s from the robot, turns included, inf where
+    unreachable, travel_length: (n,) m. home_time and home_length: (n,) the same between each node and where the robot
+    began, empty unless it must come home. driven: m, so far.
     frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
     TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, the
     nodes' names, which they keep from stage to stage; empty where that is their index.
@@ -285,7 +286,7 @@ class Roadmap:
     edges: IntArray
     reachable: BoolArray
     enterable: BoolArray
-    roomy: BoolArray
+    entry: IntArray
     travel_time: FloatArray
     travel_length: FloatArray
     home_time: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
@@ -321,6 +322,7 @@ class GoalChoice:
     there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not
     at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
     chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
+    looked_again: (t,) names of nodes before narrow passages that the robot has gone back to, before the mission ends.
     """
 
     stage: int
@@ -337,6 +339,7 @@ class GoalChoice:
     latest_arrival: float = math.inf
     spent: bool = False
     look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    looked_again: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @message

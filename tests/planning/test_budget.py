@@ -16,7 +16,7 @@ def roadmap(time, home_time=None, reachable=None):
     all_of = np.ones(n, dtype=bool) if reachable is None else np.asarray(reachable, dtype=bool)
     home = np.zeros(0) if home_time is None else np.asarray(home_time, dtype=float)
     edges = np.zeros((0, 2), dtype=np.int64)
-    return Roadmap(1, points, edges, all_of, all_of, all_of, time, time, home, home)
+    return Roadmap(1, points, edges, all_of, all_of, np.where(all_of, np.arange(n), -1), time, time, home, home)
 
 
 def test_without_a_budget_everything_is_affordable():

@@ -80,7 +80,7 @@ def given_up_behind(width: float, *walls: tuple[float, float, float, float]) -> 
     )
     both = np.array([True, True])
     places = np.array([[0.2, -0.8], [2.0, -0.8]])
-    roadmap = Roadmap(1, places, np.zeros((0, 2), dtype=np.int64), both, both, both, np.zeros(2), np.zeros(2))
+    roadmap = Roadmap(1, places, np.zeros((0, 2), dtype=np.int64), both, both, np.arange(2), np.zeros(2), np.zeros(2))
     return given_up_open(tfg, roadmap, NEED)
 
 

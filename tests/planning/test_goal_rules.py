@@ -45,7 +45,7 @@ def corridor(where):
     all_of = np.ones(n, dtype=bool)
     edges = np.array(list(itertools.combinations(range(n), 2)))
     away = np.abs(points[:, 0])
-    return Roadmap(1, points, edges, all_of, all_of, all_of, away, away)
+    return Roadmap(1, points, edges, all_of, all_of, np.arange(n), away, away)
 
 
 def tour_of(where, gain, frontier):

@@ -19,7 +19,7 @@ def test_a_past_goal_is_no_place_to_see_a_frontier_from():
     def seen(reachable):
         reachable = np.array(reachable, dtype=bool)
         roadmap = Roadmap(
-            1, points, np.zeros((0, 2), dtype=int), reachable, *2 * [np.ones(3, dtype=bool)], *2 * [np.zeros(3)]
+            1, points, np.zeros((0, 2), dtype=int), reachable, np.ones(3, dtype=bool), np.arange(3), *2 * [np.zeros(3)]
         )
         roadmap = with_frontiers(roadmap, estimate, tfg, TagSensorConfig())
         return frontier_in_sight(roadmap, tfg, TagSensorConfig())

@@ -212,7 +212,10 @@ def test_a_lost_robot_may_not_pass_doors_that_it_would_fit_through():
         state = extend(empty_roadmap(), tfg, estimate, dataclasses.replace(PARAMETERS, sensor=vague))
         message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), ROBOT, PLANNER)
         behind = message.points[:, 0] > 0.3
-        seen[width] = [bool(where[behind].any()) for where in (message.reachable, message.enterable, message.roomy)]
+        seen[width] = [bool(w[behind].any()) for w in (message.reachable, message.enterable, message.entry >= 0)]
+        beyond = behind & (message.entry >= 0)
+        assert message.reachable[message.entry[beyond]].all()
+        assert (message.points[message.entry[beyond], 0] < 0.3).all()
     assert seen == {0.42: [False, False, False], 0.5: [False, True, False], 0.65: [False, True, True]}
 
 

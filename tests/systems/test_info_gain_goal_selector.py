@@ -44,7 +44,8 @@ def roadmap(stage=1):
         points = NONE
     reachable = points[:, 1] <= 1.0
     time = np.where(reachable, np.hypot(*points.T) / 0.5, np.inf)
-    return Roadmap(stage, points, IDS.reshape(0, 2), reachable, reachable, reachable, time, time)
+    entry = np.where(reachable, np.arange(len(points)), -1)
+    return Roadmap(stage, points, IDS.reshape(0, 2), reachable, reachable, entry, time, time)
 
 
 class Selector:
@@ -322,7 +323,7 @@ def part_of_the_room(stage=1, closed=True):
 
 def named(of, nodes):
     """Some nodes of a roadmap, by the names they have in it."""
-    fields = ("points", "reachable", "enterable", "roomy", "travel_time", "travel_length")
+    fields = ("points", "reachable", "enterable", "entry", "travel_time", "travel_length")
     return dataclasses.replace(of, **{name: getattr(of, name)[nodes] for name in fields}, ids=nodes)
 
 

@@ -83,7 +83,7 @@ def make_messages(f=2):
         edges=np.array([[0, 1]] if f else np.zeros((0, 2), dtype=int)),
         reachable=np.ones(f, dtype=bool),
         enterable=np.ones(f, dtype=bool),
-        roomy=np.ones(f, dtype=bool),
+        entry=np.arange(f),
         travel_time=np.ones(f),
         travel_length=np.ones(f),
     )

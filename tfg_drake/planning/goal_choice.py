@@ -10,12 +10,11 @@ from scipy.spatial import cKDTree
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
+from tfg_drake.planning.barred import barred_places, looked_again, to_look_again
 from tfg_drake.planning.budget import budget_left, way_home
 from tfg_drake.planning.candidates import Candidates, GoalParameters, judged, time_at_goal
-from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
-from tfg_drake.planning.information_gain import information_gain
-from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, barred_places, given_up_open, why_end
+from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
 
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
@@ -46,11 +45,14 @@ def choose(
     roadmap: Roadmap,
     parameters: GoalParameters,
     previous: GoalChoice,
+    *,
+    everything: bool = True,
 ) -> GoalChoice:
     """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is what all choices before it
-    found worth remembering (see remember).
+    found worth remembering (see remember). everything: they are no part of a larger map.
 
     Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
+    Where nothing is, the robot goes back to passages that were too narrow (see `tfg_drake.planning.barred`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -77,18 +79,28 @@ def choose(
         if len(before) and candidates.time[before[0]] < candidates.time[best]:
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
+    looked = previous.looked_again
     if best >= 0:
-        node, p_MG, verdict = int(candidates.nodes[best]), candidates.points[best], "goal"
+        node, verdict = int(candidates.nodes[best]), "goal"
         rate = gains.gain[best] / (candidates.time[best] + stay)
         reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
+    elif worth.any():
+        node, verdict, reason = -1, "budget", f"{budget} of the budget are left: too little for another goal."
     else:
-        if worth.any():
-            verdict, reason = "budget", f"{budget} of the budget are left: too little for another goal."
+        barred = barred_places(estimate, tfg, roadmap, parameters)
+        again = -1
+        if everything:
+            looked = looked_again(barred, roadmap, estimate.X_MD[:2], looked)
+            again = to_look_again(barred, roadmap, stay, explorer.stop_gain, looked)
+        if again >= 0 and budget.affords(roadmap, barred.entry[[again]])[0]:
+            node, verdict = int(barred.entry[again]), "goal"
+            reason = f"{barred.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
         else:
-            any_left = bool(len(candidates.nodes))
-            verdict, reason = _end(any_left, estimate, tfg, roadmap, parameters)
-        node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2]) if explorer.return_home else -1
-        p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
+            gain = float(barred.gain.max(initial=0.0))
+            node, (verdict, reason) = -1, _end(bool(len(candidates.nodes)), gain, estimate, tfg, roadmap, parameters)
+    if verdict != "goal" and explorer.return_home:
+        node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
+    p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
     return GoalChoice(
         stage=estimate.stage,
         node=int(roadmap.names(np.array([node]))[0]) if node >= 0 else -1,
@@ -103,31 +115,27 @@ def choose(
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
         look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
+        looked_again=looked,
     )
 
 
 def _end(
     any_left: bool,
+    barred_gain: float,
     estimate: MapEstimate,
     tfg: TfgMap,
     roadmap: Roadmap,
     parameters: GoalParameters,
 ) -> tuple[str, str]:
-    """Verdict and reason where no candidate, if any is left, is worth going to."""
-    robot, sensor, explorer = parameters.robot, parameters.sensor, parameters.explorer
-    barred, distance, time = barred_places(roadmap, robot.max_speed)
-    tags, frontiers = expected_tags(barred, estimate, tfg, sensor), expected_frontiers(barred, tfg, sensor)
-    gains = information_gain(
-        barred, distance, time, tags, frontiers, estimate, tfg, sensor, parameters.odometry, explorer
-    )
+    """Verdict and reason where no candidate, if any is left, is worth going to; barred_gain: nats, as of `why_end`."""
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     return why_end(
         any_left,
-        float(gains.gain.max(initial=0.0)),
-        given_up_open(tfg, roadmap, robot.radius + NODE_MARGIN),
+        barred_gain,
+        given_up_open(tfg, roadmap, parameters.robot.radius + NODE_MARGIN),
         float(tfg.frontier_length.sum()),
         not roadmap.reachable[home],
-        explorer.stop_gain,
+        parameters.explorer.stop_gain,
     )
 
 

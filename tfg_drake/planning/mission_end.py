@@ -6,24 +6,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.messages import FloatArray, Roadmap, TfgMap
+from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # The robot could drive straight up to the edge of a frontier from a place this near, m.
 AT_HAND = 1.0
 # Less live frontier than this is not worth a visit, m.
 ENOUGH_FRONTIER = 0.24
-
-
-def barred_places(roadmap: Roadmap, speed: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places (b, 2), m in M, with room for the robot but which it may not try to reach, and how far (b,), m, and long
-    (b,), s, it would have to drive at the speed (m/s), were it surer of its own place and the map's."""
-    if not roadmap.reachable.any():
-        return np.zeros((0, 2)), np.zeros(0), np.zeros(0)
-    points = roadmap.points[roadmap.roomy & ~roadmap.reachable]
-    beyond, nearest = cKDTree(roadmap.points[roadmap.reachable]).query(points)
-    nearest = np.flatnonzero(roadmap.reachable)[nearest]
-    return points, roadmap.travel_length[nearest] + beyond, roadmap.travel_time[nearest] + beyond / speed
 
 
 def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:

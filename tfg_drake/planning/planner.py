@@ -87,7 +87,7 @@ def initial_state() -> PlannerState:
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
         parts=parts,
-        roadmap=Roadmap(0, nodes.points, nodes.edges.nodes, nowhere, nowhere, nowhere, none, none),
+        roadmap=Roadmap(0, nodes.points, nodes.edges.nodes, nowhere, nowhere, nodes.anchor, none, none),
         path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
         replans=0,
@@ -207,8 +207,8 @@ def make_roadmap(
     roadmap = roadmap_message(nodes, ways, robot, planner, driven, home)
     if np.isfinite(reach):
         near = within(nodes.points, estimate.X_MA[-1], reach)
-        kept = {name: getattr(roadmap, name) & near for name in ("reachable", "enterable", "roomy")}
-        roadmap = replace(roadmap, **kept)
+        kept = {name: getattr(roadmap, name) & near for name in ("reachable", "enterable")}
+        roadmap = replace(roadmap, **kept, entry=np.where(near, roadmap.entry, -1))
     return with_frontiers(roadmap, estimate, tfg, parameters.sensor)
 
 

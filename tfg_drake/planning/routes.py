@@ -188,15 +188,34 @@ def _connect(
 
 def _with_room(
     state: RoadmapState, ways: Routes, robot: RobotConfig, deviation: float, planner: PlannerConfig
-) -> BoolArray:
-    """Nodes (n,) that a robot could get to that strayed from its path, relative to the map, by this deviation (m)."""
+) -> tuple[BoolArray, BoolArray]:
+    """Nodes (n,) that a robot could get to that strayed from its path, relative to the map, by this deviation (m), and
+    the edges (e,) that have room for it."""
     n = len(state.points)
     need = required_clearance(robot.radius, np.array(deviation), planner.collision_probability)
     fits = state.edges.usable | (state.edges.free & (state.edges.clearance >= need))
     label = components(state.edges.nodes[fits], n)
     joined = np.zeros(n, dtype=np.bool_)
     joined[label[np.isfinite(ways.cost)]] = True
-    return joined[label]
+    return joined[label], fits
+
+
+def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: PlannerConfig) -> IntArray:
+    """The last reachable node (n,) on the way of a robot that strays by FAIR_DEVIATION to each node, -1 where it has no
+    room."""
+    reachable = np.isfinite(ways.cost)
+    entry = np.where(reachable, np.arange(len(reachable)), -1)
+    roomy, fits = _with_room(state, ways, robot, FAIR_DEVIATION, planner)
+    beyond = roomy & ~reachable
+    if beyond.any():
+        a, b = state.edges.nodes[fits].T
+        length = np.hypot(*(state.points[a] - state.points[b]).T)
+        graph = csr_matrix((length, (a, b)), shape=(len(entry), len(entry)))
+        sources = dijkstra(
+            graph, directed=False, indices=np.flatnonzero(reachable), min_only=True, return_predecessors=True
+        )[2]
+        entry[beyond] = sources[beyond]
+    return entry
 
 
 def roadmap_message(
@@ -216,8 +235,8 @@ def roadmap_message(
         points=state.points,
         edges=state.edges.nodes[state.edges.usable],
         reachable=np.isfinite(ways.cost),
-        enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, planner),
-        roomy=_with_room(state, ways, robot, FAIR_DEVIATION, planner),
+        enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, planner)[0],
+        entry=_entries(state, ways, robot, planner),
         travel_time=ways.time,
         travel_length=ways.length,
         home_time=np.zeros(0) if home is None else home.time,

@@ -60,7 +60,7 @@ def tfg():
 def roadmap():
     """Two places to go to."""
     points, every = np.array([[0.3, 0.0], [-1.0, 1.0]]), np.ones(2, dtype=bool)
-    return Roadmap(1, points, np.array([[0, 1]]), every, every, every, np.ones(2), np.ones(2))
+    return Roadmap(1, points, np.array([[0, 1]]), every, every, np.arange(2), np.ones(2), np.ones(2))
 
 
 def goal():

@@ -1,0 +1,83 @@
+import numpy as np
+
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import Roadmap, replace
+from tfg_drake.planning.barred import barred_places, looked_again, to_look_again
+from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.planning.goal_choice import choose, empty_choice
+from tfg_drake.planning.planner import with_frontiers
+from tfg_drake.slam import goal_graph
+from tfg_drake.tfg.graph import empty_map
+
+PARAMETERS = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+STAY, STOP = 3.0, 20.0
+
+
+def two_passages(at=0.0):
+    """A wall along y = 1 with frontiers behind it round x = -10 and x = 6. The robot, at (at, 0), can reach what is in
+    front of the wall; behind it the roadmap has room beyond those there, through slits too narrow to look through."""
+    estimate = replace(
+        goal_graph.empty_map(), stage=1, covariance=1e-4 * np.eye(3), X_MA=np.zeros((1, 3)), X_MD=np.array([at, 0.0, 0])
+    )
+    walls = np.array([[-15.0, 1.0, 15.0, 1.0]])
+    frontiers = np.array([[x + side, 3.0] for x in (-10.0, 6.0) for side in (-2.5, -2.0, 2.0, 2.5)])
+    tfg = replace(
+        empty_map(),
+        stage=1,
+        segments=walls,
+        frontiers=frontiers,
+        frontier_length=np.ones(8),
+        frontier_normal=np.tile([0.0, -1.0], (8, 1)),
+    )
+    front = np.stack([np.arange(-12.0, 10.0, 2.0), np.full(11, -1.0)], axis=1)
+    points = np.vstack([front, [[-10.0, 2.0], [6.0, 2.0]]])
+    reachable = points[:, 1] < 0.0
+    entry = np.append(np.arange(11), [1, 9])
+    distance = np.where(reachable, np.abs(points[:, 0] - at), np.inf)
+    edges = np.zeros((0, 2), dtype=np.int64)
+    roadmap = Roadmap(1, points, edges, reachable, reachable, entry, distance / 0.5, distance)
+    return estimate, tfg, with_frontiers(roadmap, estimate, tfg, PARAMETERS.sensor)
+
+
+def test_what_lies_behind_is_reached_past_the_entry():
+    estimate, tfg, roadmap = two_passages()
+    barred = barred_places(estimate, tfg, roadmap, PARAMETERS)
+    np.testing.assert_array_equal(barred.nodes, [11, 12])
+    np.testing.assert_array_equal(barred.entry, [1, 9])
+    np.testing.assert_allclose(barred.time, np.array([13.0, 9.0]) / 0.5)
+    assert (barred.gain > STOP).all()
+
+
+def test_the_robot_goes_back_to_every_passage_once_the_nearest_first():
+    looked, order = np.zeros(0, dtype=np.int64), []
+    for at in (0.0, 6.0, -10.0):
+        estimate, tfg, roadmap = two_passages(at)
+        barred = barred_places(estimate, tfg, roadmap, PARAMETERS)
+        looked = looked_again(barred, roadmap, np.array([at, -1.0]), looked)
+        row = to_look_again(barred, roadmap, STAY, STOP, looked)
+        order.append(int(barred.entry[row]) if row >= 0 else row)
+    assert order == [9, 1, -1]
+    np.testing.assert_array_equal(looked, [1, 9])
+
+
+def test_nothing_barred_is_nowhere_to_go():
+    estimate, tfg, roadmap = two_passages()
+    roadmap = replace(roadmap, entry=np.where(roadmap.reachable, roadmap.entry, -1))
+    barred = barred_places(estimate, tfg, roadmap, PARAMETERS)
+    looked = looked_again(barred, roadmap, np.zeros(2), np.array([5]))
+    np.testing.assert_array_equal(looked, [5])
+    assert to_look_again(barred, roadmap, STAY, STOP, looked) == -1
+
+
+def test_a_mission_is_stuck_only_after_the_robot_has_looked_again():
+    choice = empty_choice()
+    for at, node in ((0.0, 9), (6.0, 1)):
+        choice = choose(*two_passages(at), PARAMETERS, choice)
+        assert (choice.verdict, choice.node) == ("goal", node)
+        assert choice.reason.endswith(" nats lie behind a passage that was too narrow: it looks once more.")
+    choice = choose(*two_passages(-10.0), PARAMETERS, choice)
+    assert (choice.verdict, choice.node) == ("stuck", -1)
+
+
+def test_of_a_part_of_the_map_nothing_is_looked_at_again():
+    assert choose(*two_passages(), PARAMETERS, empty_choice(), everything=False).verdict == "stuck"

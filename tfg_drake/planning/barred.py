@@ -1,0 +1,69 @@
+"""Places behind passages that are too narrow for the uncertainty of the map.
+
+How much room a passage has and needs is known where the robot is. What it was when the robot was last near may be due
+to the drift of a loop that has closed since: before a mission ends, the robot goes back and looks once more.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
+from tfg_drake.planning.information_gain import information_gain
+
+# Nodes as near as this lie before the same passage, m.
+SAME_PASSAGE = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Barred:
+    """Places with room for the robot but which it may not try to reach.
+
+    nodes: (b,) of the roadmap, entry: (b,) the last reachable node on the way to each. gain: (b,) nats that each
+    promises, time: (b,) s to get there, were the robot surer of its own place and the map's.
+    """
+
+    nodes: IntArray
+    entry: IntArray
+    gain: FloatArray
+    time: FloatArray
+
+
+def barred_places(estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, parameters: GoalParameters) -> Barred:
+    """All that the roadmap knows of, and what they promise."""
+    sensor = parameters.sensor
+    nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
+    entry, points = roadmap.entry[nodes], roadmap.points[nodes]
+    beyond = np.hypot(*(points - roadmap.points[entry]).T)
+    distance = roadmap.travel_length[entry] + beyond
+    time = roadmap.travel_time[entry] + beyond / parameters.robot.max_speed
+    tags, frontiers = expected_tags(points, estimate, tfg, sensor), expected_frontiers(points, tfg, sensor)
+    gains = information_gain(
+        points, distance, time, tags, frontiers, estimate, tfg, sensor, parameters.odometry, parameters.explorer
+    )
+    return Barred(nodes, entry, gains.gain, time)
+
+
+def looked_again(barred: Barred, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
+    """Names (t,) of the nodes from which the robot has looked once more: those before (s,), and where it is now, p_MD
+    (2,), m in M, the last before a passage."""
+    entry = np.unique(barred.entry)
+    here = np.hypot(*(roadmap.points[entry] - p_MD).T) < SAME_PASSAGE
+    return np.union1d(before, roadmap.names(entry[here]))
+
+
+def to_look_again(barred: Barred, roadmap: Roadmap, stay: float, stop_gain: float, looked: IntArray) -> int:
+    """The last reachable node before the passage that promises most per time of those that the robot has not been back
+    to, its row in barred, -1 where there is none.
+
+    stay: s at it. stop_gain: nats that must lie behind. looked: (t,) names, see `looked_again`.
+    """
+    known = roadmap.nodes(looked)
+    distance, _ = cKDTree(roadmap.points[known[known >= 0]]).query(roadmap.points[barred.entry])
+    value = np.where((barred.gain > stop_gain) & (distance >= SAME_PASSAGE), barred.gain / (barred.time + stay), 0.0)
+    return int(np.argmax(value)) if value.any() else -1
