@@ -8,7 +8,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from tfg_drake.config import RobotConfig, SafetyConfig
 from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import Hazards, LaserScan
-from tfg_drake.simulation.safety import STATE_SIZE, filter_command
+from tfg_drake.simulation.safety import STATE_SIZE, filter_command, stopped
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
 PERIOD = 1.0 / 32.0
@@ -49,13 +49,13 @@ class SafetyFilter(LeafSystem):
     @metered_in_detail("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
         enabled = not self._enable.HasValue(context) or self._enable.Eval(context)[0] != 0.0
+        state = context.get_discrete_state_vector().value()[:STATE_SIZE]
         if not enabled:
-            update.set_value(np.zeros(STATE_SIZE + 1))
+            update.set_value(np.append(stopped(state, self._robot, PERIOD), 0.0))
             return
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
         scan = eval_message(self._scan, context, LaserScan)
-        state = context.get_discrete_state_vector().value()[:STATE_SIZE]
         now = context.get_time()
         after = filter_command(state, now, command, hazards, scan, self._robot, self._safety, PERIOD)
         update.set_value(np.append(after, 1.0))

@@ -41,13 +41,9 @@ def side_of(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> f
 @njit(cache=True)
 def segments_cross(ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float) -> bool:
     """Whether a-b and c-d cross at a point inside both. Touching and collinear pairs are left to point distances."""
-    d1 = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    d2 = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
-    if (d1 > 0.0) == (d2 > 0.0):
+    if (side_of(cx, cy, ax, ay, bx, by) > 0.0) == (side_of(dx, dy, ax, ay, bx, by) > 0.0):
         return False
-    d3 = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
-    d4 = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
-    return (d3 > 0.0) != (d4 > 0.0)
+    return (side_of(ax, ay, cx, cy, dx, dy) > 0.0) != (side_of(bx, by, cx, cy, dx, dy) > 0.0)
 
 
 @njit(cache=True)

@@ -47,16 +47,17 @@ def localised_deviation(
     bearing_noise: float,
     frames: float,
     covariance: FloatArray,
-    near_offsets: IntArray,
-    near_index: IntArray,
+    carry_offsets: IntArray,
+    carry_index: IntArray,
 ) -> FloatArray:
-    """Greatest deviation (n,), m, of a robot's position at each point, relative to the landmarks near it.
+    """Greatest deviation (n,), m, of a robot's position at each point, relative to those landmarks that carry what it
+    could touch.
 
     Point i sees targets[index[offsets[i]:offsets[i + 1]]] of targets (t, 2), each in `frames` frames of range and
     bearing, heading unknown, and takes them to be where the map has them; LOCALISATION_TAGS of them count, the nearest.
     covariance: (>= 2t, >= 2t) of the targets, m^2; (0, 0) where their own errors are left out. Relative to which
-    targets: near_index[near_offsets[i]:near_offsets[i + 1]], where there are none all within SURFACE_REACH. inf with
-    fewer than two in view.
+    targets: carry_index[carry_offsets[i]:carry_offsets[i + 1]], where there are none all within SURFACE_REACH. inf
+    with fewer than two in view.
     """
     out = np.full(len(points), np.inf)
     uncertain = len(covariance) > 0
@@ -113,7 +114,7 @@ def localised_deviation(
             xy += M[k, 0, 0] * n01 + M[k, 0, 1] * n11
             yy += M[k, 1, 0] * n01 + M[k, 1, 1] * n11
         worst = 0.0
-        carry = near_index[near_offsets[i] : near_offsets[i + 1]]
+        carry = carry_index[carry_offsets[i] : carry_offsets[i + 1]]
         if len(carry) == 0:
             # As in a door, where what carries the jambs looks away to either side.
             carry = np.flatnonzero((targets[:, 0] - x) ** 2 + (targets[:, 1] - y) ** 2 <= SURFACE_REACH**2)
@@ -170,6 +171,8 @@ def predicted_deviation(
         targets = estimate.p_ML, tfg.facing, tfg.segments
         return View(*visible_targets(points, *targets, reach, max_incidence, SURFACE_TOLERANCE))
 
+    # What faces nowhere has drifted: it is not where the map has it, and carries nothing there.
+    p_ML = np.where(np.any(tfg.facing, axis=1, keepdims=True), estimate.p_ML, np.inf)
     near = in_view(min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence)
     touchable = local_view(in_view(SURFACE_REACH, 0.5 * math.pi), estimate)
     frames = sensor.detection_probability * sensor.rate * LOCALISATION_TIME
@@ -179,14 +182,14 @@ def predicted_deviation(
     # By few of those in view that happen to be known jointly the place would be known worse than it is.
     joint = (local.count >= 2) & (local.count >= np.minimum(near.count, LOCALISATION_TAGS))
     sigma = np.empty(len(points))
-    for which, view, p_ML, covariance in (
-        (joint, local, estimate.p_ML[estimate.local], estimate.covariance),
-        (~joint, near, estimate.p_ML, np.zeros((0, 0))),
+    for which, view, targets, covariance in (
+        (joint, local, p_ML[estimate.local], estimate.covariance),
+        (~joint, near, p_ML, np.zeros((0, 0))),
     ):
         rows = np.flatnonzero(which)
         seen, carry = view.of(rows), touchable.of(rows)
         sigma[which] = localised_deviation(
-            points[which], seen.offsets, seen.index, p_ML, *noise, covariance, carry.offsets, carry.index
+            points[which], seen.offsets, seen.index, targets, *noise, covariance, carry.offsets, carry.index
         )
     localised = np.isfinite(sigma)
     if not localised.all():

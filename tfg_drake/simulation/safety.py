@@ -100,10 +100,22 @@ def _bounded(value: float, bound: float) -> float:
     return min(bound, max(-bound, value))
 
 
+def _towards(value: float, wanted: float, step: float) -> float:
+    """The value after one step at most towards what is wanted."""
+    return value + _bounded(wanted - value, step)
+
+
 def _reflex(bits: int, safety: SafetyConfig) -> tuple[float, float]:
     """Back away from a bumper, and turn away where only one side was hit."""
     turn_rate = {_LEFT: -safety.reflex_turn_rate, _RIGHT: safety.reflex_turn_rate}.get(bits, 0.0)
     return -safety.reflex_speed, turn_rate
+
+
+def stopped(state: FloatArray, robot: RobotConfig, period: float) -> FloatArray:
+    """The filter's state (STATE_SIZE,) one period (s) later where the base is told to stand: it still brakes."""
+    after = np.zeros(STATE_SIZE)
+    after[BASE_SPEED] = _towards(float(state[BASE_SPEED]), 0.0, robot.max_acceleration * period)
+    return after
 
 
 def filter_command(
@@ -131,30 +143,30 @@ def filter_command(
       than stop_distance and than its arc does: then it brakes on that.
     """
     if hazards.cliff or hazards.wheel_drop:
-        return np.zeros(STATE_SIZE)
+        return stopped(state, robot, period)
     left = float(state[REFLEX_LEFT]) - period
     bits = int(state[REFLEX_BITS]) | hazards.bumper if left > 0.0 else hazards.bumper
     step, turn_step = robot.max_acceleration * period, robot.max_turn_acceleration * period
     base_before = float(state[BASE_SPEED])
     if bits:
         speed, turn_rate = _reflex(bits, safety)
-        base = base_before + _bounded(speed - base_before, step)
+        base = _towards(base_before, speed, step)
         return np.array([speed, turn_rate, bits, left if left > 0.0 else safety.reflex_time, base])
 
     wanted = command if np.isfinite(command).all() else np.zeros(2)
     before, turn_before = float(state[SPEED]), float(state[TURN_RATE])
-    speed = before + _bounded(_bounded(float(wanted[0]), robot.max_speed) - before, step)
+    speed = _towards(before, _bounded(float(wanted[0]), robot.max_speed), step)
     turn_wanted = _bounded(float(wanted[1]), robot.max_turn_rate)
-    turn_rate = turn_before + _bounded(turn_wanted - turn_before, turn_step)
+    turn_rate = _towards(turn_before, turn_wanted, turn_step)
     X_SB = _pose_in_scan(state, stamp - scan.stamp, safety)
     if speed > 0.0:
         allowed = 0.0 if X_SB is None else _speed_allowed(scan, X_SB, speed, turn_rate, robot, safety, period)
         speed = min(speed, allowed)
-    base = base_before + _bounded(speed - base_before, step)
+    base = _towards(base_before, speed, step)
     brakes = base_before > 0.0 and base > max(0.0, min(speed, float(wanted[0])))
     velocity = state[[BASE_SPEED, TURN_RATE]]
     if brakes and X_SB is not None and not _turn_allowed(scan, X_SB, velocity, turn_wanted, robot, safety, period):
-        turn_rate = turn_before + _bounded(turn_before / base_before * base - turn_before, turn_step)
+        turn_rate = _towards(turn_before, turn_before / base_before * base, turn_step)
     return np.array([speed, turn_rate, 0.0, 0.0, base])
 
 

@@ -261,7 +261,8 @@ def resolve(
 ) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
 
-    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
+    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`), and
+    landmarks that carry nothing else face nowhere: they are not in view where the map has them.
 
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
@@ -269,9 +270,11 @@ def resolve(
     pieces, owner, stand = _pieces(graph, estimate, stars, goals)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), pieces, BARE_TAG) >= BARE_TAG
     posts = estimate.ids[bare]
+    drifted = np.setdiff1d(graph.surfaces.ids[owner[~stand]], graph.surfaces.ids[owner[stand]])
     segments, owner = pieces[stand], owner[stand]
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
+    facing[np.isin(estimate.ids, drifted)] = 0.0
     frontier = live_frontiers(graph, estimate, segments, explorer)
     shadows = _open_shadows(graph, estimate, segments)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
@@ -315,7 +318,7 @@ def empty_map() -> TfgMap:
 def live_frontiers(
     graph: TfgGraph, estimate: MapEstimate, segments: FloatArray, explorer: ExplorerConfig
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) all surfaces there, m.
+    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.

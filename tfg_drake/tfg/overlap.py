@@ -2,7 +2,7 @@
 
 Two faces of a wall share no landmark. Until a loop closes, what was mapped from one side may lie in free space that was
 seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one whose
-place relative to the robot is known less well, as more ties lie between.
+place relative to the robot is known less well, as the way to it along what ties the map together is longer.
 """
 
 from __future__ import annotations
@@ -60,7 +60,6 @@ def distance_along_map(goal: IntArray, ids: IntArray, goals: IntArray, estimate:
     before = goals[:-1][np.diff(goals) == 1]
     to_landmark = np.hypot(*(estimate.p_ML[row] - estimate.X_MA[saw, :2]).T)
     to_next = np.hypot(*(estimate.X_MA[before + 1, :2] - estimate.X_MA[before, :2]).T)
-    # No length at all would be no tie.
-    length = np.maximum(np.append(to_landmark, to_next), 1e-9)
+    length = np.append(to_landmark, to_next)
     ties = csr_matrix((length, (np.append(saw, before), np.append(k + row, before + 1))), shape=(k + n, k + n))
     return np.asarray(dijkstra(ties, directed=False, indices=goals[-1])[:k])
