@@ -73,21 +73,41 @@ def test_an_uncertain_map_adds_what_the_robot_does_not_share_with_the_surface(se
     ids=["behind a wall", "the other face", "and nothing else near", "on the wall", "seen slantwise"],
 )
 def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, other, counts):
-    """The last landmark is 1 m off, and badly known, the last but one `other` metres off, and well known."""
-    p_ML = np.array([[3.0, 0.0], [0.0, -3.0], [-other, 0.0], [0.0, 1.0]])
+    """The last landmark is 1 m off, and badly known, the last but one `other` metres off, and well known. The first,
+    far away, is not known jointly with them, and another place sees that alone."""
+    p_ML = np.array([[30.0, 0.0], [3.0, 0.0], [0.0, -3.0], [-other, 0.0], [0.0, 1.0]])
     estimate = replace(
         empty_map(),
-        ids=np.arange(4),
+        ids=np.arange(5),
         p_ML=p_ML,
-        local=np.arange(4),
+        local=np.arange(1, 5),
         covariance=np.diag([1e-8] * 6 + [0.25] * 2 + [0.0] * 3),
     )
     towards = -p_ML / np.hypot(*p_ML.T)[:, None]
-    tfg = replace(empty_tfg(), facing=np.vstack([towards[:3], facing]), segments=np.array([wall]))
+    tfg = replace(empty_tfg(), facing=np.vstack([towards[:4], facing]), segments=np.array([wall]))
+    places = np.array([[29.0, 0.0], [0.0, 0.0]])
     # Seen too slantwise the last one is no help in finding the robot's place.
-    sigma, _ = predicted_deviation(np.zeros((1, 2)), estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)
-    assert (sigma[0] > 0.3) == counts
-    assert sigma[0] < 0.05 or counts
+    sigma, _ = predicted_deviation(places, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)
+    assert (sigma[1] > 0.3) == counts
+    assert sigma[1] < 0.05 or counts
+
+
+def test_what_faces_nowhere_has_drifted_and_carries_nothing():
+    """Nothing carries what is near: as in a door, all within 1.5 m would, the badly known one behind among them."""
+    p_ML = np.array([[3.0, 0.0], [0.0, -3.0], [-3.0, 0.0], [0.0, 1.0]])
+    well, badly = [1e-8] * 6, [0.25] * 2
+    estimate = replace(
+        empty_map(), ids=np.arange(4), p_ML=p_ML, local=np.arange(4), covariance=np.diag(well + badly + [0.0] * 3)
+    )
+    facing = -p_ML / np.hypot(*p_ML.T)[:, None]
+
+    def sigma(last):
+        tfg = replace(empty_tfg(), facing=np.vstack([facing[:3], last]))
+        place = np.zeros((1, 2))
+        return predicted_deviation(place, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)[0][0]
+
+    assert sigma([0.0, 1.0]) > 0.3
+    assert sigma([0.0, 0.0]) < 0.05
 
 
 def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jointly():

@@ -122,25 +122,63 @@ def test_full_speed_at_a_wall_ends_before_it(heading):
 @pytest.mark.parametrize(
     ("spike", "speed"), [((0.22, 0.22), 0.0), ((0.3, 0.22), 0.0), ((0.25, 0.23), 0.1), ((0.28, 0.23), 0.2)]
 )
-def test_a_turn_at_full_speed_does_not_swing_into_what_stands_beside_the_way(spike, speed, turn_rate):
-    """Told to turn on the spot, or nearly so, the base drives on while it brakes."""
-    side = np.sign(turn_rate)
-    (x, y), base, state = spike, drive.initial_state(np.zeros(3), np.zeros((0, 4)), ROBOT), run([0.5, 0.0])
+@pytest.mark.parametrize("cliff", [0, 1])
+def test_a_turn_at_full_speed_does_not_swing_into_what_stands_beside_the_way(spike, speed, turn_rate, cliff):
+    """Told to turn on the spot, or nearly so, the base drives on while it brakes, even if it had to stand at first."""
+    least, turned = drive_by(spike, [speed, turn_rate], 0.0, cliff)
+    assert least > 0.005
+    assert abs(turned) > 0.5
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_where_a_turn_would_take_it_nearer_the_base_brakes_on_its_arc(side):
+    least, _ = drive_by((0.326, 0.164), [0.0, side * 1.3], -side * 0.8)
+    assert least > 0.03
+    walls = np.array([[0.326, 0.164 * side, 0.326, 0.5 * side]])
+    state = np.array([0.5, -side * 0.8, 0.0, 0.0, 0.5])
+    state = filter_command(state, 0.0, np.array([0.0, side * 1.3]), NONE, scan_of(walls), ROBOT, SAFETY, PERIOD)
+    assert state[TURN_RATE] == pytest.approx(-side * 0.8 * state[BASE_SPEED] / 0.5)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_base_that_is_too_near_already_turns_away(side):
+    """The wall is .03 m from the outline, beside its front; its arc takes it nearer, the turn that is asked for off."""
+    walls = np.array([[0.2, side * 0.08, 0.6, side * 0.08]])
+    state = np.array([0.3, side * 0.2, 0.0, 0.0, 0.3])
+    state = filter_command(state, 0.0, np.array([0.0, -side * 1.3]), NONE, scan_of(walls), ROBOT, SAFETY, PERIOD)
+    assert state[TURN_RATE] == pytest.approx(side * (0.2 - ROBOT.max_turn_acceleration * PERIOD))
+
+
+def test_the_filter_keeps_the_speed_of_a_base_that_backs_away_from_a_bumper():
+    base, state = drive.initial_state(np.zeros(3), np.zeros((0, 4)), ROBOT), run([0.5, 0.0])
     base[drive.SPEED] = ROBOT.max_speed
+    for k in range(60):
+        hazards = Hazards(0.0, 2, 0, 0) if k == 0 else NONE
+        state = filter_command(state, 0.0, np.array([0.5, 0.0]), hazards, CLEAR, ROBOT, SAFETY, PERIOD)
+        base = drive.step(base, state[:2], np.zeros((0, 4)), ROBOT, PERIOD)
+        assert state[BASE_SPEED] == pytest.approx(base[drive.SPEED], abs=1e-12)
+
+
+def drive_by(spike, command, turn_rate, cliff=0):
+    """Least clearance (m) and turn (rad) of a base at full speed that is commanded so for 2 s beside the tip (2,), m,
+    of a wall on the side that it is to turn to; turn_rate: rad/s that it has, cliff: what it is warned of at first."""
+    side = np.sign(command[1])
+    (x, y), base = spike, drive.initial_state(np.zeros(3), np.zeros((0, 4)), ROBOT)
+    base[drive.SPEED], base[drive.TURN_RATE] = ROBOT.max_speed, turn_rate
+    state = np.array([ROBOT.max_speed, turn_rate, 0.0, 0.0, ROBOT.max_speed])
     walls = np.array([[x, y * side, x + 0.1, (y + 0.3) * side], [x, y * side, x - 0.1, (y + 0.3) * side]])
     turned = 0.0
     for k in range(64):
         if k % 3 == 0:
             seen = scan_of(walls, base[drive.X : drive.THETA + 1], stamp=k * PERIOD)
-        before = state
-        state = filter_command(state, k * PERIOD, np.array([speed, turn_rate]), NONE, seen, ROBOT, SAFETY, PERIOD)
+        before, hazards = state, Hazards(0.0, 0, cliff if k == 0 else 0, 0)
+        state = filter_command(state, k * PERIOD, np.array(command), hazards, seen, ROBOT, SAFETY, PERIOD)
         base = drive.step(base, state[:2], walls, ROBOT, PERIOD)
         turned += base[drive.TURN_RATE] * PERIOD
         # What the filter takes for the base's speed is that, and it asks no more than the base can do.
         assert state[BASE_SPEED] == pytest.approx(base[drive.SPEED], abs=1e-12)
         assert abs(state[TURN_RATE] - before[TURN_RATE]) <= ROBOT.max_turn_acceleration * PERIOD + 1e-12
-    assert base[drive.CLEARANCE] > 0.005
-    assert abs(turned) > 0.5
+    return base[drive.CLEARANCE], turned
 
 
 def test_where_there_is_room_the_base_turns_while_it_brakes():

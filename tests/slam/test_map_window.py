@@ -1,5 +1,6 @@
 """A window of a large map against the whole of it: a robot that goes round a block and comes back to where it began."""
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -334,3 +335,41 @@ def test_a_map_that_hangs_on_nothing_any_more_keeps_its_shape():
     J = np.hstack([np.eye(2), -np.eye(2)])
     np.testing.assert_allclose(J @ covariance @ J.T, 1e-4 * np.eye(2), rtol=1e-3)
     assert np.sqrt(covariance[0, 0]) < 2.0 * map_solver.LOOSEST
+
+
+@pytest.fixture
+def bent():
+    """The graph of twenty goals, the last ten headings 1.5 rad off: a Gauss-Newton step goes too far."""
+    graph = block(20)[0]
+    return replace(graph, X_MA=graph.X_MA + np.outer(np.arange(20) >= 10, [0.0, 0.0, 1.5]))
+
+
+def test_where_gauss_newton_goes_too_far_levenberg_marquardt_finds_the_optimum(bent, monkeypatch):
+    asked = levenberg_marquardt(monkeypatch, gtsam.LevenbergMarquardtParams())
+    factors = factor_graph(bent)
+    error, best = (factors.error(values_of(settle(graph))) for graph in (bent, block(20)[0]))
+    assert error == pytest.approx(best, rel=1e-9)
+    assert len(asked) == 1
+
+
+def test_where_it_creeps_levenberg_marquardt_is_not_asked_again(bent, monkeypatch):
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(1)
+    parameters.setlambdaInitial(1e12)
+    parameters.setlambdaUpperBound(1e13)
+    asked = levenberg_marquardt(monkeypatch, parameters)
+    factors = factor_graph(bent)
+    before, after = (factors.error(values_of(graph)) for graph in (bent, settle(bent)))
+    assert (1.0 - map_solver.CREEPING) * before < after < before
+    assert len(asked) == 1
+
+
+def levenberg_marquardt(monkeypatch, parameters):
+    """A list that grows whenever the solver asks for Levenberg-Marquardt, which it gets with these parameters."""
+    asked, optimizer = [], gtsam.LevenbergMarquardtOptimizer
+    monkeypatch.setattr(
+        map_solver.gtsam,
+        "LevenbergMarquardtOptimizer",
+        lambda factors, values: asked.append(1) or optimizer(factors, values, parameters),
+    )
+    return asked

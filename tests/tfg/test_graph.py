@@ -364,12 +364,16 @@ def test_of_two_rooms_that_have_drifted_into_each_other_the_wall_of_the_nearer_s
     X_MA[X_MA[:, 1] < 0.0, 1] += 0.4
     tfg = resolve(world.graph, replace(estimate, p_ML=p_ML, X_MA=X_MA), RobotConfig(), ExplorerConfig())
     along = tfg.segments[:, 2:] - tfg.segments[:, :2]
-    length = []
+    length, faces = [], []
     for sign, y in ((-1.0, 0.35), (1.0, 0.05)):
-        which = (np.abs(tfg.segments[:, [1, 3]] - y).max(axis=1) < 0.05) & (sign * along[:, 0] > 0.0)
-        length.append(float(np.hypot(*along[which].T).sum()))
+        at = np.abs(tfg.segments[:, [1, 3]] - y).max(axis=1) < 0.05
+        assert along[at].any(axis=1).all(), "no landmark of a wall is left as a post"
+        length.append(float(np.hypot(*along[at & (sign * along[:, 0] > 0.0)].T).sum()))
+        faces.append(tfg.facing[(np.abs(p_ML[:, 1] - y) < 0.05) & (np.abs(p_ML[:, 0]) < 3.0)].any(axis=1).mean())
     assert length[here] > 7.5
     assert length[1 - here] < 4.0
+    assert faces[here] == 1.0
+    assert faces[1 - here] < 0.5
 
 
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:

@@ -5,7 +5,8 @@ import pytest
 
 from tfg_drake.messages import replace
 from tfg_drake.slam.goal_graph import empty_map
-from tfg_drake.tfg.overlap import distance_along_map
+from tfg_drake.tfg.overlap import distance_along_map, standing
+from tfg_drake.tfg.surfaces import Surfaces
 
 # Goals on the corners of a square of 4 m and a fifth beyond the first; landmarks in the middle and beside the fifth.
 X_MA = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 4.0, 0.0], [0.0, 4.0, 0.0], [0.0, -1.0, 0.0]])
@@ -32,3 +33,31 @@ def test_a_goal_where_another_ended_is_tied_to_it():
     twice = replace(MAP, X_MA=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [3.0, 0.0, 0.0]]))
     none = np.zeros(0, dtype=np.int64)
     np.testing.assert_allclose(distance_along_map(none, none, np.arange(3), twice), [3.0, 3.0, 0.0], atol=1e-8)
+
+
+@pytest.mark.parametrize(("seen_by_newest", "expected"), [(3, [True, False]), (7, [False, True])])
+def test_of_two_surfaces_in_each_others_way_that_stands_whose_goal_is_tied_more_closely(seen_by_newest, expected):
+    """The goals 0 and 2 face each other through a surface of either, and share landmark 7; the newest, 4, has seen 3 as
+    the goal 0 has, or 7. It stands beside the goal 2, which is newer than 0. The others rest."""
+    X_MA = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 1.5, 0.0]])
+    estimate = replace(empty_map(), X_MA=X_MA, ids=np.array([3, 7]), p_ML=np.array([[0.0, 1.5], [10.0, 0.0]]))
+    far = np.array([[20.0, 0.0], [21.0, 0.0]])
+    polylines = [np.array([[1.0, -0.5], [1.0, 0.5]]), np.array([[0.8, 0.5], [0.8, -0.5]]), far, far]
+    ids = np.array([[-1, -1], [-1, -1], [3, 7], [seen_by_newest, -1]])
+    surfaces = Surfaces(
+        kind=np.full(4, 1),
+        ids=ids,
+        goal=np.array([0, 2, 0, 4]),
+        range=np.ones(4),
+        offsets=2 * np.arange(5),
+        vertices=np.vstack(polylines),
+    )
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    star_goal = np.array([0, 2, 4])
+    centers = X_MA[star_goal, :2]
+    stars = (
+        4 * np.arange(4),
+        np.vstack([centers[0] + 2.0 * square, centers[1] + 2.0 * square, centers[2] + 0.1 * square]),
+    )
+    stand = standing(surfaces, surfaces.vertices, np.array([7]), np.array([2]), (*stars, centers), star_goal, estimate)
+    np.testing.assert_array_equal(stand, [*expected, True, True])
