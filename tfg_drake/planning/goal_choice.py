@@ -134,7 +134,7 @@ def _end(
         barred_gain,
         given_up_open(tfg, roadmap, parameters.robot.radius + NODE_MARGIN),
         float(tfg.frontier_length.sum()),
-        not roadmap.reachable[home],
+        bool(roadmap.entry[home] < 0),
         parameters.explorer.stop_gain,
     )
 

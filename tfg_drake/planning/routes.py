@@ -186,27 +186,28 @@ def _connect(
     return near[chosen].astype(np.int64), has[chosen]
 
 
-def _with_room(
-    state: RoadmapState, ways: Routes, robot: RobotConfig, deviation: float, planner: PlannerConfig
-) -> tuple[BoolArray, BoolArray]:
-    """Nodes (n,) that a robot could get to that strayed from its path, relative to the map, by this deviation (m), and
-    the edges (e,) that have room for it."""
-    n = len(state.points)
+def _fitting(state: RoadmapState, robot: RobotConfig, deviation: float, planner: PlannerConfig) -> BoolArray:
+    """Edges (e,) with room for a robot that strays from its path, relative to the map, by this deviation (m)."""
     need = required_clearance(robot.radius, np.array(deviation), planner.collision_probability)
-    fits = state.edges.usable | (state.edges.free & (state.edges.clearance >= need))
-    label = components(state.edges.nodes[fits], n)
-    joined = np.zeros(n, dtype=np.bool_)
-    joined[label[np.isfinite(ways.cost)]] = True
-    return joined[label], fits
+    return np.asarray(state.edges.usable | (state.edges.free & (state.edges.clearance >= need)))
+
+
+def _joined(state: RoadmapState, edges: BoolArray, reachable: BoolArray) -> BoolArray:
+    """Nodes (n,) that some edges (e,) join to any of the reachable ones (n,)."""
+    label = components(state.edges.nodes[edges], len(reachable))
+    joined = np.zeros(len(reachable), dtype=np.bool_)
+    joined[label[reachable]] = True
+    return joined[label]
 
 
 def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: PlannerConfig) -> IntArray:
-    """The last reachable node (n,) on the way of a robot that strays by FAIR_DEVIATION to each node, -1 where it has no
-    room."""
+    """The last reachable node (n,) on the way to each node of a robot that strays by FAIR_DEVIATION only or takes a way
+    that it has driven, -1 where there is none."""
     reachable = np.isfinite(ways.cost)
     entry = np.where(reachable, np.arange(len(reachable)), -1)
-    roomy, fits = _with_room(state, ways, robot, FAIR_DEVIATION, planner)
-    beyond = roomy & ~reachable
+    # The robot came by that, whatever was found when it was last near.
+    fits = _fitting(state, robot, FAIR_DEVIATION, planner) | state.edges.travelled
+    beyond = _joined(state, fits, reachable) & ~reachable
     if beyond.any():
         a, b = state.edges.nodes[fits].T
         length = np.hypot(*(state.points[a] - state.points[b]).T)
@@ -235,7 +236,7 @@ def roadmap_message(
         points=state.points,
         edges=state.edges.nodes[state.edges.usable],
         reachable=np.isfinite(ways.cost),
-        enterable=_with_room(state, ways, robot, TRACKING_DEVIATION, planner)[0],
+        enterable=_joined(state, _fitting(state, robot, TRACKING_DEVIATION, planner), np.isfinite(ways.cost)),
         entry=_entries(state, ways, robot, planner),
         travel_time=ways.time,
         travel_length=ways.length,
