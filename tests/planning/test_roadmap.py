@@ -16,6 +16,7 @@ from tfg_drake.planning.roadmap import (
     SPACING,
     RoadmapParameters,
     _chords,
+    components,
     empty_roadmap,
     extend,
     in_free_space,
@@ -166,6 +167,28 @@ def test_what_was_travelled_stays_open_with_little_to_spare():
     state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)
     ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
     assert np.isfinite(ways.cost[nearest(state, (-4, 0.1))])
+
+
+def test_the_way_driven_goes_on_from_where_it_ended_though_the_map_has_moved():
+    """Through a door with 8 cm to either side; the map moves by 20 cm a stage, and what was driven was noted before."""
+    segments = two_rooms(0.52)
+    goals = [(-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
+    state, shift = empty_roadmap(), np.zeros(3)
+    for k in range(1, len(goals) + 1):
+        driven = None
+        if k > 1:
+            driven = resample(transform(shift, np.array([goals[k - 2][:2], goals[k - 1][:2]])), 0.1)
+            shift = shift + np.array([0.2, 0.02, 0.0])
+        estimate, tfg = known(segments, goals[:k], shift)
+        state = extend(state, tfg, estimate, PARAMETERS, driven=driven)
+    label = components(state.edges.nodes[state.edges.travelled], len(state.points))
+    first, last = (nearest(state, X[:2]) for X in estimate.X_MA[[0, -1]])
+    assert label[first] == label[last]
+    # Where it was carried it has not driven.
+    estimate, tfg = known(segments, [*goals, (-2.0, 1.0, 0.0)], shift)
+    state = extend(state, tfg, estimate, PARAMETERS, driven=driven)
+    label = components(state.edges.nodes[state.edges.travelled], len(state.points))
+    assert label[nearest(state, estimate.X_MA[-1, :2])] != label[last]
 
 
 def test_a_way_that_the_map_now_finds_too_narrow_is_open_only_to_go_home():

@@ -116,7 +116,8 @@ class RoadmapState:
     whose arrival frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m, sigma:
     (n,) m, the deviation of the robot there relative to the surfaces, settled: (n,) whether by landmarks known jointly,
     now or when the robot was last near. edges: all that were ever proposed, between rows of the nodes. links: edges to
-    nodes that rest, between names.
+    nodes that rest, between names. way_end: the name of the node where the way that the robot has driven ends, -1 for
+    none.
     """
 
     stage: int
@@ -129,6 +130,7 @@ class RoadmapState:
     settled: BoolArray
     edges: Edges
     links: Edges
+    way_end: int
 
 
 def unchecked(nodes: IntArray, travelled: BoolArray) -> Edges:
@@ -152,6 +154,7 @@ def empty_roadmap() -> RoadmapState:
         settled=np.zeros(0, dtype=np.bool_),
         edges=none,
         links=none,
+        way_end=-1,
     )
 
 
@@ -300,12 +303,14 @@ def _chords(way: FloatArray) -> IntArray:
 
 
 def _travelled_nodes(
-    nodes: FloatArray, driven: FloatArray, estimate: MapEstimate, segments: FloatArray, radius: float
-) -> tuple[FloatArray, list[tuple[int, int]]]:
-    """New nodes along the way driven (d, 2) to the last goal, and the chain of edges between them and existing nodes.
+    nodes: FloatArray, driven: FloatArray, estimate: MapEstimate, segments: FloatArray, radius: float, way_end: int
+) -> tuple[FloatArray, list[tuple[int, int]], int]:
+    """New nodes along the way driven (d, 2) to the last goal, the chain of edges between them and existing nodes, and
+    the node where it ends.
 
-    It ends where the robot drove on from there; if it was carried since, the goal alone is new. An old node nearby
-    stands for a new one where there is room for that.
+    It begins at the node where the way ended before, way_end, however the map has moved since, and ends where the robot
+    drove on from there; if it was carried since, the goal alone is new. An old node nearby stands for a new one where
+    there is room for that.
     """
     goal = estimate.X_MA[-1, :2]
     chain = goal[None]
@@ -328,7 +333,8 @@ def _travelled_nodes(
             everything[count] = point
             index.append(count)
             count += 1
-    return everything[len(nodes) : count], [(a, b) for a, b in itertools.pairwise(index) if a != b]
+    way = [way_end, *index] if way_end >= 0 and len(chain) > 1 else index
+    return everything[len(nodes) : count], [(a, b) for a, b in itertools.pairwise(way) if a != b], index[-1]
 
 
 def _nearest_edges(points: FloatArray, first_new: int) -> IntArray:
@@ -362,7 +368,7 @@ def extend(
     """
     goals = np.arange(len(estimate.X_MA)) if goals is None else goals
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
-    points, chain = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach)
+    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach)
     first_new = len(state.anchor)
     fresh = len(points) - first_new
     _, nearest = cKDTree(estimate.X_MA[goals, :2]).query(points[first_new:])
@@ -387,10 +393,11 @@ def extend(
     edges = _checked(edges, asked, points, sigma, tfg, parameters, EFFORTS[effort][1])
     home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(goals), -1]])
     edges = _with_needed(edges, asked, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
+    ids = np.append(state.ids, state.next_id + np.arange(fresh))
     return replace(
         state,
         stage=estimate.stage,
-        ids=np.append(state.ids, state.next_id + np.arange(fresh)),
+        ids=ids,
         next_id=state.next_id + fresh,
         anchor=anchor,
         p_AN=p_AN,
@@ -398,6 +405,7 @@ def extend(
         sigma=sigma,
         settled=settled,
         edges=edges,
+        way_end=int(ids[way_end]),
     )
 
 
@@ -409,12 +417,13 @@ def _with_new_nodes(
     driven: FloatArray,
     effort: int,
     reach: float,
-) -> tuple[FloatArray, IntArray]:
-    """The nodes (n, 2), m in M, the old ones first, then those of the way driven (d, 2), then samples; and the chain of
-    edges (e, 2), smaller node first, along that way. Further arguments as of `extend`."""
+) -> tuple[FloatArray, IntArray, int]:
+    """The nodes (n, 2), m in M, the old ones first, then those of the way driven (d, 2), then samples; the chain of
+    edges (e, 2), smaller node first, along that way; and the node where it ends. Further arguments as of `extend`."""
     radius = parameters.robot.radius
     nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
-    travelled, chain = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius)
+    before = int(np.append(np.flatnonzero(state.ids == state.way_end), -1)[0])
+    travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius, before)
     nodes = np.vstack([nodes, travelled])
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
     proposals, spacing = _proposals(rng, tfg, radius, EFFORTS[effort][0])
@@ -424,7 +433,7 @@ def _with_new_nodes(
     room = radius + NODE_MARGIN
     roomy = clearance(np.hstack([nodes] * 2), tfg.segments, room) >= room
     points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
-    return points, np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
+    return points, np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1), way_end
 
 
 def _distinct(edges: Edges, count: int) -> Edges:
