@@ -92,24 +92,6 @@ def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, other,
     assert sigma[1] < 0.05 or counts
 
 
-def test_what_faces_nowhere_has_drifted_and_carries_nothing():
-    """Nothing carries what is near: as in a door, all within 1.5 m would, the badly known one behind among them."""
-    p_ML = np.array([[3.0, 0.0], [0.0, -3.0], [-3.0, 0.0], [0.0, 1.0]])
-    well, badly = [1e-8] * 6, [0.25] * 2
-    estimate = replace(
-        empty_map(), ids=np.arange(4), p_ML=p_ML, local=np.arange(4), covariance=np.diag(well + badly + [0.0] * 3)
-    )
-    facing = -p_ML / np.hypot(*p_ML.T)[:, None]
-
-    def sigma(last):
-        tfg = replace(empty_tfg(), facing=np.vstack([facing[:3], last]))
-        place = np.zeros((1, 2))
-        return predicted_deviation(place, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)[0][0]
-
-    assert sigma([0.0, 1.0]) > 0.3
-    assert sigma([0.0, 0.0]) < 0.05
-
-
 def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jointly():
     p_ML = np.array([[3.0, 0.0], [3.1, 0.0], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0]])
     all_of_it = replace(

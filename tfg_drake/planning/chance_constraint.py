@@ -171,8 +171,6 @@ def predicted_deviation(
         targets = estimate.p_ML, tfg.facing, tfg.segments
         return View(*visible_targets(points, *targets, reach, max_incidence, SURFACE_TOLERANCE))
 
-    # What faces nowhere has drifted: it is not where the map has it, and carries nothing there.
-    p_ML = np.where(np.any(tfg.facing, axis=1, keepdims=True), estimate.p_ML, np.inf)
     near = in_view(min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence)
     touchable = local_view(in_view(SURFACE_REACH, 0.5 * math.pi), estimate)
     frames = sensor.detection_probability * sensor.rate * LOCALISATION_TIME
@@ -183,8 +181,8 @@ def predicted_deviation(
     joint = (local.count >= 2) & (local.count >= np.minimum(near.count, LOCALISATION_TAGS))
     sigma = np.empty(len(points))
     for which, view, targets, covariance in (
-        (joint, local, p_ML[estimate.local], estimate.covariance),
-        (~joint, near, p_ML, np.zeros((0, 0))),
+        (joint, local, estimate.p_ML[estimate.local], estimate.covariance),
+        (~joint, near, estimate.p_ML, np.zeros((0, 0))),
     ):
         rows = np.flatnonzero(which)
         seen, carry = view.of(rows), touchable.of(rows)
