@@ -50,10 +50,10 @@ def main() -> None:
     same: list[bool] = []
     choose = timed(goal_choice.choose, parts["goal"])
 
-    def compared(*arguments: Any) -> Any:
-        choice = choose(*arguments)
+    def compared(*arguments: Any, **named: Any) -> Any:
+        choice = choose(*arguments, **named)
         with mock.patch.object(candidates, "EXACT", 10**9):
-            same.append(goal_choice.choose(*arguments).node == choice.node)
+            same.append(goal_choice.choose(*arguments, **named).node == choice.node)
         return choice
 
     with (
