@@ -185,7 +185,10 @@ def _turn_allowed(
     safety: SafetyConfig,
     period: float,
 ) -> bool:
-    """Whether the base may go over to a turn rate while it brakes: it stays clear, or no nearer than on its arc."""
+    """Whether the base may go over to a turn rate (rad/s) while it brakes: it stays clear, or as far as on its arc.
+
+    X_SB: as in free_distance. velocity: (2,) speed > 0 (m/s) and turn rate (rad/s) that it has.
+    """
     limits = np.array([robot.max_acceleration, robot.max_turn_acceleration])
     clear = robot.radius + safety.stop_distance
 
