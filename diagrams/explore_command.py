@@ -153,7 +153,7 @@ class ProgressDisplay:
             from rich.text import Text
 
             self._live.update(Text(progress_line(progress), no_wrap=True, overflow="ellipsis"))
-        elif time.monotonic() >= self._next_line:
+        elif time.monotonic() >= self._next_line or progress.outcome:
             self._next_line += LINE_INTERVAL
             try:
                 print(progress_line(progress), flush=True)
@@ -162,7 +162,10 @@ class ProgressDisplay:
 
 
 def progress_line(progress: Progress) -> str:
-    """How far the mission has come, on one line of a terminal of 80 columns."""
+    """How far the mission has come, on one line of a terminal of 80 columns; what is done now where it has ended."""
+    if progress.outcome:
+        # In a building of thousands of tags the last solve takes half a minute.
+        return f"{progress.time:5.0f} s  {progress.outcome}: solving the whole map, writing the run's files"
     speed = progress.time / max(progress.wall_time, 1e-9)
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
     return (

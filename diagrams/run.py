@@ -82,7 +82,7 @@ _log = logging.getLogger("tfg_drake.run")
 @dataclasses.dataclass(frozen=True)
 class Progress:
     """How far a mission has come: simulated and wall time (s), phase, goals visited, landmarks in the map, area seen
-    (m^2), error of the estimated position (m), nan where the truth is not known."""
+    (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended."""
 
     time: float
     wall_time: float
@@ -91,6 +91,7 @@ class Progress:
     landmarks: int
     area: float
     position_error: float
+    outcome: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +129,7 @@ def explore(
         realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
         max_time: simulated s after which the outcome is time_limit, as it is when the robot's station ends.
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
-        on_progress: called about once a simulated second.
+        on_progress: called about once a simulated second, and once more before the files of the run are written.
         interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
         record: what the station's ports carry goes to ports.mcap, to be played again.
 
@@ -247,6 +248,8 @@ class Mission:
         self.wall_time = time.monotonic() - wall_start
         self.cpu_time = time.process_time() - self._cpu_start
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
+        if on_progress is not None and self._context is not None:
+            on_progress(self._progress(self.wall_time))
 
     @property
     def time(self) -> float:
@@ -381,7 +384,8 @@ class Mission:
             X_WB = compose(self.X_WM, pose_at(self.pose, self.time))
             error = float(np.linalg.norm(X_WB[:2] - self.truth.position(self._context)))
         landmarks = len(self.map.ids) if self.map is not None else 0
-        return Progress(self.time, wall_time, self.status.phase, self.status.stage, landmarks, self._area, error)
+        status = self.status
+        return Progress(self.time, wall_time, status.phase, status.stage, landmarks, self._area, error, self.outcome)
 
     def _look(self, port: str, kind: type) -> Any:
         """The explorer's message, None where its method has no such port."""

@@ -216,6 +216,8 @@ def test_the_progress_line():
     assert explore_command.progress_line(progress) == expected
     untold = explore_command.progress_line(dataclasses.replace(progress, position_error=math.nan))
     assert untold == "  120 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
+    over = explore_command.progress_line(dataclasses.replace(progress, outcome="complete"))
+    assert over == "  120 s  complete: solving the whole map, writing the run's files"
 
 
 def test_plain_progress_lines_come_now_and_then(capsys, monkeypatch):
@@ -225,4 +227,5 @@ def test_plain_progress_lines_come_now_and_then(capsys, monkeypatch):
         for second in range(31):
             now[0] = float(second)
             show(Progress(now[0], now[0], "observe", 1, 0, 0.0, 0.0))
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["10", "20", "30"]
+        show(Progress(31.0, 31.0, "done", 1, 0, 0.0, 0.0, "complete"))
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["10", "20", "30", "31"]

@@ -113,7 +113,8 @@ def test_the_time_limit_ends_a_mission(tmp_path):
     result = run.explore(room(), max_time=28.5, out_dir=tmp_path, on_progress=seen.append)
     assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 28.5)
     assert result.summary["reason"] == "the time limit of 28.5 s was reached"
-    assert [progress.time for progress in seen] == [*np.arange(1.0, 29.0), 28.5]
+    assert [progress.time for progress in seen] == [*np.arange(1.0, 29.0), 28.5, 28.5]
+    assert [progress.outcome for progress in seen] == [*[""] * 29, "time_limit"]
     assert seen[-1].landmarks == result.summary["landmarks_mapped"] > 0
     assert 10.0 < seen[-1].area < 24.1
 
@@ -129,7 +130,7 @@ def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
 
 def test_ctrl_c_leaves_a_usable_result(tmp_path):
     def interrupt(progress):
-        if progress.time == 26.0:
+        if progress.time == 26.0 and not progress.outcome:
             os.kill(os.getpid(), signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
