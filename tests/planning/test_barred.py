@@ -1,8 +1,9 @@
 import numpy as np
+import pytest
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.barred import barred_places, looked_again, to_look_again
+from tfg_drake.planning.barred import barred_places, looked_again, worth_of_looking
 from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import choose, empty_choice
 from tfg_drake.planning.planner import with_frontiers
@@ -54,8 +55,8 @@ def test_the_robot_goes_back_to_every_passage_once_the_nearest_first():
         estimate, tfg, roadmap = two_passages(at)
         barred = barred_places(estimate, tfg, roadmap, PARAMETERS)
         looked = looked_again(barred, roadmap, np.array([at, -1.0]), looked)
-        row = to_look_again(barred, roadmap, STAY, STOP, looked)
-        order.append(int(barred.entry[row]) if row >= 0 else row)
+        worth = worth_of_looking(barred, roadmap, STAY, STOP, looked)
+        order.append(int(barred.entry[np.argmax(worth)]) if worth.any() else -1)
     assert order == [9, 1, -1]
     np.testing.assert_array_equal(looked, [1, 9])
 
@@ -66,7 +67,7 @@ def test_nothing_barred_is_nowhere_to_go():
     barred = barred_places(estimate, tfg, roadmap, PARAMETERS)
     looked = looked_again(barred, roadmap, np.zeros(2), np.array([5]))
     np.testing.assert_array_equal(looked, [5])
-    assert to_look_again(barred, roadmap, STAY, STOP, looked) == -1
+    assert len(worth_of_looking(barred, roadmap, STAY, STOP, looked)) == 0
 
 
 def test_a_mission_is_stuck_only_after_the_robot_has_looked_again():
@@ -81,3 +82,15 @@ def test_a_mission_is_stuck_only_after_the_robot_has_looked_again():
 
 def test_of_a_part_of_the_map_nothing_is_looked_at_again():
     assert choose(*two_passages(), PARAMETERS, empty_choice(), everything=False).verdict == "stuck"
+
+
+@pytest.mark.parametrize(("metres", "node"), [(20.0, 9), (9.0, 5), (5.0, -1)])
+def test_the_robot_goes_back_where_the_budget_allows_it(metres, node):
+    budget = ExplorerConfig(budget_distance=metres)
+    estimate, tfg, roadmap = two_passages()
+    roadmap = replace(roadmap, entry=np.append(np.arange(11), [5, 9]))
+    choice = choose(estimate, tfg, roadmap, replace(PARAMETERS, explorer=budget), empty_choice())
+    assert choice.node == node
+    if node < 0:
+        reason = f"{metres:.0f} m of the budget are left: too little for another goal."
+        assert (choice.verdict, choice.reason) == ("budget", reason)

@@ -57,13 +57,12 @@ def looked_again(barred: Barred, roadmap: Roadmap, p_MD: FloatArray, before: Int
     return np.union1d(before, roadmap.names(entry[here]))
 
 
-def to_look_again(barred: Barred, roadmap: Roadmap, stay: float, stop_gain: float, looked: IntArray) -> int:
-    """The last reachable node before the passage that promises most per time of those that the robot has not been back
-    to, its row in barred, -1 where there is none.
+def worth_of_looking(barred: Barred, roadmap: Roadmap, stay: float, stop_gain: float, looked: IntArray) -> FloatArray:
+    """What going back to the last reachable node before each place is worth, (b,), nats per second: 0 where the robot
+    has been back already or too little lies behind.
 
     stay: s at it. stop_gain: nats that must lie behind. looked: (t,) names, see `looked_again`.
     """
     known = roadmap.nodes(looked)
     distance, _ = cKDTree(roadmap.points[known[known >= 0]]).query(roadmap.points[barred.entry])
-    value = np.where((barred.gain > stop_gain) & (distance >= SAME_PASSAGE), barred.gain / (barred.time + stay), 0.0)
-    return int(np.argmax(value)) if value.any() else -1
+    return np.where((barred.gain > stop_gain) & (distance >= SAME_PASSAGE), barred.gain / (barred.time + stay), 0.0)

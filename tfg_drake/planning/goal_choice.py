@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
-from tfg_drake.planning.barred import barred_places, looked_again, to_look_again
+from tfg_drake.planning.barred import barred_places, looked_again, worth_of_looking
 from tfg_drake.planning.budget import budget_left, way_home
 from tfg_drake.planning.candidates import Candidates, GoalParameters, judged, time_at_goal
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
@@ -80,21 +80,25 @@ def choose(
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
     looked = previous.looked_again
+    spent = "budget", f"{budget} of the budget are left: too little for another goal."
     if best >= 0:
         node, verdict = int(candidates.nodes[best]), "goal"
         rate = gains.gain[best] / (candidates.time[best] + stay)
         reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     elif worth.any():
-        node, verdict, reason = -1, "budget", f"{budget} of the budget are left: too little for another goal."
+        node, (verdict, reason) = -1, spent
     else:
         barred = barred_places(estimate, tfg, roadmap, parameters)
-        again = -1
+        back = np.zeros(len(barred.nodes))
         if everything:
             looked = looked_again(barred, roadmap, estimate.X_MD[:2], looked)
-            again = to_look_again(barred, roadmap, stay, explorer.stop_gain, looked)
-        if again >= 0 and budget.affords(roadmap, barred.entry[[again]])[0]:
+            back = worth_of_looking(barred, roadmap, stay, explorer.stop_gain, looked)
+        again = pick(back, (back > 0.0) & budget.affords(roadmap, barred.entry))
+        if again >= 0:
             node, verdict = int(barred.entry[again]), "goal"
             reason = f"{barred.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
+        elif back.any():
+            node, (verdict, reason) = -1, spent
         else:
             gain = float(barred.gain.max(initial=0.0))
             node, (verdict, reason) = -1, _end(bool(len(candidates.nodes)), gain, estimate, tfg, roadmap, parameters)
