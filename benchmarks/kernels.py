@@ -121,11 +121,11 @@ def kernel_seen(points: FloatArray, targets: FloatArray, normals: FloatArray, wa
     return np.stack([np.repeat(np.arange(len(points)), np.diff(offsets)), index], axis=1)
 
 
-def numpy_inside(points: FloatArray, offsets: FloatArray, vertices: FloatArray, centres: FloatArray) -> BoolArray:
+def numpy_inside(points: FloatArray, offsets: FloatArray, vertices: FloatArray) -> BoolArray:
     """As inside_any: the even-odd rule, a star at a time."""
     inside = np.zeros(len(points), dtype=bool)
     x, y = points[:, :1], points[:, 1:]
-    for j in range(len(centres)):
+    for j in range(len(offsets) - 1):
         a = vertices[offsets[j] : offsets[j + 1]]
         b = np.roll(a, 1, axis=0)
         level = (a[:, 1] > y) != (b[:, 1] > y)
@@ -135,9 +135,9 @@ def numpy_inside(points: FloatArray, offsets: FloatArray, vertices: FloatArray, 
     return inside
 
 
-def shapely_inside(points: FloatArray, offsets: FloatArray, vertices: FloatArray, centres: FloatArray) -> BoolArray:
+def shapely_inside(points: FloatArray, offsets: FloatArray, vertices: FloatArray) -> BoolArray:
     """As inside_any, through an STRtree."""
-    polygons = [shapely.Polygon(vertices[offsets[j] : offsets[j + 1]]) for j in range(len(centres))]
+    polygons = [shapely.Polygon(vertices[offsets[j] : offsets[j + 1]]) for j in range(len(offsets) - 1)]
     rows, _ = shapely.STRtree(polygons).query(shapely.points(points), predicate="within")
     inside = np.zeros(len(points), dtype=bool)
     inside[rows] = True
@@ -198,7 +198,7 @@ def stars(centres: FloatArray, walls: FloatArray) -> tuple[Any, ...]:
     outwards = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     reach = [np.minimum(cast_rays(walls, centre, angles, 10.0), 10.0) for centre in centres]
     vertices = np.vstack([centre + r[:, None] * outwards for centre, r in zip(centres, reach, strict=True)])
-    return 360 * np.arange(len(centres) + 1), vertices, centres
+    return 360 * np.arange(len(centres) + 1), vertices
 
 
 def main() -> None:

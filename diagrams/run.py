@@ -321,7 +321,7 @@ class Mission:
         tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
         self.grid = self._look("grid", GridMap)
         if measure_area and tfg is not None and tfg is not self.tfg:
-            self._area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers, cell=0.25)
+            self._area = covered_area(tfg.star_offsets, tfg.star_vertices, cell=0.25)
         elif measure_area and self.grid is not None:
             self._area = float(np.count_nonzero(classify(self.grid) == FREE)) * self.grid.resolution**2
         self.tfg = tfg

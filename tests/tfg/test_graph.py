@@ -80,7 +80,7 @@ def test_a_tour_maps_all_walls_and_nothing_else(two_rooms) -> None:
     inside = np.random.default_rng(0).uniform([0.1, 0.1], [11.9, 5.9], (300, 2))
     in_pillar = (np.abs(inside - [9.0, 3.0]) < 0.55).all(axis=1)
     near_wall = np.abs(inside[:, 0] - 6.0) < 0.1
-    assert inside_any(inside[~in_pillar & ~near_wall], tfg.star_offsets, tfg.star_vertices, tfg.star_centers).all()
+    assert inside_any(inside[~in_pillar & ~near_wall], tfg.star_offsets, tfg.star_vertices).all()
 
 
 def test_neighbouring_tags_are_joined_and_opposite_faces_never(two_rooms) -> None:
@@ -169,7 +169,7 @@ def test_frontiers_lie_at_the_unexplored_door(two_rooms) -> None:
     assert in_next_room.sum() > 5
     assert (tfg.frontiers[~in_next_room, 0] > 5.5).all()
     shadows = place_points(two_rooms.graph.shadows, two_rooms.estimate.X_MA).p
-    assert not inside_any(shadows, tfg.star_offsets, tfg.star_vertices, tfg.star_centers).any()
+    assert not inside_any(shadows, tfg.star_offsets, tfg.star_vertices).any()
     np.testing.assert_allclose(np.hypot(*tfg.frontier_normal.T), 1.0)
 
 

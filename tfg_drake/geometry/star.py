@@ -41,26 +41,38 @@ def _square_radii(star_offsets: IntArray, star_vertices: FloatArray, star_center
 
 
 @njit(cache=True)
-def inside_any(
-    points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray
-) -> BoolArray:
+def _boxes(star_offsets: IntArray, star_vertices: FloatArray) -> FloatArray:
+    """Diagonals (k, 4) of the stars' bounding boxes, for a segment_grid."""
+    boxes = np.zeros((len(star_offsets) - 1, 4))
+    for j in range(len(boxes)):
+        star = star_vertices[star_offsets[j] : star_offsets[j + 1]]
+        for i in range(2 if len(star) > 0 else 0):
+            boxes[j, i], boxes[j, 2 + i] = star[:, i].min(), star[:, i].max()
+    return boxes
+
+
+@njit(cache=True)
+def _may_hold(box: FloatArray, x: float, y: float) -> bool:
+    """Whether a point lies within a bounding box, one of `_boxes`."""
+    return bool(box[0] <= x <= box[2] and box[1] <= y <= box[3])
+
+
+@njit(cache=True)
+def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
     """Which points (n, 2) lie inside at least one star polygon, (n,).
 
-    Star j has the vertices star_vertices[star_offsets[j]:star_offsets[j + 1]] round star_centers[j]; star_offsets is
-    (k + 1,), star_vertices (v, 2), star_centers (k, 2), all in the frame of the points, m. A point exactly on an edge
-    may fall on either side.
+    Star j has the vertices star_vertices[star_offsets[j]:star_offsets[j + 1]]; star_offsets is (k + 1,), star_vertices
+    (v, 2), in the frame of the points, m. A point exactly on an edge may fall on either side.
     """
-    radii = _square_radii(star_offsets, star_vertices, star_centers)
-    reach = np.sqrt(radii.max()) if len(radii) > 0 else 0.0
-    grid = segment_grid(np.hstack((star_centers, star_centers)))
-    near = np.empty(len(star_centers), dtype=np.int64)
+    boxes = _boxes(star_offsets, star_vertices)
+    grid = segment_grid(boxes)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     result = np.zeros(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
+        for k in range(rows_in_box(grid, x, x, y, y, near)):
             j = near[k]
-            dx, dy = x - star_centers[j, 0], y - star_centers[j, 1]
-            if dx * dx + dy * dy <= radii[j] and _inside(x, y, star_vertices, star_offsets[j], star_offsets[j + 1]):
+            if _may_hold(boxes[j], x, y) and _inside(x, y, star_vertices, star_offsets[j], star_offsets[j + 1]):
                 result[i] = True
                 break
     return result
@@ -78,22 +90,21 @@ def inspected(
 ) -> BoolArray:
     """Which points (n, 2) just in front of a surface with unit normals (n, 2) some star's centre saw well, (n,).
 
-    Seen well means inside the star, within max_range (m) of its centre and with at most max_incidence (rad) between
-    the normal and the line of sight. Star polygons as in `inside_any`.
+    Seen well means inside the star, within max_range (m) of its centre, star_centers (k, 2), and with at most
+    max_incidence (rad) between the normal and the line of sight. Star polygons as in `inside_any`.
     """
-    radii = _square_radii(star_offsets, star_vertices, star_centers)
-    reach = min(max_range, np.sqrt(radii.max())) if len(radii) > 0 else 0.0
-    grid = segment_grid(np.hstack((star_centers, star_centers)))
-    near = np.empty(len(star_centers), dtype=np.int64)
+    boxes = _boxes(star_offsets, star_vertices)
+    grid = segment_grid(boxes)
+    near = np.empty(len(grid[4]), dtype=np.int64)
     least_cosine = np.cos(max_incidence)
     result = np.zeros(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        for k in range(rows_in_box(grid, x - reach, x + reach, y - reach, y + reach, near)):
+        for k in range(rows_in_box(grid, x, x, y, y, near)):
             j = near[k]
             dx, dy = star_centers[j, 0] - x, star_centers[j, 1] - y
             square = dx * dx + dy * dy
-            if square > radii[j] or square > max_range * max_range:
+            if square > max_range * max_range or not _may_hold(boxes[j], x, y):
                 continue
             if dx * normals[i, 0] + dy * normals[i, 1] < least_cosine * np.sqrt(square):
                 continue
@@ -169,13 +180,11 @@ def _deep_inside(polyline: FloatArray, star: FloatArray, depth: float) -> bool:
     return True
 
 
-def covered_area(
-    star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray, cell: float = 0.1
-) -> float:
+def covered_area(star_offsets: IntArray, star_vertices: FloatArray, cell: float = 0.1) -> float:
     """Area of the union of the star polygons, m^2, by counting the cells (of this width, m) whose centres they hold."""
     if not len(star_vertices):
         return 0.0
     low, high = star_vertices.min(axis=0), star_vertices.max(axis=0)
     x, y = (np.arange(low[i] + 0.5 * cell, high[i], cell) for i in range(2))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return float(cell**2 * np.count_nonzero(inside_any(points, star_offsets, star_vertices, star_centers)))
+    return float(cell**2 * np.count_nonzero(inside_any(points, star_offsets, star_vertices)))

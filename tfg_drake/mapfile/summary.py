@@ -16,7 +16,7 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     tfg = saved.tfg
     x, y, theta = saved.X_WM
     length = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T)
-    area = covered_area(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    area = covered_area(tfg.star_offsets, tfg.star_vertices)
     rows = [
         ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
         ("goals", f"{saved.stage} goals, the last at {saved.stamp:.1f} s"),

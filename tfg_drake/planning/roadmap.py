@@ -242,7 +242,7 @@ def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
     first = np.repeat(np.cumsum(steps) - steps, steps)
     t = ((np.arange(len(edge)) - first + 0.5) / steps[edge])[:, None]
     samples = (1 - t) * edges[edge, :2] + t * edges[edge, 2:]
-    inside = inside_any(samples, tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    inside = inside_any(samples, tfg.star_offsets, tfg.star_vertices)
     return np.asarray(np.bincount(edge, weights=~inside, minlength=len(edges)) == 0)
 
 
@@ -283,7 +283,7 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, density: in
     ]
     points = np.vstack([group for group, _ in groups])
     spacing = np.concatenate([np.full(len(group), value) for group, value in groups])
-    ok = inside_any(points, tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    ok = inside_any(points, tfg.star_offsets, tfg.star_vertices)
     ok[ok] = clearance(np.hstack([points[ok]] * 2), tfg.segments, need) >= need
     return points[ok], spacing[ok]
 

@@ -206,7 +206,7 @@ def find_uninspected(
 def find_unseen_backs(
     offsets: IntArray,
     vertices: FloatArray,
-    stars: tuple[IntArray, FloatArray, FloatArray],
+    stars: tuple[IntArray, FloatArray],
     drift: Callable[[FloatArray, FloatArray], FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Points (u, 2) and normals (u, 2) of the faces of thin walls that no turn has seen, only the other face.
@@ -226,7 +226,7 @@ def find_unseen_backs(
 
 
 def find_open_ends(
-    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray, FloatArray]
+    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Points (u, 2) in front of faces that no turn has seen, only the corner where they begin, and normals (u, 2).
 

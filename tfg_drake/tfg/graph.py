@@ -189,8 +189,8 @@ def update(
         graph.shadows,
         points_of(goal, p, normal, length),
         X_MA,
-        lambda points: ~inside_any(points.p, *newest),
-        lambda points: ~inside_any(points.p, *stars),
+        lambda points: ~inside_any(points.p, *newest[:2]),
+        lambda points: ~inside_any(points.p, *stars[:2]),
         lambda old, new: far_from(new.p, old.p, SAME_FRONTIER),
     )
 
@@ -215,10 +215,10 @@ def update(
         return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
     backs = unseen_faces(
-        find_unseen_backs(surfaces.offsets, placed, stars, lambda p, normal: drift_between(p, normal, estimate)),
+        find_unseen_backs(surfaces.offsets, placed, stars[:2], lambda p, normal: drift_between(p, normal, estimate)),
         UNINSPECTED_SPACING,
     )
-    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, stars), END_LENGTH)
+    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, stars[:2]), END_LENGTH)
 
     def near(points: FrontierPoints) -> BoolArray:
         return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach)

@@ -69,7 +69,7 @@ def test_the_grid_of_many_stars(room):
     values, centres = cells(map_messages.tfg_grid(tfg, 0.0, FRAMES, cell=0.1))
     points = centres.reshape(-1, 2)
     occupied = values.ravel() == 100
-    free = inside_any(points, tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
+    free = inside_any(points, tfg.star_offsets, tfg.star_vertices)
     np.testing.assert_array_equal(values.ravel()[~occupied] == 0, free[~occupied])
     away = clearance(np.hstack([points, points]), tfg.segments, 1.0)
     assert away[occupied].max() <= 0.1 * math.sqrt(0.5) + 1e-9
