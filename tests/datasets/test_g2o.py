@@ -98,6 +98,7 @@ def test_a_fixed_pose_stays(tmp_path):
             "EDGE_SE2 0 1 1 0 0 1 0 0 0 0 1",
             "line 1: the information matrix is not positive definite; mend the line",
         ),
+        ("EDGE_SE2 1 1 1 0 0 1 0 0 1 0 1", "line 1: an edge from 1 to itself; it ties nothing"),
     ],
 )
 def test_a_broken_line_is_named(tmp_path, line, complaint):
@@ -114,6 +115,14 @@ def test_a_broken_line_is_named(tmp_path, line, complaint):
         ("VERTEX_SE2 0 0 0 0", "no edge in it; a graph without measurements cannot be solved"),
         ("EDGE_SE2_XY 0 0 1 0 1 0 1", "0 is the id of a pose and of a landmark; give one of them another"),
         ("EDGE_SE2_XY 0 1 1 0 1 0 1\nFIX 1", "FIX 1 names no pose; only poses can be fixed"),
+        (
+            "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2_XY 2 3 1 0 1 0 1",
+            "nothing ties vertex 2 to vertex 0; add an edge, or FIX a pose of its part",
+        ),
+        (
+            "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2_XY 2 3 1 0 1 0 1\nFIX 2",
+            "nothing ties vertex 0 to a fixed pose; add an edge, or FIX a pose of its part",
+        ),
     ],
 )
 def test_a_graph_that_makes_no_sense_is_named(tmp_path, lines, complaint):
@@ -126,6 +135,6 @@ def test_a_graph_that_makes_no_sense_is_named(tmp_path, lines, complaint):
 
 def test_a_loose_pose_cannot_be_placed(tmp_path):
     path = tmp_path / "loose.g2o"
-    path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 2 3 1 0 0 1 0 0 1 0 1\n")
+    path.write_text("EDGE_SE2 0 3 1 0 0 1 0 0 1 0 1\nEDGE_SE2 2 3 1 0 0 1 0 0 1 0 1\n")
     with pytest.raises(ValueError, match="pose 2 is tied to no earlier pose"):
         solve_pose_graph(read_g2o(path))

@@ -227,5 +227,8 @@ def test_plain_progress_lines_come_now_and_then(capsys, monkeypatch):
         for second in range(31):
             now[0] = float(second)
             show(Progress(now[0], now[0], "observe", 1, 0, 0.0, 0.0))
-        show(Progress(31.0, 31.0, "done", 1, 0, 0.0, 0.0, "complete"))
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["10", "20", "30", "31"]
+        for second in (65.0, 66.0):
+            now[0] = second
+            show(Progress(second, second, "observe", 1, 0, 0.0, 0.0))
+        show(Progress(67.0, 67.0, "done", 1, 0, 0.0, 0.0, "complete"))
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["10", "20", "30", "65", "67"]

@@ -1,6 +1,7 @@
 import os
 import pty
 import select
+import signal
 import subprocess
 import sys
 import urllib.request
@@ -106,7 +107,7 @@ cli.main(sys.argv[1:])
 
 
 def test_no_drake_is_needed(path):
-    for arguments in (["info", path], ["view", path], ["export", path, path.with_suffix(".png")]):
+    for arguments in (["info", path], ["export", path, path.with_suffix(".png")]):
         done = subprocess.run(
             [sys.executable, "-c", NO_DRAKE, "map", *arguments],
             stdin=subprocess.DEVNULL,
@@ -116,6 +117,15 @@ def test_no_drake_is_needed(path):
         )
         assert (done.returncode, done.stderr) == (0, "")
     assert path.with_suffix(".png").exists()
+
+
+def test_without_a_keyboard_the_view_stays_until_ctrl_c(path):
+    command = [sys.executable, "-c", NO_DRAKE, "map", "view", path]
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline().startswith("Meshcat: http://localhost:")
+        assert process.stdout.readline() == "The scene stays open until Ctrl-C.\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 0
 
 
 def test_on_a_terminal_the_view_stays_until_enter(path):

@@ -39,6 +39,7 @@ def test_a_method_of_ones_own_takes_less_than_60_lines():
         ("none.py", None, f"none.py: no such file; name a .py file or one of {', '.join(METHODS)}"),
         ("empty.py", "", "empty.py: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"),
         ("broken.py", "1 / 0", "broken.py: cannot be imported: ZeroDivisionError: division by zero"),
+        ("leaves.py", "raise SystemExit(4)", "leaves.py: cannot be imported: SystemExit: 4"),
     ],
 )
 def test_what_is_no_method_is_refused_in_one_line(name, text, complaint, tmp_path, monkeypatch):

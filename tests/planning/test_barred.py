@@ -92,5 +92,5 @@ def test_the_robot_goes_back_where_the_budget_allows_it(metres, node):
     choice = choose(estimate, tfg, roadmap, replace(PARAMETERS, explorer=budget), empty_choice())
     assert choice.node == node
     if node < 0:
-        reason = f"{metres:.0f} m of the budget are left: too little for another goal."
+        reason = f"{metres:.0f} m of the budget were too little for another goal."
         assert (choice.verdict, choice.reason) == ("budget", reason)

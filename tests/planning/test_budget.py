@@ -50,3 +50,16 @@ def test_the_way_home_leads_to_the_node_there_unless_the_robot_is_home_or_cannot
     assert way_home(roadmap([0, 1, 2]), np.array([0.1, 0.0]), np.array([2.0, 0.0])) == 0
     assert way_home(roadmap([0, 1, 2]), np.array([0.1, 0.0]), np.array([0.2, 0.1])) == -1
     assert way_home(roadmap([0, 1, 2], reachable=[0, 1, 1]), np.array([0.1, 0.0]), np.array([2.0, 0.0])) == -1
+
+
+def test_a_robot_is_home_at_the_node_nearest_to_where_it_began():
+    from tests.planning.test_budget import roadmap
+
+    began = np.array([-0.6, 0.0])
+    assert way_home(roadmap([0, 1, 2]), began, np.array([0.0, 0.0])) == -1
+    assert way_home(roadmap([0, 1, 2]), began, np.array([1.0, 0.0])) == 0
+
+
+def test_what_is_left_of_a_budget_is_never_less_than_nothing():
+    explorer = ExplorerConfig(budget_time=75.0, budget_distance=20.0)
+    assert str(budget_left(explorer, 80.0, 21.0, 3.0)) == "0 s and 0 m"

@@ -10,6 +10,7 @@ from tfg_drake.planning.chance_constraint import (
     predicted_deviation,
     required_clearance,
 )
+from tfg_drake.planning.information_gain import odometry_covariance
 from tfg_drake.slam.goal_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
@@ -126,3 +127,15 @@ def test_required_clearance_keeps_the_collision_probability_between_two_surfaces
     assert 2 * norm.cdf((0.18 - need) / sigma) == pytest.approx([0.01, 0.01])
     assert collision_probability(need, 0.18, sigma) == pytest.approx([0.01, 0.01])
     assert collision_probability(np.array([0.1]), 0.18, np.array([0.03])) == [1.0]
+
+
+def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the_nearest_place_that_sees_some():
+    p_ML = np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0]])
+    far = np.array([0.0, 200.0, 0.0])
+    estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, X_MD=far, covariance=np.zeros((3, 3)))
+    tfg = replace(empty_tfg(), facing=-p_ML / 3.0)
+    points, odometry = np.array([[0.0, 0.0], [30.0, 0.0]]), OdometryConfig()
+    sigma, _ = predicted_deviation(points, estimate, tfg, TagSensorConfig(), odometry, 0.5)
+    Q = odometry_covariance(np.zeros(3), points[1:], np.array([30.0]), np.array([60.0]), odometry)[0]
+    assert sigma[1] ** 2 - sigma[0] ** 2 == pytest.approx(max(Q[0, 0], Q[1, 1]))
+    assert sigma[0] > 0.02

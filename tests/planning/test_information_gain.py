@@ -1,9 +1,18 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.messages import replace
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
-from tfg_drake.planning.information_gain import odometry_covariance, sightings_of_turn, turn_noise
+from tfg_drake.planning.information_gain import (
+    departure_given_landmarks,
+    odometry_covariance,
+    sightings_of_turn,
+    turn_noise,
+)
+from tfg_drake.slam.goal_graph import empty_map
 
 
 def whitened(p_AL, noise):
@@ -138,3 +147,19 @@ def test_odometry_covariance_is_that_of_simulated_dead_reckoning():
     scale = np.sqrt(np.diag(Q))
     np.testing.assert_allclose(forward @ np.cov(ends.T) @ forward.T / np.outer(scale, scale),
                                Q / np.outer(scale, scale), atol=0.08)  # fmt: skip
+
+
+def test_a_departure_given_the_landmarks_is_as_certain_as_what_it_does_not_share_with_them():
+    shared = np.zeros((9, 2))
+    shared[[0, 2, 4, 6], 0] = shared[[1, 3, 5, 7], 1] = 1.0
+    S = shared @ shared.T + 1e-4 * np.eye(9)
+    estimate = replace(empty_map(), ids=np.arange(3), p_ML=np.zeros((3, 2)), local=np.arange(3), covariance=S)
+    np.testing.assert_allclose(departure_given_landmarks(estimate), np.linalg.inv(np.linalg.inv(S)[6:, 6:]), atol=1e-9)
+
+
+def test_a_turn_sees_a_tag_as_often_as_it_is_detected_while_in_view():
+    sensor = dataclasses.replace(TagSensorConfig(), detection_probability=0.5, rate=10.0, field_of_view=1.2)
+    assert sightings_of_turn(sensor, 0.6) == pytest.approx(10.0)
+    few, many = turn_noise(sensor, 4.0), turn_noise(sensor, 1e9)
+    np.testing.assert_allclose(few, [0.01, 0.005, 0.01, 0.005])
+    np.testing.assert_allclose(many[2:], [0.01, 0.002])

@@ -1,8 +1,21 @@
+import dataclasses
+
 import numpy as np
 
+from tests.planning.test_path import returns
+from tests.planning.test_roadmap import PARAMETERS, build, nearest, two_rooms
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import Roadmap, WorkingMap, replace
-from tfg_drake.planning.planner import frontier_in_sight, grow, initial_state, with_frontiers
+from tfg_drake.messages import MissionStatus, PoseEstimate, Roadmap, WorkingMap, replace
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.planner import (
+    frontier_in_sight,
+    grow,
+    initial_state,
+    make_roadmap,
+    obstacles_in_map,
+    step,
+    with_frontiers,
+)
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import goal_graph
 from tfg_drake.tfg.graph import empty_map
@@ -57,3 +70,49 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
     assert np.hypot(*(a - b).T).sum() > 1.5
     # From the first glance's end to the last one's, every metre once.
     np.testing.assert_allclose(state.driven_before, 1.6)
+
+
+def watched(path, X_MB, speed, scan, X_MA):
+    """The planner's state, and its map, after a look at a scan on its way along a path from the newest goal."""
+    stage = len(X_MA)
+    estimate = replace(goal_graph.empty_map(), stage=stage, X_MA=X_MA, X_MD=X_MA[-1])
+    state = initial_state()
+    parts = replace(state.parts, near=replace(state.parts.near, stage=stage))
+    state = replace(state, parts=parts, path=replace(state.path, id=1, stage=stage, points=path))
+    pose = PoseEstimate(1.0, X_MB, np.eye(3), speed, stage, np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    mission = MissionStatus("follow", stage, 0.0, path_id=1)
+    working = WorkingMap(estimate, replace(empty_map(), stage=stage), np.ones(stage, dtype=bool))
+    choice = replace(empty_choice(), stage=stage)
+    return step(state, working, lambda: (estimate, working.tfg), pose, choice, scan, mission, PARAMETERS), estimate
+
+
+def test_what_is_met_is_kept_where_it_stands_seen_from_the_newest_goal():
+    X_MA = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 0.5 * np.pi]])
+    path = np.stack([np.full(31, 2.0), np.linspace(1.0, 4.0, 31)], axis=1)
+    state, estimate = watched(path, np.array([2.0, 1.5, 0.5 * np.pi]), np.zeros(2), returns(1.2), X_MA)
+    assert not state.status.free
+    met = obstacles_in_map(state, estimate)
+    assert np.hypot(*(met.reshape(-1, 2) - [2.0, 2.7]).T).max() < 0.1
+    moved = replace(estimate, X_MA=X_MA + np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]))
+    np.testing.assert_allclose(obstacles_in_map(state, moved), np.add(met, [0.5, 0.0, 0.5, 0.0]), atol=1e-9)
+
+
+def test_a_scan_is_placed_by_the_pose_at_its_stamp():
+    path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
+    # The robot turns to the left: what it sees to its right is on the path by then.
+    turning, scan = np.array([0.0, 1.0]), returns(1.2, bearing=-0.4, stamp=1.4)
+    assert not watched(path, np.zeros(3), turning, scan, np.zeros((1, 3)))[0].status.free
+    assert watched(path, np.zeros(3), np.zeros(2), scan, np.zeros((1, 3)))[0].status.free
+
+
+def test_the_way_home_is_measured_from_where_the_robot_began():
+    state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    began, here = nearest(state, (-4, 1)), nearest(state, (3, 0.5))
+    for return_home in (True, False):
+        explorer = dataclasses.replace(PARAMETERS.explorer, return_home=return_home)
+        parameters = dataclasses.replace(PARAMETERS, explorer=explorer)
+        roadmap = make_roadmap(state, tfg, estimate, parameters, np.zeros((0, 4)), 0.0)
+        assert len(roadmap.home_time) == len(roadmap.home_length) == return_home * len(state.points)
+        if return_home:
+            assert roadmap.home_length[began] < 0.5 < 7.0 < roadmap.home_length[here]
+            assert roadmap.home_time[began] < 5.0 < 14.0 < roadmap.home_time[here]

@@ -1,11 +1,14 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import MissionStatus, Roadmap, TfgMap, WorkingMap
+from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
+from tfg_drake.planning.candidates import time_at_goal
 from tfg_drake.planning.goal_choice import empty_choice, remember
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam.goal_graph import empty_map
@@ -386,3 +389,90 @@ def test_what_promised_enough_is_remembered_while_it_rests():
     assert kept.node == 5
     everywhere = dataclasses.replace(roadmap(), reachable=np.ones(49, dtype=bool))
     assert remember(kept, now, everywhere, 20.0).candidates.tolist() == [5, 9]
+
+
+STAY = time_at_goal(TagSensorConfig(), ExplorerConfig())
+
+
+def test_the_rules_without_a_tour_value_what_they_are_named_for():
+    for rule, pays in (("argmax", True), ("gain_per_time", True), ("argmax", False), ("gain_per_time", False)):
+        selector = Selector(goal=rule, pose_price=pays)
+        selector.ready()
+        goal = selector.goal()
+        gain = goal.gain if pays else goal.gain + goal.pose_price
+        time = roadmap().travel_time[goal.candidates] + STAY if rule == "gain_per_time" else 1.0
+        np.testing.assert_allclose(goal.value, gain / time)
+        assert goal.candidates[np.argmax(goal.value)] == goal.node
+
+
+def test_a_goal_drawn_at_random_is_driven_to_all_the_way():
+    selector = Selector(goal="random")
+    nodes = []
+    for stage in (1, 2, 3, 4):
+        estimate, tfg = (dataclasses.replace(message, stage=stage) for message in half_known_room())
+        selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(stage), mission=MissionStatus("choose", stage, 1.0))
+        nodes.append(selector.goal().node)
+    assert len(set(nodes)) == 1
+
+
+def test_what_the_budget_does_not_allow_is_no_goal_and_the_way_leads_home():
+    estimate, _ = half_known_room()
+    aside = dataclasses.replace(estimate, X_MD=np.array([2.0, 0.0, 0.0]))
+    selector = Selector(budget_time=30.0)
+    selector.ready()
+    goal = selector.goal()
+    assert goal.verdict == "goal"
+    assert MARGIN * roadmap().travel_time[goal.node] + STAY + RESERVE_TIME <= 30.0
+    assert (MARGIN * roadmap().travel_time[goal.candidates] + STAY + RESERVE_TIME > 30.0).any()
+    assert goal.latest_arrival == pytest.approx(30.0 - STAY - RESERVE_TIME)
+    for return_home in (True, False):
+        selector = Selector(budget_time=20.0, return_home=return_home)
+        selector.ready(map=aside)
+        goal = selector.goal()
+        assert goal.verdict == "budget"
+        assert goal.node == (int(np.argmin(np.hypot(*roadmap().points.T))) if return_home else -1)
+        assert goal.latest_arrival == np.inf
+
+
+def test_a_robot_that_cannot_get_home_while_there_is_a_frontier_somewhere_is_stuck():
+    estimate, tfg = half_known_room()
+    known = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9), X_MA=np.array([[0.0, 0, 0], [2.0, 0, 0]]))
+    far = dataclasses.replace(tfg, frontiers=tfg.frontiers - [100.0, 0.0])
+    there = roadmap()
+    at_home = np.hypot(*there.points.T) < 0.1
+    for cut_off, verdict in ((False, "complete"), (True, "stuck")):
+        off = at_home & cut_off
+        selector = Selector()
+        selector.ready(
+            map=known,
+            tfg=far,
+            roadmap=dataclasses.replace(there, reachable=there.reachable & ~off, entry=np.where(off, -1, there.entry)),
+        )
+        assert selector.goal().verdict == verdict
+
+
+def test_denser_landmarks_are_expected_to_bring_more():
+    gains = []
+    for density in (0.5, 2.0):
+        selector = Selector(density=density)
+        selector.ready()
+        gains.append(selector.goal().exploration)
+    assert (gains[1] > 1.5 * gains[0]).all()
+
+
+def test_far_off_a_place_promises_nothing_of_a_frontier_that_is_gone():
+    selector = Selector()
+    selector.ready()
+    before = selector.goal()
+    estimate, tfg = half_known_room()
+    estimate = dataclasses.replace(
+        estimate, stage=2, local=np.arange(2), covariance=np.diag([1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
+    )
+    tfg = dataclasses.replace(tfg, stage=2, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
+    after = selector.goal()
+    far = np.hypot(*(roadmap().points[after.candidates] - [0.0, 4.0]).T) <= 5.0
+    assert far.any()
+    assert (after.exploration[far] == 0.0).all()
+    rows = np.searchsorted(before.candidates, after.candidates[far])
+    np.testing.assert_array_equal(after.exploitation[far], before.exploitation[rows])

@@ -237,3 +237,21 @@ def test_two_runs_are_equal_to_the_bit():
     assert len(roadmaps[0].points) > 50
     for name, value in vars(roadmaps[0]).items():
         np.testing.assert_array_equal(value, getattr(roadmaps[1], name))
+
+
+def test_a_path_begins_where_the_robot_is_by_the_newest_map():
+    for stage, start in ((1, [0.5, 0.2]), (0, [0.0, 0.0])):
+        planner = Planner()
+        planner.observed()
+        at = replace(pose(stage), X_MB=np.array([0.5, 0.2, 0.0]))
+        planner.set(pose=at, goal=choice(planner.output("roadmap"), (3, 0)), mission=MissionStatus("plan", 1, 0.0))
+        planner.run()
+        np.testing.assert_allclose(planner.output("path").points[0], start, atol=1e-9)
+
+
+def test_no_path_is_planned_to_a_goal_of_an_older_stage():
+    planner = Planner()
+    planner.observed()
+    planner.set(goal=choice(planner.output("roadmap"), (3, 0), stage=0), mission=MissionStatus("plan", 1, 0.0))
+    planner.run(0.5)
+    assert planner.output("path").id == 0

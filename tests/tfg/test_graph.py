@@ -11,8 +11,17 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import PoseEstimate, replace
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.tfg.frontier import PUSH, frontier_length_total, open_frontiers, place_points, points_of
+from tfg_drake.tfg.frontier import (
+    END_LENGTH,
+    PUSH,
+    find_frontiers,
+    frontier_length_total,
+    open_frontiers,
+    place_points,
+    points_of,
+)
 from tfg_drake.tfg.graph import Sightings, empty_graph, empty_map, no_sightings, note_sightings, resolve, update
+from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import sample
 from tfg_drake.tfg.surfaces import EDGE, END, LOOSE
 
@@ -400,3 +409,109 @@ def test_a_glance_is_no_attempt_at_what_it_did_not_settle(two_rooms) -> None:
     assert two_rooms.graph.tried_count.sum() == tried
     two_rooms.observe(start)
     assert two_rooms.graph.tried_count.sum() > tried
+
+
+def test_where_the_view_ends_in_the_open_is_a_frontier(simulate) -> None:
+    """One wall and nothing else within range: the frontier is the arc at the end of the view."""
+    tfg = simulate([[-3.0, 2.0, 3.0, 2.0]]).observe(np.array([0.0, 0.0, 0.5]))
+    distance = np.hypot(*tfg.frontiers.T)
+    far = distance > 10.0
+    np.testing.assert_allclose(distance[far], 10.0 + PUSH, atol=1e-9)
+    np.testing.assert_allclose(tfg.frontier_normal[far], -tfg.frontiers[far] / distance[far, None], atol=1e-9)
+    behind_wall = 2.0 * np.arctan2(3.0, 2.0)
+    np.testing.assert_allclose(tfg.frontier_length[far].sum(), (2.0 * np.pi - behind_wall) * 10.0, rtol=0.01)
+    assert tfg.frontier_length[far].max() < 0.5
+
+
+def test_a_shadow_is_as_long_as_it_is_and_lies_behind_the_nearer_surface() -> None:
+    """A wall round the robot, 2 m off in front of it, from bearing 0 to pi, and 5 m off behind it."""
+    angles = (np.arange(720) + 0.5) * np.pi / 360.0
+    ranges = np.where(angles < np.pi, 2.0, 5.0)
+    links = ranges == np.roll(ranges, -1)
+    p, normal, length = find_frontiers(Panorama(angles, ranges, 10.0, 0.01), links, 2.9)
+    np.testing.assert_allclose([length[p[:, 0] < 0.0].sum(), length[p[:, 0] > 0.0].sum()], 3.0, atol=0.01)
+    np.testing.assert_allclose(p[:, 1], PUSH, atol=0.05)
+    np.testing.assert_allclose(normal, np.tile([0.0, -1.0], (len(p), 1)), atol=0.02)
+    assert len(find_frontiers(Panorama(angles, ranges, 10.0, 0.01), links, 3.1)[0]) == 0
+
+
+def test_a_wall_farther_off_than_a_tag_is_seen_has_to_be_looked_at(simulate) -> None:
+    for reach, missed in ((4.0, True), (8.0, False)):
+        world = simulate([[-3.0, 5.0, 3.0, 5.0]])
+        world.tags = dataclasses.replace(world.tags, range=reach)
+        tfg = world.observe(np.array([0.0, 0.0, 0.0]))
+        ahead = (np.abs(tfg.frontiers[:, 1] - 4.7) < 0.05) & (np.abs(tfg.frontiers[:, 0]) < 3.0)
+        assert (tfg.frontier_length[ahead].sum() > 5.5) == missed
+        assert ahead.any() == missed
+
+
+def test_round_the_corner_of_a_face_there_is_another_to_look_at(simulate) -> None:
+    world = simulate([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
+    tfg = world.observe(np.array([0.5, -3.0, 0.0]))
+    ends = tfg.frontier_length == END_LENGTH
+    order = np.argsort(tfg.frontiers[ends, 0])
+    np.testing.assert_allclose(tfg.frontiers[ends][order], [[-0.3, 0.15], [1.3, 0.15]], atol=0.1)
+    np.testing.assert_allclose(tfg.frontier_normal[ends][order], [[-1.0, 0.0], [1.0, 0.0]], atol=0.1)
+    tfg = world.observe(np.array([4.0, 0.5, 0.0]))
+    ends = tfg.frontiers[tfg.frontier_length == END_LENGTH]
+    assert not (np.hypot(*(ends - [1.3, 0.15]).T) < 0.2).any()
+
+
+def test_a_goal_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth_less(simulate) -> None:
+    """Tags sighted in the open, out of range and behind a wall; none is mapped ever."""
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]])
+    p = np.array([[3.0, 0.0], [15.0, 0.0], [0.5, 4.0]])
+    ghosts = Sightings(np.array([10_000, 10_001, 10_002]), p, p - [1.0, 0.0])
+    at = p - [0.3, 0.0]
+
+    def length(tfg) -> list[float]:
+        distance = np.hypot(*(tfg.frontiers[:, None] - at).transpose(2, 0, 1))
+        assert (distance.min(axis=0) < 1e-9).all()
+        return tfg.frontier_length[distance.argmin(axis=0)].tolist()
+
+    tfg = world.observe(np.zeros(3), ghosts)
+    assert len(world.graph.tried_count) == 0
+    np.testing.assert_allclose(length(tfg), [1.0, 1.0, 1.0])
+    np.testing.assert_allclose(length(world.observe(np.zeros(3))), [4 / 9, 1.0, 1.0])
+    np.testing.assert_allclose(length(world.observe(np.zeros(3))), [1 / 9, 1.0, 1.0])
+
+
+def test_only_openings_that_the_robot_fits_through_and_that_were_tried_often_enough_are_given_up(simulate) -> None:
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]])
+    world.observe(np.zeros(3))
+    # A wide one, a narrow one, and another wide one that was tried less often.
+    p = np.array([[0.0, -5.0], [0.4, -5.0], [4.0, -5.0], [-5.0, 0.0], [-5.0, 0.4]])
+    n = len(p)
+    shadows = points_of(0, p, np.tile([0.0, 1.0], (n, 1)), np.full(n, 0.3))
+    graph = replace(world.graph, shadows=shadows, tried=shadows, tried_count=np.array([3, 3, 3, 2, 2]))
+    tfg = resolve(graph, world.estimate, RobotConfig(), ExplorerConfig(frontier_attempts=3))
+    np.testing.assert_allclose(tfg.given_up, p[:2], atol=1e-9)
+    np.testing.assert_allclose(tfg.given_up_length, 0.3)
+
+
+def test_what_is_seen_twice_is_mapped_once(two_rooms) -> None:
+    two_rooms.tags = dataclasses.replace(two_rooms.tags, range=0.0)
+    totals = []
+    for X_WA in ([2.0, 3.0, 0.3], [2.1, 3.0, 0.3], [2.0, 3.1, 2.0]):
+        segments = two_rooms.observe(np.array(X_WA)).segments
+        totals.append(np.hypot(*(segments[:, 2:] - segments[:, :2]).T).sum())
+    assert max(totals) < 1.1 * totals[0]
+
+
+def test_what_is_left_of_a_broken_edge_moves_with_the_landmark_beside_it(simulate) -> None:
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]], spacing=3.0)
+    world.observe(np.array([0.0, 0.0, 0.0]))
+    world.walls = np.array([[-3.0, 2.0, -0.5, 2.0], [0.5, 2.0, 3.0, 2.0]])
+    world.observe(np.array([0.1, 0.0, 1.0]))
+    e = world.estimate
+    p_ML = e.p_ML + np.where(e.p_ML[:, [0]] < 0.0, [0.0, 0.3], 0.0)
+    tfg = resolve(world.graph, replace(e, p_ML=p_ML), RobotConfig(), ExplorerConfig())
+    ends = tfg.segments.reshape(-1, 2)
+    np.testing.assert_allclose(ends[:, 1], np.where(ends[:, 0] < 0.0, 2.3, 2.0), atol=0.1)
+
+
+def test_a_tag_without_a_surface_faces_where_it_was_seen_from(simulate) -> None:
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]])
+    world.p_WT, world.normal = np.vstack([world.p_WT, [1.0, -3.0]]), np.vstack([world.normal, [0.0, 1.0]])
+    tfg = world.observe(np.array([0.0, 0.0, 2.0]))
+    np.testing.assert_allclose(tfg.facing[-1], np.array([-1.0, 3.0]) / np.sqrt(10.0), atol=1e-9)

@@ -129,6 +129,9 @@ def test_bad_map_server_files_are_refused_in_one_line(tmp_path):
     assert message(good.replace("pgm", "pgm.gz")).startswith(f"{file}: image: {tmp_path / 'map.pgm.gz'} is not a read")
     Image.fromarray(np.zeros((5, 5), dtype=np.uint8)).save(tmp_path / "map.pgm")
     assert message(good) == f"{file}: no free space in the image; check negate and free_thresh"
+    assert message(good + "free_thresh: 196\n") == (
+        f"{file}: free_thresh: must be greater than 0 and at most 1, is 196"
+    )
     assert message(good.replace("0.1", "-0.1")) == (
         f"{file}: resolution: must be greater than 0 metres per cell, is -0.1"
     )

@@ -49,6 +49,10 @@ def test_distance_to_walls():
             "world.start: not a finite number; write [x, y, yaw] in metres and radians",
         ),
         (
+            make_world([[0, 0, 10, 0], [10, 0, 10, 8]], start=[5, 18.1, 0]),
+            "world.start: (5, 18.1) is far from the walls, which reach from (0, 0) to (10, 8); start between them",
+        ),
+        (
             make_world([[5, 5, 6, 6], [-1, 0.1, 1, 0.1]]),
             "world.start: (0, 0) is inside a wall: 0.100 m from world.walls[1], the robot's radius is 0.18 m;"
             " start further away",

@@ -48,7 +48,8 @@ class Budget:
         return math.isfinite(self.time) or math.isfinite(self.distance)
 
     def __str__(self) -> str:
-        parts = [f"{left:.0f} {unit}" for left, unit in ((self.time, "s"), (self.distance, "m")) if left < math.inf]
+        limits = ((max(self.time, 0.0), "s"), (max(self.distance, 0.0), "m"))
+        parts = [f"{left:.0f} {unit}" for left, unit in limits if left < math.inf]
         return " and ".join(parts)
 
 

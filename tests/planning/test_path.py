@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from tests.planning.test_roadmap import ROBOT
+from tfg_drake.messages import LaserScan, replace
+from tfg_drake.planning.path import path_is_free, shortcut, unmapped_obstacles
+from tfg_drake.planning.roadmap import in_free_space
+from tfg_drake.tfg.graph import empty_map
+
+
+def returns(distance, bearing=0.0, stamp=1.0):
+    angles = bearing + np.linspace(-0.05, 0.05, 9)
+    return LaserScan(stamp, angles, np.full(9, distance), 10.0, 0.015)
+
+
+@pytest.mark.parametrize(("distance", "free"), [(1.5, False), (2.5, True)])
+def test_a_path_is_watched_from_the_robot_on_two_metres_ahead(distance, free):
+    path = np.stack([np.linspace(0.0, 6.0, 61), np.zeros(61)], axis=1)
+    X_MB = np.array([3.0, 0.0, 0.0])
+    assert path_is_free(path, returns(distance), X_MB, ROBOT.radius, np.zeros((0, 4))) == free
+
+
+def test_returns_of_one_obstacle_are_joined_and_those_of_mapped_walls_are_none():
+    path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
+    wall = np.array([[1.0, 0.8, 2.0, 0.8]])
+    angles = np.concatenate([np.linspace(-0.1, 0.1, 5), [0.49]])
+    scan = LaserScan(0.0, angles, np.append(np.full(5, 1.5), 1.7), 10.0, 0.015)
+    for mapped, count in ((wall, 5), (np.zeros((0, 4)), 6)):
+        met = unmapped_obstacles(path, scan, np.zeros(3), ROBOT.radius, mapped)
+        assert len(met) == count
+        length = np.hypot(*(met[:, 2:] - met[:, :2]).T)
+        np.testing.assert_allclose(length[:4], 2 * 1.5 * np.sin(0.025), rtol=1e-6)
+        assert not length[4:].any()
+
+
+def test_a_shortcut_does_not_lead_through_what_was_never_seen():
+    corridors = np.array(
+        [[-1.0, -0.5], [3.5, -0.5], [3.5, 0.5], [-1.0, 0.5], [2.5, -0.5], [3.5, -0.5], [3.5, 4.0], [2.5, 4.0]]
+    )
+    tfg = replace(
+        empty_map(),
+        star_offsets=np.array([0, 4, 8]),
+        star_vertices=corridors,
+        star_centers=np.array([[0.0, 0], [3, 0]]),
+    )
+    short = shortcut(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]), tfg, np.zeros((0, 4)), 0.35)
+    assert in_free_space(np.hstack([short[:-1], short[1:]]), tfg).all()
