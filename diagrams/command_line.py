@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import sys
+import threading
 from typing import NoReturn
 
 
@@ -16,9 +18,13 @@ def bad_input(message: str) -> NoReturn:
 
 
 def wait_for_enter() -> None:
-    """Until the user presses Enter or Ctrl-C."""
+    """Until the user presses Enter or Ctrl-C; without a keyboard, until Ctrl-C."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        input("The scene stays open; press Enter to close it. ")
+        if sys.stdin.isatty():
+            input("The scene stays open; press Enter to close it. ")
+        else:
+            print("The scene stays open until Ctrl-C.", flush=True)
+            threading.Event().wait()
     except (EOFError, KeyboardInterrupt):
         print()

@@ -154,7 +154,7 @@ class ProgressDisplay:
 
             self._live.update(Text(progress_line(progress), no_wrap=True, overflow="ellipsis"))
         elif time.monotonic() >= self._next_line or progress.outcome:
-            self._next_line += LINE_INTERVAL
+            self._next_line = time.monotonic() + LINE_INTERVAL
             try:
                 print(progress_line(progress), flush=True)
             except BrokenPipeError:

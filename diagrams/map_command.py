@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,8 +45,7 @@ def view(map_file: MapArgument) -> None:
 
     with serve(_page(_load(map_file), map_file)) as address:
         print(f"Meshcat: {address}", flush=True)
-        if sys.stdin.isatty() and sys.stdout.isatty():
-            wait_for_enter()
+        wait_for_enter()
 
 
 @map_app.command()

@@ -87,7 +87,7 @@ def FindMethod(name_or_path: str) -> Method:
     module = importlib.util.module_from_spec(specification)
     try:
         specification.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise MethodError(f"{name_or_path}: cannot be imported: {type(error).__name__}: {error}") from error
     if not callable(getattr(module, "MakeExplorer", None)):
         raise MethodError(

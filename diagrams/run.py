@@ -73,6 +73,8 @@ STAGE_FIELDS = (
 # Time between two looks at the mission, s, simulated or real; a stage takes several times as long.
 STEP = 1.0
 REAL_STEP = 0.25
+# Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
+AREA_INTERVAL = 5.0
 # A robot that observes this near to its goal was there, m.
 AT_GOAL = 0.3
 
@@ -207,7 +209,7 @@ class Mission:
         self.stage_cpu: dict[int, float] = {}
         self.wall_time = self.cpu_time = self.estimator_cpu = self.planner_cpu = 0.0
         self._choice: GoalChoice | None = None
-        self._area = 0.0
+        self._area, self._next_area = 0.0, 0.0
 
     def run(
         self,
@@ -223,21 +225,21 @@ class Mission:
             self._build()
             self._simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
             self._simulator.Initialize()
-            self._observe(write, on_progress is not None)
+            self._observe(write)
             terminated = False
             while not self._ended(interrupted, max_time):
                 step = REAL_STEP if self.robot.real else STEP
                 boundary = step * (math.floor(self.time / step) + 1.0)
                 status = self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
                 terminated = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
-                self._observe(write, on_progress is not None)
+                self._observe(write)
                 if on_progress is not None:
                     on_progress(self._progress(time.monotonic() - wall_start))
             if not terminated:
                 # A mission that ends by itself does all that is due at its last instant; so that a recording of any
                 # gives the same once more, whatever ended it then and ends it now, so does every other.
                 self._simulator.AdvancePendingEvents()
-                self._observe(write, on_progress is not None)
+                self._observe(write)
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             self.outcome = "fault"
             first_line = next(iter(str(error).strip().splitlines()), "no message")
@@ -314,17 +316,12 @@ class Mission:
             self.outcome, self.reason = "time_limit", "the recording has ended"
         return bool(self.outcome)
 
-    def _observe(self, write: Callable[[str], object], measure_area: bool) -> None:
+    def _observe(self, write: Callable[[str], object]) -> None:
         """Take note of where the mission stands."""
         self.status = self._eval(self._explorer, "mission", MissionStatus)
         self.pose = self._eval(self._explorer, "pose", PoseEstimate)
-        tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
+        self.tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
         self.grid = self._look("grid", GridMap)
-        if measure_area and tfg is not None and tfg is not self.tfg:
-            self._area = covered_area(tfg.star_offsets, tfg.star_vertices, cell=0.25)
-        elif measure_area and self.grid is not None:
-            self._area = float(np.count_nonzero(classify(self.grid) == FREE)) * self.grid.resolution**2
-        self.tfg = tfg
         record = None
         if estimate is not None and estimate.stage > len(self.stages):
             record = self._stage_record(estimate)
@@ -384,8 +381,18 @@ class Mission:
             X_WB = compose(self.X_WM, pose_at(self.pose, self.time))
             error = float(np.linalg.norm(X_WB[:2] - self.truth.position(self._context)))
         landmarks = len(self.map.ids) if self.map is not None else 0
+        if self.outcome or wall_time >= self._next_area:
+            self._area, self._next_area = self._seen_area(), wall_time + AREA_INTERVAL
         status = self.status
         return Progress(self.time, wall_time, status.phase, status.stage, landmarks, self._area, error, self.outcome)
+
+    def _seen_area(self) -> float:
+        """How much of the floor is known to be free, m^2."""
+        if self.tfg is not None:
+            return covered_area(self.tfg.star_offsets, self.tfg.star_vertices, cell=0.25)
+        if self.grid is not None:
+            return float(np.count_nonzero(classify(self.grid) == FREE)) * self.grid.resolution**2
+        return 0.0
 
     def _look(self, port: str, kind: type) -> Any:
         """The explorer's message, None where its method has no such port."""
@@ -415,7 +422,10 @@ def MakeMissionDiagram(
     """
     builder = DiagramBuilder()
     station = builder.AddNamedSystem("station", robot.MakeStation(scenario))
-    explorer = builder.AddNamedSystem("explorer", MakeExplorer(scenario))
+    explorer = MakeExplorer(scenario)
+    if not isinstance(explorer, System):
+        raise TypeError(f"MakeExplorer must return the explorer's Diagram, not {type(explorer).__name__}")
+    builder.AddNamedSystem("explorer", explorer)
 
     for output, name in (
         ("base.odometry", "odometry"),

@@ -298,6 +298,10 @@ def ApplyWorldFile(
     return result
 
 
+# What tells a map_server file from a scenario.
+_MAP_KEYS = frozenset({"image", "resolution", "occupied_thresh", "free_thresh"})
+
+
 def _IsScenario(path: Path) -> bool:
     """Whether a world file is a scenario (or a shipped scenario's name), and not a map to import."""
     if not path.is_file():
@@ -305,7 +309,7 @@ def _IsScenario(path: Path) -> bool:
     if path.suffix not in (".yaml", ".yml"):
         return False
     tree = _Parse(_ReadText(path), str(path))
-    return not (isinstance(tree, dict) and "image" in tree)
+    return not (isinstance(tree, dict) and _MAP_KEYS & tree.keys())
 
 
 def _ReadText(path: Path) -> str:

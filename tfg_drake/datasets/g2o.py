@@ -9,6 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError
@@ -51,7 +53,9 @@ def read_g2o(path: Path) -> PoseGraph:
     edges, sightings = rows["EDGE_SE2"], rows["EDGE_SE2_XY"]
     if not edges and not sightings:
         raise DatasetError(f"{path}: no edge in it; a graph without measurements cannot be solved")
-    for _, (i, j), _numbers in edges:
+    for number, (i, j), _numbers in edges:
+        if i == j:
+            raise DatasetError(f"{path}, line {number}: an edge from {i} to itself; it ties nothing")
         poses.setdefault(i, [np.nan] * 3)
         poses.setdefault(j, [np.nan] * 3)
     for _, (i, j), _numbers in sightings:
@@ -64,6 +68,7 @@ def read_g2o(path: Path) -> PoseGraph:
     for i in fixed:
         if i not in poses:
             raise DatasetError(f"{path}: FIX {i} names no pose; only poses can be fixed")
+    _check_tied(path, [row[1] for row in edges + sightings], fixed)
     pose_ids, landmark_ids = sorted(poses), sorted(landmarks)
     return PoseGraph(
         pose_ids=np.array(pose_ids, dtype=np.int64),
@@ -78,6 +83,18 @@ def read_g2o(path: Path) -> PoseGraph:
         p_BL=np.array([row[2][:2] for row in sightings]).reshape(-1, 2),
         sighting_information=_informations(path, sightings, 2),
     )
+
+
+def _check_tied(path: Path, ties: list[list[int]], fixed: list[int]) -> None:
+    """Raises DatasetError where a part of the graph (pairs of ids) could lie anywhere."""
+    ids, index = np.unique(np.array(ties), return_inverse=True)
+    i, j = index.reshape(-1, 2).T
+    _, part = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(ids), len(ids))), directed=False)
+    held = part[np.isin(ids, fixed)] if fixed else part[:1]
+    loose = ids[~np.isin(part, held)]
+    if len(loose):
+        to = "a fixed pose" if fixed else f"vertex {ids[0]}"
+        raise DatasetError(f"{path}: nothing ties vertex {loose[0]} to {to}; add an edge, or FIX a pose of its part")
 
 
 def write_g2o(path: Path, graph: PoseGraph) -> None:

@@ -80,7 +80,7 @@ def choose(
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
     looked = previous.looked_again
-    spent = "budget", f"{budget} of the budget are left: too little for another goal."
+    spent = "budget", f"{budget} of the budget were too little for another goal."
     if best >= 0:
         node, verdict = int(candidates.nodes[best]), "goal"
         rate = gains.gain[best] / (candidates.time[best] + stay)

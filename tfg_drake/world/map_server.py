@@ -110,8 +110,11 @@ def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
         raise WorldError(f"{path}: negate: expected 0 or 1, found {negate!r}")
     if tree.get("mode", "trinary") not in ("trinary", "scale"):
         raise WorldError(f"{path}: mode: expected trinary or scale, found {tree['mode']!r}")
+    free_thresh = _number(path, tree, "free_thresh", 0.196)
+    if not 0.0 < free_thresh <= 1.0:
+        raise WorldError(f"{path}: free_thresh: must be greater than 0 and at most 1, is {free_thresh:g}")
     occupancy = shade if negate else 1.0 - shade
-    return np.asarray((occupancy < _number(path, tree, "free_thresh", 0.196)) & known)[::-1]
+    return np.asarray((occupancy < free_thresh) & known)[::-1]
 
 
 def _borders(free: BoolArray) -> list[IntArray]:

@@ -28,6 +28,8 @@ class World:
 
 # No building covers more than this, m^2; its cells would not fit into memory.
 LARGEST = 2.5e5
+# A robot that starts farther outside the walls, m, sees none of them.
+OUTSIDE = 10.0
 
 
 def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
@@ -64,6 +66,13 @@ def check_world(world: World, robot_radius: float) -> None:
     if not np.isfinite(world.start).all():
         raise WorldError("world.start: not a finite number; write [x, y, yaw] in metres and radians")
     if len(world.walls):
+        corners = world.walls.reshape(-1, 2)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        if (np.maximum(low - world.start[:2], world.start[:2] - high) > OUTSIDE).any():
+            raise WorldError(
+                f"world.start: ({world.start[0]:g}, {world.start[1]:g}) is far from the walls, which reach from"
+                f" ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}); start between them"
+            )
         distance = wall_distance(world.start[:2], world.walls)
         nearest = int(np.argmin(distance))
         if distance[nearest] < robot_radius:
