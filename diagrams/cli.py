@@ -122,8 +122,11 @@ def explore(
             if value is not None:
                 setattr(loaded.hardware, link, value)
     if out is not None:
+        explore_command.check_kept(out, replayed)
         _make_writable(out)
     explorer = _find_method(method, loaded)
+    if robot == "sim" and not loaded.world.tags:
+        print("There is no tag in this world: nothing tells where its walls are; --tag-spacing places some", flush=True)
     meshcat = None if headless else explore_command.start_meshcat()
     _announce_compilation()
 
@@ -137,7 +140,7 @@ def explore(
                 method=explorer,
                 robot=driven,
                 name=explore_command.run_name(scenario, world, robot),
-                world_name=str(world or scenario) if robot == "sim" else "unknown",
+                world_name=str(world or scenario) if driven.world_known else "unknown",
                 meshcat=meshcat,
                 realtime_rate=realtime_rate,
                 max_time=max_time,

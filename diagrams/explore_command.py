@@ -50,6 +50,18 @@ def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any],
         bad_input("--realtime-rate: a real robot's time is real; leave it out")
 
 
+def check_kept(out: Path, replayed: str | None) -> None:
+    """Raises BadInput where a run in the folder would be lost that nothing brings back."""
+    from tfg_drake.config import ROBOTS
+    from tfg_drake.port_recording import recorded_robot
+
+    if replayed is not None and out.resolve() == Path(replayed).resolve():
+        bad_input(f"--out {out}: holds the run that is replayed; name another folder")
+    robot = recorded_robot(out)
+    if robot in ROBOTS:
+        bad_input(f"--out {out}: holds the run of a real robot ({robot}), which nothing brings back; name another")
+
+
 @contextlib.contextmanager
 def open_robot(
     name: str,
@@ -75,12 +87,18 @@ def open_robot(
 
     if name.startswith("replay:"):
         from tfg_drake.diagrams.replay_station import ReplayRobot
+        from tfg_drake.diagrams.scenario import LoadScenario
         from tfg_drake.port_recording import RecordingError, read_recording
 
+        folder = Path(name.removeprefix("replay:"))
         try:
-            yield ReplayRobot(read_recording(Path(name.removeprefix("replay:")))), scenario
+            robot = ReplayRobot(read_recording(folder))
         except RecordingError as error:
             bad_input(f"--robot replay: {error}")
+        of_run = folder / "scenario.yaml"
+        if robot.world_known and scenario.world != LoadScenario(of_run).world:
+            bad_input(f"--robot {name}: that run's world is another; leave the scenario out, or base it on {of_run}")
+        yield robot, scenario
         return
     with contextlib.ExitStack() as stack:
         try:

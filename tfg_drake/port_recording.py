@@ -258,6 +258,15 @@ def read_recording(path: Path) -> PortRecording:
     return PortRecording(path, robot, log_times, messages, end / _NS, whole)
 
 
+def recorded_robot(folder: Path) -> str:
+    """The robot whose run a folder holds the recording of; "" where there is none that can be read."""
+    try:
+        found = (record for record in _records(folder / FILE_NAME) if isinstance(record, Metadata))
+        return str(next(found).metadata.get("robot", ""))
+    except Exception:  # Anything may come of bytes that are not what they should be.
+        return ""
+
+
 def _records(path: Path) -> Iterator[Any]:
     """The records of an MCAP file up to where it ends, or ends too early."""
     size = path.stat().st_size

@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from tfg_drake.port_recording import PortWriter
+
 ROBOTS = "kobuki, ros2, rosbridge"
 SOCKETS = ["--tags", "socket:127.0.0.1:1", "--scan", "socket:127.0.0.1:1"]
 
@@ -49,9 +51,26 @@ def test_a_run_is_driven_through_once_more(call, tmp_path):
     assert code == 0
     summary = json.loads(out.splitlines()[-1])
     assert (summary["outcome"], summary["reason"]) == ("time_limit", "the recording has ended")
+    assert summary["world"] == str(first / "scenario.yaml")
     for name in ("map.npz", "trajectory.tum", "stages.jsonl"):
         assert (first / name).read_bytes() == (second / name).read_bytes()
+    before = (first / "ports.mcap").read_bytes()
+    code, _, err = call("explore", "--robot", f"replay:{first}", "--headless", "--out", str(first / "." / ""))
+    assert (code, err) == (2, f"tfg-drake: --out {first}: holds the run that is replayed; name another folder\n")
+    assert (first / "ports.mcap").read_bytes() == before
+    code, _, err = call("explore", "corridor", "--robot", f"replay:{first}", "--headless", "--out", str(second))
+    line = f"that run's world is another; leave the scenario out, or base it on {first / 'scenario.yaml'}"
+    assert (code, err) == (2, f"tfg-drake: --robot replay:{first}: {line}\n")
     (first / "ports.mcap").unlink()
     code, _, err = call("explore", "--robot", f"replay:{first}", "--headless", "--out", str(second))
     line = f"--robot replay: {first / 'ports.mcap'}: no such file; name the folder of a run that was recorded"
     assert (code, err) == (2, f"tfg-drake: {line}\n")
+
+
+def test_what_a_real_robot_recorded_is_not_written_over(call, tmp_path):
+    PortWriter(tmp_path / "ports.mcap", "kobuki").close()
+    before = (tmp_path / "ports.mcap").read_bytes()
+    code, _, err = call("explore", "house", "--headless", "--max-time", "1", "--out", str(tmp_path))
+    line = f"--out {tmp_path}: holds the run of a real robot (kobuki), which nothing brings back; name another"
+    assert (code, err) == (2, f"tfg-drake: {line}\n")
+    assert (tmp_path / "ports.mcap").read_bytes() == before
