@@ -92,7 +92,7 @@ def _page(saved: SavedMap, path: Path) -> str:
     from tfg_drake.mapfile.viewer import ViewerMissing, scene_page
 
     rows = dict(map_rows(saved, path.stat().st_size))
-    figures = [("goals", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
+    figures = [("goals and glances", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
     figures += [(name, rows[name]) for name in ("free space", "frontiers")]
     try:
         return scene_page(saved, path.name, figures)
