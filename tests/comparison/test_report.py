@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import io
 import json
 import re
@@ -68,6 +69,13 @@ def test_tables(comparison):
         ["b", "3", "stuck"],
     ]
     assert found["Runs that did not complete"].rows[1][3] == "killed by SIGKILL"
+
+
+def test_what_the_time_limit_ended_is_said_to_have_taken_it(comparison):
+    limit = "What the time limit ended counts as it was then, with the limit as its time."
+    assert limit not in markdown(comparison, [])
+    cut = run("b", 2, outcome="time_limit", sim_time_s=90.0)
+    assert limit in markdown(dataclasses.replace(comparison, runs=[*comparison.runs[:6], cut]), [])
 
 
 def test_the_page_needs_nothing_else(comparison):

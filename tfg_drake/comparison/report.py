@@ -93,6 +93,8 @@ def tables(comparison: Comparison) -> list[Table]:
     if rest:
         rows = [[run.method, str(run.seed), run.outcome, run.reason] for run in rest]
         note = "The folder of each holds its log. Of failed runs and faults nothing is counted above."
+        if any(run.outcome == "time_limit" for run in rest):
+            note += " What the time limit ended counts as it was then, with the limit as its time."
         found.append(Table("Runs that did not complete", note, ("method", "seed", "outcome", "why"), rows))
     return found
 
