@@ -255,9 +255,9 @@ def find_open_ends(
 
 def in_front(p: FloatArray, normal: FloatArray, segments: FloatArray, distance: float) -> FloatArray:
     """Points (n, 2) a distance (m) in front of surface points p (n, 2) with unit normals (n, 2), nearer in a narrow
-    place. segments: (m, 4) all surfaces, in the same frame, m."""
-    opposite = np.hstack([p + NARROW_SHARE * distance * normal, p + NARROW * normal])
-    narrow = clearance(opposite, segments, 1e-6) == 0.0
+    place. segments: (m, 4) all surfaces, their fronts on the left, in the same frame, m."""
+    # Their own surface may have been mapped again a little nearer: its front is not opposite.
+    narrow = enter(np.hstack([p + NARROW_SHARE * distance * normal, p + NARROW * normal]), segments)
     return np.asarray(p + np.where(narrow, NARROW_SHARE, 1.0)[:, None] * distance * normal)
 
 
