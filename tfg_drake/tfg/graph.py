@@ -492,13 +492,14 @@ def _count_attempts(
         points = live_frontiers(graph, estimate, segments, explorer)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
-        # A surface must be looked at from its front, as a tag on it must.
+        # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
+        # looks into what lies behind.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
         clear = line_of_sight(segments, center, points.p)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
         looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
-        return np.asarray(points.p[(distance <= reach) & ~(points.on_surface & slant) & clear & looked])
+        return np.asarray(points.p[(distance <= reach) & ~slant & clear & looked])
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
     then, failed = in_view(before, goals), in_view(after, None if goals is None else np.append(goals, after.stage - 1))
