@@ -70,10 +70,14 @@ def draw_run(
     figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
 
     if world is not None:
-        lines = LineCollection(list(world.walls.reshape(-1, 2, 2)), colors=_WALL, linewidths=3.0, label="true wall")
-        axes.add_collection(lines)
+        # Grey and wide below lines, but a thin colour on the grey of cells.
+        color, width = (_WALL, 3.0) if grid is None else (_BARE, 1.0)
+        walls = list(world.walls.reshape(-1, 2, 2))
+        axes.add_collection(LineCollection(walls, colors=color, linewidths=width, label="true wall"))
     if grid is not None:
         draw_grid(axes, X_WM, grid)
+        for color, label in (("black", "occupied cell"), ("white", "free cell"), ("0.5", "unknown cell")):
+            axes.plot([], [], "s", color=color, markeredgecolor="0.5", markersize=6, label=label)
     mapped = np.zeros(0, dtype=np.int64)
     if tfg is not None:
         draw_surfaces(axes, X_WM, tfg)
