@@ -182,8 +182,18 @@ def test_a_fault_ends_with_one_line_and_exit_code_3(call, room, tmp_path):
     broken = tmp_path / "broken.py"
     broken.write_text("def MakeExplorer(scenario):\n    raise ValueError('no way\\nmore')\n")
     code, out, err = call("explore", room, "--method", str(broken), "--headless", "--out", str(tmp_path))
-    assert (code, out.splitlines()[0]) == (3, "outcome     fault: ValueError at 0.00 s: no way")
+    remark, outcome = out.splitlines()[:2]
+    assert remark == "There is no tag in this world: nothing tells where its walls are; --tag-spacing places some"
+    assert (code, outcome) == (3, "outcome     fault: ValueError at 0.00 s: no way")
     assert err == f"tfg-drake: ValueError at 0.00 s: no way; the traceback is in {tmp_path}/log.txt\n"
+
+
+def test_a_method_that_makes_no_diagram_is_told_so(call, tmp_path):
+    three = tmp_path / "three.py"
+    three.write_text("def MakeExplorer(scenario):\n    return 3\n")
+    code, out, _ = call("explore", "house", "--method", str(three), "--headless", "--out", str(tmp_path / "run"))
+    reason = "TypeError at 0.00 s: MakeExplorer must return the explorer's Diagram, not int"
+    assert (code, out.splitlines()[0]) == (3, f"outcome     fault: {reason}")
 
 
 def test_a_method_that_there_is_not_or_that_lacks_something_is_refused(call, room):
