@@ -126,7 +126,7 @@ def explore(
         _make_writable(out)
     explorer = _find_method(method, loaded)
     if robot == "sim" and not loaded.world.tags:
-        print("There is no tag in this world: nothing tells where its walls are; --tag-spacing places some", flush=True)
+        print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
     meshcat = None if headless else explore_command.start_meshcat()
     _announce_compilation()
 

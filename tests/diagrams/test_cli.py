@@ -183,7 +183,7 @@ def test_a_fault_ends_with_one_line_and_exit_code_3(call, room, tmp_path):
     broken.write_text("def MakeExplorer(scenario):\n    raise ValueError('no way\\nmore')\n")
     code, out, err = call("explore", room, "--method", str(broken), "--headless", "--out", str(tmp_path))
     remark, outcome = out.splitlines()[:2]
-    assert remark == "There is no tag in this world: nothing tells where its walls are; --tag-spacing places some"
+    assert remark == "There is no tag in this world, so no landmark to map; --tag-spacing places some"
     assert (code, outcome) == (3, "outcome     fault: ValueError at 0.00 s: no way")
     assert err == f"tfg-drake: ValueError at 0.00 s: no way; the traceback is in {tmp_path}/log.txt\n"
 

@@ -292,21 +292,26 @@ def test_a_sliver_far_off_promises_more_than_nothing_as_the_robot_finds_its_plac
     assert (goal.exploitation == 0.0).all()
 
 
-def test_far_off_a_place_promises_what_it_did_when_the_robot_was_near():
+def from_near_to_far(**changed):
+    """The choice where all is known jointly, the next, where the northern tag is not any more and the TFG has changed,
+    and which candidates of that are far off, as they see the tag."""
     selector = Selector()
     selector.ready()
     before = selector.goal()
     estimate, tfg = half_known_room()
-    # The northern tag is not known jointly with the robot's pose any more.
     estimate = dataclasses.replace(
         estimate, stage=2, local=np.arange(2), covariance=np.diag([1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
     )
-    selector.ready(map=estimate, tfg=dataclasses.replace(tfg, stage=2), roadmap=roadmap(2),
-                   mission=MissionStatus("choose", 2, 1.0))  # fmt: skip
+    tfg = dataclasses.replace(tfg, stage=2, **changed)
+    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
     after = selector.goal()
+    return before, after, np.hypot(*(roadmap().points[after.candidates] - [0.0, 4.0]).T) <= 5.0
+
+
+def test_far_off_a_place_promises_what_it_did_when_the_robot_was_near():
+    before, after, far = from_near_to_far()
     assert after.stage == 2
     np.testing.assert_array_equal(after.candidates, before.candidates)
-    far = np.hypot(*(roadmap().points[after.candidates] - [0.0, 4.0]).T) <= 5.0
     assert 0 < far.sum() < len(far)
     for name in ("exploitation", "exploration", "pose_price"):
         np.testing.assert_array_equal(getattr(after, name)[far], getattr(before, name)[far])
@@ -461,17 +466,7 @@ def test_denser_landmarks_are_expected_to_bring_more():
 
 
 def test_far_off_a_place_promises_nothing_of_a_frontier_that_is_gone():
-    selector = Selector()
-    selector.ready()
-    before = selector.goal()
-    estimate, tfg = half_known_room()
-    estimate = dataclasses.replace(
-        estimate, stage=2, local=np.arange(2), covariance=np.diag([1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
-    )
-    tfg = dataclasses.replace(tfg, stage=2, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
-    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
-    after = selector.goal()
-    far = np.hypot(*(roadmap().points[after.candidates] - [0.0, 4.0]).T) <= 5.0
+    before, after, far = from_near_to_far(frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
     assert far.any()
     assert (after.exploration[far] == 0.0).all()
     rows = np.searchsorted(before.candidates, after.candidates[far])
