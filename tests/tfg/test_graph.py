@@ -385,6 +385,48 @@ def test_of_two_rooms_that_have_drifted_into_each_other_the_wall_of_the_nearer_s
     assert faces[1 - here] < 0.5
 
 
+@pytest.mark.parametrize("told", [False, True], ids=["nobody can tell", "known to be there"])
+def test_what_was_mapped_another_way_round_says_nothing_of_what_is_here(simulate, told) -> None:
+    """A passage 1 m wide along a room, whose map has drifted by 1 m into the passage."""
+    walls = [[-3.0, 0.2, 3.0, 0.2], [3.0, 0.2, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [-3.0, 3.0, -3.0, 0.2]]
+    walls += [[-8.0, 0.0, 8.0, 0.0], [-8.0, -1.0, 8.0, -1.0], [-1.0, -1.0, -1.0, -0.45]]
+    alone, world = simulate(walls, noise=0.0), simulate(walls, noise=0.0)
+    in_room, in_passage = np.array([-2.0, 1.6, 0.0]), np.array([0.5, -0.5, 0.0])
+    passage = alone.observe(in_passage)
+    world.observe(in_room)
+    shadows = world.graph.shadows
+    of_room = np.isin(np.arange(len(world.p_WT)), sorted(world.mapped))
+    world.error = np.where(of_room, -1.0, 0.0)[:, None] * [[0.0, 1.0]]
+    world.sigma = np.where(of_room & (not told), 2.0, 1e-3)
+    world.X_MA = [in_room - np.array([0.0, 1.0, 0.0])]
+    tfg = world.observe(in_passage)
+    graph, ids = world.graph, world.estimate.ids
+    mine = graph.shadows.goal == 1
+    if told:
+        assert mine.sum() < len(alone.graph.shadows.p)
+        assert tfg.facing[of_room[ids]].any(axis=1).any()
+        return
+    # The passage is as if the room were not there, and the other way about.
+    np.testing.assert_array_equal(graph.shadows.p[mine], alone.graph.shadows.p)
+    np.testing.assert_array_equal(graph.shadows.p[~mine], shadows.p)
+    np.testing.assert_array_equal(graph.uninspected.p[graph.uninspected.goal == 1], alone.graph.uninspected.p)
+    np.testing.assert_array_equal(tfg.segments, passage.segments)
+    assert tfg.facing.any(axis=1).tolist() == (~of_room[ids]).tolist()
+    assert {tuple(p) for p in passage.frontiers} <= {tuple(p) for p in tfg.frontiers}
+    assert not graph.tried_count.any()
+    # Where the room lies is told by the next loop.
+    world.X_MA[0] = in_room
+    known = replace(
+        world.estimate,
+        p_ML=world.p_WT[ids],
+        X_MA=np.array(world.X_MA),
+        covariance=1e-6 * np.eye(len(world.estimate.covariance)),
+    )
+    later = resolve(graph, known, RobotConfig(), ExplorerConfig())
+    assert later.facing.any(axis=1).all()
+    assert (later.segments[:, 1] > 0.1).any()
+
+
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
     """In the middle of the left room, to the right: the room goes on behind the borders of the view."""
     tfg = two_rooms.observe(np.array([3.0, 3.0, 0.0]), glance=True)

@@ -45,9 +45,9 @@ from tfg_drake.tfg.frontier import (
     select,
     uninspected_frontiers,
 )
-from tfg_drake.tfg.overlap import standing
+from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, standing
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import segments_of
+from tfg_drake.tfg.polyline import segments_of, taken
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
@@ -183,14 +183,22 @@ def update(
     star_vertices = np.concatenate([graph.star_vertices, star])
     stars = _place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
     newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
+    # Where the map lies over itself, what was mapped another way round says nothing of what is here, nor this of that.
+    otherwise = mapped_otherwise(surfaces, tag_ids, tag_goal, estimate)
+    seen, faces = stars, (surfaces.offsets, placed)
+    if otherwise.landmarks.any():
+        of_goal = np.arange(graph.stage + 1) if goals is None else np.append(goals, goal)
+        mine = np.flatnonzero(~otherwise.goals[of_goal])
+        seen = *taken(mine, *stars[:2]), stars[2][mine]
+        faces = taken(np.flatnonzero(~otherwise.surfaces), *faces)
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
     shadows = _merge(
         graph.shadows,
         points_of(goal, p, normal, length),
         X_MA,
-        lambda points: ~inside_any(points.p, *newest[:2]),
-        lambda points: ~inside_any(points.p, *stars[:2]),
+        lambda points: ~inside_any(points.p, *newest[:2]) | otherwise.goals[points.goal],
+        lambda points: ~inside_any(points.p, *seen[:2]),
         lambda old, new: far_from(new.p, old.p, SAME_FRONTIER),
     )
 
@@ -203,8 +211,8 @@ def update(
         graph.uninspected,
         points_of(goal, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
         X_MA,
-        lambda points: unseen(newest, points),
-        lambda points: unseen(stars, points),
+        lambda points: unseen(newest, points) | otherwise.goals[points.goal],
+        lambda points: unseen(seen, points),
         lambda old, new: far_from(_faces(new), _faces(old), 0.9 * UNINSPECTED_SPACING),
     )
     X_AM = inverse(X_MA[goal])
@@ -215,13 +223,13 @@ def update(
         return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
     backs = unseen_faces(
-        find_unseen_backs(surfaces.offsets, placed, stars[:2], lambda p, normal: drift_between(p, normal, estimate)),
-        UNINSPECTED_SPACING,
+        find_unseen_backs(*faces, seen[:2], lambda p, normal: drift_between(p, normal, estimate)), UNINSPECTED_SPACING
     )
-    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, stars[:2]), END_LENGTH)
+    ends = unseen_faces(find_open_ends(*faces, seen[:2]), END_LENGTH)
 
     def near(points: FrontierPoints) -> BoolArray:
-        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach)
+        in_reach = np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach
+        return np.asarray(in_reach & ~otherwise.goals[points.goal])
 
     def known(points: FrontierPoints) -> BoolArray:
         # How far two faces may have drifted apart is known where the robot is.
@@ -261,22 +269,25 @@ def resolve(
 ) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
 
-    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`), and
-    landmarks that carry nothing else face nowhere: they are not in view where the map has them.
+    Surfaces that have drifted into free space, or were mapped another way round so that nobody can tell where they lie
+    seen from the robot, are left out until they fit again (see `tfg_drake.tfg.overlap`), and landmarks that carry
+    nothing else face nowhere: they are not in view where the map has them.
 
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
     stars = _stars(graph, estimate, goals)
-    pieces, owner, stand = _pieces(graph, estimate, stars, goals)
+    pieces, owner, stand, otherwise = _pieces(graph, estimate, stars, goals)
+    here = stand & ~otherwise.surfaces[owner]
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), pieces, BARE_TAG) >= BARE_TAG
+    bare &= ~otherwise.landmarks
     posts = estimate.ids[bare]
-    drifted = np.setdiff1d(graph.surfaces.ids[owner[~stand]], graph.surfaces.ids[owner[stand]])
-    segments, owner = pieces[stand], owner[stand]
+    drifted = np.setdiff1d(graph.surfaces.ids[owner[~here]], graph.surfaces.ids[owner[here]])
+    segments, elsewhere, owner = pieces[here], pieces[stand & ~here], owner[here]
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
-    facing[np.isin(estimate.ids, drifted)] = 0.0
-    frontier = live_frontiers(graph, estimate, segments, explorer)
-    shadows = _open_shadows(graph, estimate, segments)
+    facing[np.isin(estimate.ids, drifted) | otherwise.landmarks] = 0.0
+    frontier = _live_frontiers(graph, estimate, segments, elsewhere, otherwise, explorer)
+    shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     return TfgMap(
         stage=graph.stage,
@@ -315,15 +326,21 @@ def empty_map() -> TfgMap:
     )
 
 
-def live_frontiers(
-    graph: TfgGraph, estimate: MapEstimate, segments: FloatArray, explorer: ExplorerConfig
+def _live_frontiers(
+    graph: TfgGraph,
+    estimate: MapEstimate,
+    segments: FloatArray,
+    elsewhere: FloatArray,
+    otherwise: MappedOtherwise,
+    explorer: ExplorerConfig,
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m.
+    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m,
+    elsewhere: (e, 4) those that stand but were mapped otherwise.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
-    shadows = _open_shadows(graph, estimate, segments)
+    shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise)
     poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
     poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, segments, UNINSPECTED_STANDOFF))
     points = join(shadows, poorly)
@@ -338,10 +355,20 @@ def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, esti
     return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
-def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains."""
+def _open_shadows(
+    graph: TfgGraph,
+    estimate: MapEstimate,
+    segments: FloatArray,
+    elsewhere: FloatArray,
+    otherwise: MappedOtherwise,
+) -> FrontierPoints:
+    """Frontier points of free space, in the map frame, that no surface explains; one that was mapped otherwise only
+    explains what was seen from there."""
     shadows = place_points(graph.shadows, estimate.X_MA)
-    return select(shadows, open_frontiers(shadows, segments))
+    is_open = open_frontiers(shadows, segments)
+    if len(elsewhere):
+        is_open &= ~otherwise.goals[shadows.goal] | open_frontiers(shadows, elsewhere)
+    return select(shadows, is_open)
 
 
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
@@ -408,14 +435,15 @@ def _stars(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> tu
 
 def _pieces(
     graph: TfgGraph, estimate: MapEstimate, stars: tuple[IntArray, FloatArray, FloatArray], goals: IntArray | None
-) -> tuple[FloatArray, IntArray, BoolArray]:
-    """All pieces of surface (m, 4) in the map frame, the surface each is of (m,), and which stand (m,): the others have
-    drifted into the free space of the stars."""
+) -> tuple[FloatArray, IntArray, BoolArray, MappedOtherwise]:
+    """All pieces of surface (m, 4) in the map frame, the surface each is of (m,), which stand (m,), as the others have
+    drifted into the free space of the stars, and what was mapped otherwise."""
     placed = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, placed)
     of_goal = np.arange(graph.stage) if goals is None else goals
     stand = standing(graph.surfaces, placed, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)
-    return pieces, owner, stand[owner]
+    otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
+    return pieces, owner, stand[owner], otherwise
 
 
 def _place_stars(
@@ -487,9 +515,11 @@ def _count_attempts(
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        pieces, _, stand = _pieces(graph, estimate, _stars(graph, estimate, goals), goals)
-        segments = pieces[stand]
-        points = live_frontiers(graph, estimate, segments, explorer)
+        pieces, owner, stand, otherwise = _pieces(graph, estimate, _stars(graph, estimate, goals), goals)
+        here = stand & ~otherwise.surfaces[owner]
+        segments = pieces[here]
+        points = _live_frontiers(graph, estimate, segments, pieces[stand & ~here], otherwise, explorer)
+        points = select(points, ~otherwise.goals[points.goal])
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody

@@ -2,10 +2,15 @@
 
 Two faces of a wall share no landmark. Until a loop closes, what was mapped from one side may lie in free space that was
 seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one whose
-place relative to the robot is known less well, as the way to it along what ties the map together is longer.
+place relative to the robot is known less well, as the way to it along what ties the map together is longer. And where a
+room was mapped another way round, so that nobody can tell where it lies seen from the passage, it says nothing of what
+the passage is like, drifted into it or not.
 """
 
 from __future__ import annotations
+
+import dataclasses
+import functools
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -13,11 +18,14 @@ from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.geometry.star import looked_through
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
+from tfg_drake.tfg.drift import MOST_DRIFT, drift_from_robot
 from tfg_drake.tfg.surfaces import Surfaces
 
 # A surface this deep in the free space of a goal this near, m, that did not look at its front has drifted into it.
 DEPTH = 0.2
 REACH = 5.0
+# What was mapped on the robot's own way is known within MOST_DRIFT, seen from it, and this a metre, as its heading is.
+SWING = 0.05
 
 
 def standing(
@@ -42,10 +50,63 @@ def standing(
     # As a rule there is nothing of the kind, and how the goals are tied does not matter.
     if not through(np.ones(count), none).any():
         return np.ones(count, dtype=np.bool_)
+    rank = distance_along_map(*_saw(surfaces, tag_ids, tag_goal), star_goal, estimate)
+    return np.asarray(~through(rank[surfaces.goal], rank[star_goal]))
+
+
+@dataclasses.dataclass(frozen=True)
+class MappedOtherwise:
+    """What was mapped another way round than the robot came: seen from it, nobody can tell where that lies.
+
+    landmarks: (n,) of the map, goals: (k,) of the map, surfaces: (s,).
+    """
+
+    landmarks: BoolArray
+    goals: BoolArray
+    surfaces: BoolArray
+
+
+def mapped_otherwise(
+    surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray, estimate: MapEstimate
+) -> MappedOtherwise:
+    """What cannot be told from where the robot is: landmarks, those goals that saw no others of the landmarks known
+    jointly, and the surfaces of either.
+
+    tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
+    """
+    landmarks = _known_badly(estimate)
+    if not landmarks.any():
+        return MappedOtherwise(landmarks, *(np.zeros(len(of), dtype=np.bool_) for of in (estimate.X_MA, surfaces.goal)))
+    known = np.zeros(len(landmarks), dtype=np.bool_)
+    known[estimate.local] = True
+    goal, ids = _saw(surfaces, tag_ids, tag_goal)
+    row = np.searchsorted(estimate.ids, ids)
+    these, others = (
+        np.bincount(goal[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
+    )
+    goals = (these > 0) & (others == 0)
+    carried = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
+    return MappedOtherwise(landmarks, goals, goals[surfaces.goal] | carried)
+
+
+@functools.lru_cache(maxsize=1)
+def _known_badly(estimate: MapEstimate) -> BoolArray:
+    """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it; none where the
+    newest goal saw no landmark."""
+    badly = np.zeros(len(estimate.ids), dtype=np.bool_)
+    if len(estimate.observation.ids):
+        (xx, xy), (_, yy) = drift_from_robot(estimate)[estimate.local].transpose(1, 2, 0)
+        largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+        distance = np.hypot(*(estimate.p_ML[estimate.local] - estimate.X_MD[:2]).T)
+        badly[estimate.local] = largest > (MOST_DRIFT + SWING * distance) ** 2
+    return badly
+
+
+def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray) -> tuple[IntArray, IntArray]:
+    """Goals and landmarks (p,) that they saw, as far as surfaces tell and these landmarks with a goal each, (n,)."""
     goal = np.concatenate([np.repeat(surfaces.goal, 2), tag_goal])
     ids = np.concatenate([surfaces.ids.ravel(), tag_ids])
-    rank = distance_along_map(goal[ids >= 0], ids[ids >= 0], star_goal, estimate)
-    return np.asarray(~through(rank[surfaces.goal], rank[star_goal]))
+    return goal[ids >= 0], ids[ids >= 0]
 
 
 def distance_along_map(goal: IntArray, ids: IntArray, goals: IntArray, estimate: MapEstimate) -> FloatArray:

@@ -20,6 +20,7 @@ from tfg_drake.tfg import graph as tfg_graph
 from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
 from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, empty_map
 from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.polyline import taken
 from tfg_drake.tfg.surfaces import Surfaces
 
 # How far two places that were once next to each other may have been torn apart by a loop that closed, m.
@@ -176,7 +177,7 @@ def joined(graphs: Sequence[TfgGraph], goals: Sequence[IntArray]) -> TfgGraph:
     tag = np.argsort(np.concatenate([graph.tag_ids for graph in graphs]))
     star = np.argsort(np.concatenate(goals))
     surfaces = _chained([graph.surfaces for graph in graphs])
-    star_offsets, star_vertices = _taken(
+    star_offsets, star_vertices = taken(
         star,
         _chained_offsets([graph.star_offsets for graph in graphs]),
         np.concatenate([graph.star_vertices for graph in graphs]),
@@ -201,7 +202,7 @@ def _of_goals(graph: TfgGraph, goals: IntArray, which: BoolArray) -> TfgGraph:
     theirs = np.zeros(int(goals.max(initial=-1)) + 1, dtype=np.bool_)
     theirs[goals[which]] = True
     tags = theirs[graph.tag_goal]
-    star_offsets, star_vertices = _taken(np.flatnonzero(which), graph.star_offsets, graph.star_vertices)
+    star_offsets, star_vertices = taken(np.flatnonzero(which), graph.star_offsets, graph.star_vertices)
     points: dict[str, Any] = {name: select(of, theirs[of.goal]) for name in _POINTS for of in (getattr(graph, name),)}
     return replace(
         graph,
@@ -228,17 +229,10 @@ def _chained(parts: Sequence[Surfaces]) -> Surfaces:
 
 def _surfaces(surfaces: Surfaces, rows: IntArray) -> Surfaces:
     """Some of the surfaces, in this order."""
-    offsets, vertices = _taken(rows, surfaces.offsets, surfaces.vertices)
+    offsets, vertices = taken(rows, surfaces.offsets, surfaces.vertices)
     return Surfaces(
         surfaces.kind[rows], surfaces.ids[rows], surfaces.goal[rows], surfaces.range[rows], offsets, vertices
     )
-
-
-def _taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Offsets and contents of some rows of a packed array, in this order."""
-    count = np.diff(offsets)[rows]
-    taken = np.append(0, np.cumsum(count))
-    return taken, packed[np.repeat(offsets[rows] - taken[:-1], count) + np.arange(taken[-1])]
 
 
 def _chained_offsets(parts: Sequence[IntArray]) -> IntArray:
