@@ -5,7 +5,8 @@ import pytest
 
 from tfg_drake.messages import replace
 from tfg_drake.slam.goal_graph import empty_map
-from tfg_drake.tfg.overlap import distance_along_map, standing
+from tfg_drake.tfg.drift import MOST_DRIFT
+from tfg_drake.tfg.overlap import SWING, distance_along_map, mapped_otherwise, standing
 from tfg_drake.tfg.surfaces import Surfaces
 
 # Goals on the corners of a square of 4 m and a fifth beyond the first; landmarks in the middle and beside the fifth.
@@ -61,3 +62,39 @@ def test_of_two_surfaces_in_each_others_way_that_stands_whose_goal_is_tied_more_
     )
     stand = standing(surfaces, surfaces.vertices, np.array([7]), np.array([2]), (*stars, centers), star_goal, estimate)
     np.testing.assert_array_equal(stand, [*expected, True, True])
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_what_is_known_worse_than_the_way_can_have_made_it_was_mapped_otherwise(share):
+    """Landmark 1 before the robot, 2 and 3 so uncertain 4 m away, 4 not known jointly with it; goals 0 and 1 saw one of
+    each kind, goal 2 the uncertain ones only, goal 3 none that is known."""
+    p_ML = np.array([[1.0, 0.0], [0.0, 4.0], [4.0, 0.0], [4.0, 4.0]])
+    sigma = np.array([0.01, *np.full(2, share * (MOST_DRIFT + 4.0 * SWING))])
+    seen = replace(empty_map().observation, ids=np.array([1]))
+    estimate = replace(
+        empty_map(),
+        ids=np.array([1, 2, 3, 4]),
+        p_ML=p_ML,
+        local=np.arange(3),
+        covariance=np.diag(np.append(np.repeat(sigma, 2), np.zeros(3))) ** 2,
+        X_MA=np.zeros((5, 3)),
+        observation=seen,
+    )
+    surfaces = Surfaces(
+        kind=np.zeros(5, dtype=np.int64),
+        ids=np.array([[1, 2], [1, -1], [2, 3], [-1, -1], [-1, -1]]),
+        goal=np.array([0, 1, 2, 2, 3]),
+        range=np.ones(5),
+        offsets=2 * np.arange(6),
+        vertices=np.zeros((10, 2)),
+    )
+    told = mapped_otherwise(surfaces, np.array([3, 4]), np.array([1, 3]), estimate)
+    otherwise = share > 1.0
+    assert told.landmarks.tolist() == [False, otherwise, otherwise, False]
+    assert told.goals.tolist() == [False, False, otherwise, False, False]
+    assert told.surfaces.tolist() == [otherwise, False, otherwise, otherwise, False]
+    # Who sees no landmark knows nothing well.
+    lost = mapped_otherwise(
+        surfaces, np.array([3, 4]), np.array([1, 3]), replace(estimate, observation=empty_map().observation)
+    )
+    assert not any(of.any() for of in (lost.landmarks, lost.goals, lost.surfaces))
