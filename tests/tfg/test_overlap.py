@@ -70,7 +70,7 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_was_mapped_otherwise(
     each kind, goal 2 the uncertain ones only, goal 3 none that is known."""
     p_ML = np.array([[1.0, 0.0], [0.0, 4.0], [4.0, 0.0], [4.0, 4.0]])
     sigma = np.array([0.01, *np.full(2, share * (MOST_DRIFT + 4.0 * SWING))])
-    seen = replace(empty_map().observation, ids=np.array([1]))
+    seen = replace(empty_map().observation, ids=np.array([1, 9]))
     estimate = replace(
         empty_map(),
         ids=np.array([1, 2, 3, 4]),
@@ -93,7 +93,12 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_was_mapped_otherwise(
     assert told.landmarks.tolist() == [False, otherwise, otherwise, False]
     assert told.goals.tolist() == [False, False, otherwise, False, False]
     assert told.surfaces.tolist() == [otherwise, False, otherwise, otherwise, False]
-    # Who sees no landmark knows nothing well.
+    # What is in view is here, however badly it is known ...
+    seen = replace(seen, ids=np.array([1, 2, 3]))
+    assert not mapped_otherwise(
+        surfaces, np.array([3, 4]), np.array([1, 3]), replace(estimate, observation=seen)
+    ).goals.any()
+    # ... and who sees no landmark knows nothing well.
     lost = mapped_otherwise(
         surfaces, np.array([3, 4]), np.array([1, 3]), replace(estimate, observation=empty_map().observation)
     )

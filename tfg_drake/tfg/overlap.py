@@ -91,14 +91,15 @@ def mapped_otherwise(
 
 @functools.lru_cache(maxsize=1)
 def _known_badly(estimate: MapEstimate) -> BoolArray:
-    """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it; none where the
-    newest goal saw no landmark."""
+    """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it: none of those
+    that the newest goal saw, and none at all where it saw none."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     if len(estimate.observation.ids):
         (xx, xy), (_, yy) = drift_from_robot(estimate)[estimate.local].transpose(1, 2, 0)
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
         distance = np.hypot(*(estimate.p_ML[estimate.local] - estimate.X_MD[:2]).T)
         badly[estimate.local] = largest > (MOST_DRIFT + SWING * distance) ** 2
+        badly &= ~np.isin(estimate.ids, estimate.observation.ids)
     return badly
 
 
