@@ -58,6 +58,8 @@ TRIED_DISTANCE = 0.5
 NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
+# As long as so much frontier is open where the robot is, m, it is not sent to where the map only seems to be open.
+HERE_FIRST = 1.0
 
 
 @message
@@ -286,7 +288,7 @@ def resolve(
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     facing[np.isin(estimate.ids, drifted) | otherwise.landmarks] = 0.0
-    frontier = _live_frontiers(graph, estimate, segments, elsewhere, otherwise, explorer)
+    frontier = _live_frontiers(graph, estimate, segments, elsewhere, otherwise, explorer, _is_part(graph, goals))
     shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     return TfgMap(
@@ -333,9 +335,11 @@ def _live_frontiers(
     elsewhere: FloatArray,
     otherwise: MappedOtherwise,
     explorer: ExplorerConfig,
+    is_part: bool,
 ) -> FrontierPoints:
     """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m,
-    elsewhere: (e, 4) those that stand but were mapped otherwise.
+    elsewhere: (e, 4) those that stand but were mapped otherwise. is_part: of a larger map; then what was mapped
+    otherwise waits as long as anything is open here.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
@@ -346,7 +350,14 @@ def _live_frontiers(
     points = join(shadows, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    return select(replace(points, length=points.length * left**2), left > 0.0)
+    live = select(replace(points, length=points.length * left**2), left > 0.0)
+    here = ~otherwise.goals[live.goal]
+    return select(live, here) if is_part and live.length[here].sum() >= HERE_FIRST else live
+
+
+def _is_part(graph: TfgGraph, goals: IntArray | None) -> bool:
+    """Whether the graph holds the stars of some (k,) of its goals only."""
+    return goals is not None and len(goals) < graph.stage
 
 
 @functools.lru_cache(maxsize=1)
@@ -518,8 +529,8 @@ def _count_attempts(
         pieces, owner, stand, otherwise = _pieces(graph, estimate, _stars(graph, estimate, goals), goals)
         here = stand & ~otherwise.surfaces[owner]
         segments = pieces[here]
-        points = _live_frontiers(graph, estimate, segments, pieces[stand & ~here], otherwise, explorer)
-        points = select(points, ~otherwise.goals[points.goal])
+        elsewhere = pieces[stand & ~here]
+        points = _live_frontiers(graph, estimate, segments, elsewhere, otherwise, explorer, _is_part(graph, goals))
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
