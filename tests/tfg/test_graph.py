@@ -436,6 +436,26 @@ def test_what_was_mapped_another_way_round_says_nothing_of_what_is_here(simulate
     assert (later.segments[:, 1] > 0.1).any()
 
 
+def test_when_a_loop_closes_its_arms_settle_what_was_open(simulate) -> None:
+    """A passage whose parts, until the third goal, nobody can place relative to each other; the view ends at 10 m."""
+    world = simulate([[-30.0, 1.0, 30.0, 1.0], [30.0, -1.0, -30.0, -1.0]], noise=0.0)
+    world.tags = dataclasses.replace(world.tags, range=5.0)
+
+    def open_at() -> set[int]:
+        placed = place_points(world.graph.shadows, np.array(world.X_MA))
+        return {round(float(x)) for x, y in placed.p if abs(y) < 1.0}
+
+    world.observe(np.array([-6.0, 0.0, 0.0]))
+    first = np.isin(np.arange(len(world.p_WT)), sorted(world.mapped))
+    assert open_at() == {-16, 4}
+    world.sigma = np.where(first, 2.0, 1e-3)
+    world.observe(np.array([6.0, 0.0, 0.0]))
+    assert open_at() == {-16, -4, 4, 16}
+    world.sigma = None
+    world.observe(np.array([18.0, 0.0, 0.0]))
+    assert open_at() == {-16, 28}
+
+
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
     """In the middle of the left room, to the right: the room goes on behind the borders of the view."""
     tfg = two_rooms.observe(np.array([3.0, 3.0, 0.0]), glance=True)

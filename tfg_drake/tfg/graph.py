@@ -22,7 +22,7 @@ from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
-from tfg_drake.tfg.drift import drift_between, known_jointly
+from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     SAME_FRONTIER,
@@ -194,12 +194,17 @@ def update(
         seen = *taken(mine, *stars[:2]), stars[2][mine]
         faces = taken(np.flatnonzero(~otherwise.surfaces), *faces)
 
+    def open_still(points: FrontierPoints) -> BoolArray:
+        # Of either arm of a loop that has closed since, the other may have seen what was open.
+        settled = inside_any(points.p, *newest[:2]) | _well_inside(points, seen[:2])
+        return np.asarray(~settled | otherwise.goals[points.goal])
+
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
     shadows = _merge(
         graph.shadows,
         points_of(goal, p, normal, length),
         X_MA,
-        lambda points: ~inside_any(points.p, *newest[:2]) | otherwise.goals[points.goal],
+        open_still,
         lambda points: ~inside_any(points.p, *seen[:2]),
         lambda old, new: far_from(new.p, old.p, SAME_FRONTIER),
     )
@@ -353,6 +358,13 @@ def _live_frontiers(
     live = select(replace(points, length=points.length * left**2), left > 0.0)
     here = ~otherwise.goals[live.goal]
     return select(live, here) if is_part and live.length[here].sum() >= HERE_FIRST else live
+
+
+def _well_inside(points: FrontierPoints, stars: tuple[IntArray, FloatArray]) -> BoolArray:
+    """Which frontier points (f,) the stars cover, and what is MOST_DRIFT before and behind them."""
+    return np.asarray(
+        np.all([inside_any(points.p + by * points.normal, *stars) for by in (-MOST_DRIFT, 0.0, MOST_DRIFT)], axis=0)
+    )
 
 
 def _is_part(graph: TfgGraph, goals: IntArray | None) -> bool:
