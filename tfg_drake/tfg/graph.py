@@ -190,21 +190,15 @@ def update(
     seen, faces = stars, (surfaces.offsets, placed)
     if otherwise.landmarks.any():
         of_goal = np.arange(graph.stage + 1) if goals is None else np.append(goals, goal)
-        mine = np.flatnonzero(~otherwise.goals[of_goal])
-        seen = *taken(mine, *stars[:2]), stars[2][mine]
+        seen = _of_goals(stars, ~otherwise.goals[of_goal])
         faces = taken(np.flatnonzero(~otherwise.surfaces), *faces)
-
-    def open_still(points: FrontierPoints) -> BoolArray:
-        # Of either arm of a loop that has closed since, the other may have seen what was open.
-        settled = inside_any(points.p, *newest[:2]) | _well_inside(points, seen[:2])
-        return np.asarray(~settled | otherwise.goals[points.goal])
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
     shadows = _merge(
         graph.shadows,
         points_of(goal, p, normal, length),
         X_MA,
-        open_still,
+        lambda points: ~inside_any(points.p, *newest[:2]) | otherwise.goals[points.goal],
         lambda points: ~inside_any(points.p, *seen[:2]),
         lambda old, new: far_from(new.p, old.p, SAME_FRONTIER),
     )
@@ -293,8 +287,8 @@ def resolve(
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     facing[np.isin(estimate.ids, drifted) | otherwise.landmarks] = 0.0
-    frontier = _live_frontiers(graph, estimate, segments, elsewhere, otherwise, explorer, _is_part(graph, goals))
-    shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise)
+    shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise, stars, goals)
+    frontier = _live_frontiers(graph, estimate, segments, shadows, otherwise, explorer, goals)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     return TfgMap(
         stage=graph.stage,
@@ -337,19 +331,18 @@ def _live_frontiers(
     graph: TfgGraph,
     estimate: MapEstimate,
     segments: FloatArray,
-    elsewhere: FloatArray,
+    shadows: FrontierPoints,
     otherwise: MappedOtherwise,
     explorer: ExplorerConfig,
-    is_part: bool,
+    goals: IntArray | None,
 ) -> FrontierPoints:
     """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m,
-    elsewhere: (e, 4) those that stand but were mapped otherwise. is_part: of a larger map; then what was mapped
+    shadows: those of free space. In a part of a larger map, with the stars of some (k,) of its goals, what was mapped
     otherwise waits as long as anything is open here.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
-    shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise)
     poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
     poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, segments, UNINSPECTED_STANDOFF))
     points = join(shadows, poorly)
@@ -357,6 +350,7 @@ def _live_frontiers(
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
     live = select(replace(points, length=points.length * left**2), left > 0.0)
     here = ~otherwise.goals[live.goal]
+    is_part = goals is not None and len(goals) < graph.stage
     return select(live, here) if is_part and live.length[here].sum() >= HERE_FIRST else live
 
 
@@ -365,11 +359,6 @@ def _well_inside(points: FrontierPoints, stars: tuple[IntArray, FloatArray]) -> 
     return np.asarray(
         np.all([inside_any(points.p + by * points.normal, *stars) for by in (-MOST_DRIFT, 0.0, MOST_DRIFT)], axis=0)
     )
-
-
-def _is_part(graph: TfgGraph, goals: IntArray | None) -> bool:
-    """Whether the graph holds the stars of some (k,) of its goals only."""
-    return goals is not None and len(goals) < graph.stage
 
 
 @functools.lru_cache(maxsize=1)
@@ -384,13 +373,21 @@ def _open_shadows(
     segments: FloatArray,
     elsewhere: FloatArray,
     otherwise: MappedOtherwise,
+    stars: tuple[IntArray, FloatArray, FloatArray],
+    goals: IntArray | None,
 ) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains; one that was mapped otherwise only
-    explains what was seen from there."""
+    """Frontier points of free space, in the map frame, that no surface explains and no star has settled; a surface or
+    star that was mapped otherwise says nothing of what was not. stars: of all goals, or of these (k,)."""
     shadows = place_points(graph.shadows, estimate.X_MA)
+    theirs = otherwise.goals[shadows.goal]
     is_open = open_frontiers(shadows, segments)
     if len(elsewhere):
-        is_open &= ~otherwise.goals[shadows.goal] | open_frontiers(shadows, elsewhere)
+        is_open &= ~theirs | open_frontiers(shadows, elsewhere)
+    if otherwise.landmarks.any():
+        stars = _of_goals(stars, ~otherwise.goals[np.arange(graph.stage) if goals is None else goals])
+    # Of either arm of a loop that has closed since, the other may have seen what was open.
+    ask = is_open & ~theirs
+    is_open[ask] = ~_well_inside(select(shadows, ask), stars[:2])
     return select(shadows, is_open)
 
 
@@ -469,6 +466,14 @@ def _pieces(
     return pieces, owner, stand[owner], otherwise
 
 
+def _of_goals(
+    stars: tuple[IntArray, FloatArray, FloatArray], which: BoolArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The stars of some (k,) of the goals."""
+    rows = np.flatnonzero(which)
+    return *taken(rows, *stars[:2]), stars[2][rows]
+
+
 def _place_stars(
     star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -538,11 +543,12 @@ def _count_attempts(
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        pieces, owner, stand, otherwise = _pieces(graph, estimate, _stars(graph, estimate, goals), goals)
+        stars = _stars(graph, estimate, goals)
+        pieces, owner, stand, otherwise = _pieces(graph, estimate, stars, goals)
         here = stand & ~otherwise.surfaces[owner]
-        segments = pieces[here]
-        elsewhere = pieces[stand & ~here]
-        points = _live_frontiers(graph, estimate, segments, elsewhere, otherwise, explorer, _is_part(graph, goals))
+        segments, elsewhere = pieces[here], pieces[stand & ~here]
+        shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise, stars, goals)
+        points = _live_frontiers(graph, estimate, segments, shadows, otherwise, explorer, goals)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
