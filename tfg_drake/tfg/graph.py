@@ -7,6 +7,7 @@ all anchored to landmarks or goals, so that they move with the map when a loop c
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -276,32 +277,31 @@ def resolve(
 
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
-    stars = _stars(graph, estimate, goals)
-    pieces, owner, stand, otherwise = _pieces(graph, estimate, stars, goals)
-    here = stand & ~otherwise.surfaces[owner]
-    bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), pieces, BARE_TAG) >= BARE_TAG
+    placed = _placed(graph, estimate, goals)
+    otherwise = placed.otherwise
+    bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
     bare &= ~otherwise.landmarks
     posts = estimate.ids[bare]
-    drifted = np.setdiff1d(graph.surfaces.ids[owner[~here]], graph.surfaces.ids[owner[here]])
-    segments, elsewhere, owner = pieces[here], pieces[stand & ~here], owner[here]
+    kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
+    drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     facing[np.isin(estimate.ids, drifted) | otherwise.landmarks] = 0.0
-    shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise, stars, goals)
-    frontier = _live_frontiers(graph, estimate, segments, shadows, otherwise, explorer, goals)
+    shadows = _open_shadows(graph, estimate, placed)
+    frontier = _live_frontiers(graph, estimate, placed, shadows, explorer)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     return TfgMap(
         stage=graph.stage,
-        segments=np.vstack([segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
-        segment_kind=np.append(graph.surfaces.kind[owner], np.full(len(posts), END)),
-        segment_ids=np.vstack([graph.surfaces.ids[owner], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
+        segments=np.vstack([placed.segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
+        segment_kind=np.append(kind[placed.here], np.full(len(posts), END)),
+        segment_ids=np.vstack([ids[placed.here], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
         facing=facing,
         frontiers=frontier.p,
         frontier_length=frontier.length,
         frontier_normal=frontier.normal,
-        star_offsets=stars[0],
-        star_vertices=stars[1],
-        star_centers=stars[2],
+        star_offsets=placed.stars[0],
+        star_vertices=placed.stars[1],
+        star_centers=placed.stars[2],
         given_up=given_up.p,
         given_up_length=given_up.length,
         given_up_normal=given_up.normal,
@@ -327,31 +327,59 @@ def empty_map() -> TfgMap:
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class _Placed:
+    """The graph's surfaces and stars where the map estimate puts them.
+
+    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. stand: (m,) which have not
+    drifted into the free space of the stars. here: (m,) which of those were not mapped otherwise either. stars: in the
+    map frame, goals: (k,) those they are of. is_part: they are not all of the map's goals.
+    """
+
+    pieces: FloatArray
+    owner: IntArray
+    stand: BoolArray
+    here: BoolArray
+    otherwise: MappedOtherwise
+    stars: tuple[IntArray, FloatArray, FloatArray]
+    goals: IntArray
+    is_part: bool
+
+    @functools.cached_property
+    def segments(self) -> FloatArray:
+        """The pieces (m, 4) that tell what is here."""
+        return self.pieces[self.here]
+
+
+def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> _Placed:
+    """The graph placed; goals: (k,) those that it holds the stars of, if it is a part of one."""
+    of_goal = np.arange(graph.stage) if goals is None else goals
+    stars = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_goal])
+    vertices = place(graph.surfaces, estimate)
+    pieces, owner = segments_of(graph.surfaces.offsets, vertices)
+    stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)[owner]
+    otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
+    here = stand & ~otherwise.surfaces[owner]
+    return _Placed(pieces, owner, stand, here, otherwise, stars, of_goal, len(of_goal) < graph.stage)
+
+
 def _live_frontiers(
-    graph: TfgGraph,
-    estimate: MapEstimate,
-    segments: FloatArray,
-    shadows: FrontierPoints,
-    otherwise: MappedOtherwise,
-    explorer: ExplorerConfig,
-    goals: IntArray | None,
+    graph: TfgGraph, estimate: MapEstimate, placed: _Placed, shadows: FrontierPoints, explorer: ExplorerConfig
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m,
-    shadows: those of free space. In a part of a larger map, with the stars of some (k,) of its goals, what was mapped
-    otherwise waits as long as anything is open here.
+    """The frontier points in the map frame that are still worth a visit. shadows: those of free space. In a part of a
+    larger map what was mapped otherwise waits as long as anything is open here.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
-    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, segments, UNINSPECTED_STANDOFF))
+    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
     points = join(shadows, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
     live = select(replace(points, length=points.length * left**2), left > 0.0)
-    here = ~otherwise.goals[live.goal]
-    is_part = goals is not None and len(goals) < graph.stage
-    return select(live, here) if is_part and live.length[here].sum() >= HERE_FIRST else live
+    here = ~placed.otherwise.goals[live.goal]
+    return select(live, here) if placed.is_part and live.length[here].sum() >= HERE_FIRST else live
 
 
 def _well_inside(points: FrontierPoints, stars: tuple[IntArray, FloatArray]) -> BoolArray:
@@ -367,24 +395,18 @@ def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, esti
     return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
-def _open_shadows(
-    graph: TfgGraph,
-    estimate: MapEstimate,
-    segments: FloatArray,
-    elsewhere: FloatArray,
-    otherwise: MappedOtherwise,
-    stars: tuple[IntArray, FloatArray, FloatArray],
-    goals: IntArray | None,
-) -> FrontierPoints:
+def _open_shadows(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
     """Frontier points of free space, in the map frame, that no surface explains and no star has settled; a surface or
-    star that was mapped otherwise says nothing of what was not. stars: of all goals, or of these (k,)."""
+    star that was mapped otherwise says nothing of what was not."""
+    otherwise, stars = placed.otherwise, placed.stars
     shadows = place_points(graph.shadows, estimate.X_MA)
     theirs = otherwise.goals[shadows.goal]
-    is_open = open_frontiers(shadows, segments)
-    if len(elsewhere):
-        is_open &= ~theirs | open_frontiers(shadows, elsewhere)
+    is_open = open_frontiers(shadows, placed.segments)
+    elsewhere = placed.stand & ~placed.here
+    if elsewhere.any():
+        is_open &= ~theirs | open_frontiers(shadows, placed.pieces[elsewhere])
     if otherwise.landmarks.any():
-        stars = _of_goals(stars, ~otherwise.goals[np.arange(graph.stage) if goals is None else goals])
+        stars = _of_goals(stars, ~otherwise.goals[placed.goals])
     # Of either arm of a loop that has closed since, the other may have seen what was open.
     ask = is_open & ~theirs
     is_open[ask] = ~_well_inside(select(shadows, ask), stars[:2])
@@ -445,25 +467,6 @@ def _update_facing(
     distance[better] = new_distance[better]
     has = tag_goal >= 0
     return ids[has], tag_goal[has], facing[has], distance[has]
-
-
-def _stars(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The graph's stars in the map frame, those of all its goals or of these (k,)."""
-    X_MA = estimate.X_MA[: graph.stage] if goals is None else estimate.X_MA[goals]
-    return _place_stars(graph.star_offsets, graph.star_vertices, X_MA)
-
-
-def _pieces(
-    graph: TfgGraph, estimate: MapEstimate, stars: tuple[IntArray, FloatArray, FloatArray], goals: IntArray | None
-) -> tuple[FloatArray, IntArray, BoolArray, MappedOtherwise]:
-    """All pieces of surface (m, 4) in the map frame, the surface each is of (m,), which stand (m,), as the others have
-    drifted into the free space of the stars, and what was mapped otherwise."""
-    placed = place(graph.surfaces, estimate)
-    pieces, owner = segments_of(graph.surfaces.offsets, placed)
-    of_goal = np.arange(graph.stage) if goals is None else goals
-    stand = standing(graph.surfaces, placed, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)
-    otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
-    return pieces, owner, stand[owner], otherwise
 
 
 def _of_goals(
@@ -543,18 +546,14 @@ def _count_attempts(
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        stars = _stars(graph, estimate, goals)
-        pieces, owner, stand, otherwise = _pieces(graph, estimate, stars, goals)
-        here = stand & ~otherwise.surfaces[owner]
-        segments, elsewhere = pieces[here], pieces[stand & ~here]
-        shadows = _open_shadows(graph, estimate, segments, elsewhere, otherwise, stars, goals)
-        points = _live_frontiers(graph, estimate, segments, shadows, otherwise, explorer, goals)
+        placed = _placed(graph, estimate, goals)
+        points = _live_frontiers(graph, estimate, placed, _open_shadows(graph, estimate, placed), explorer)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
         # looks into what lies behind.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
-        clear = line_of_sight(segments, center, points.p)
+        clear = line_of_sight(placed.segments, center, points.p)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
         looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range

@@ -209,5 +209,5 @@ def uncovered_runs(
 def taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:
     """Offsets and contents of some rows of a packed array, in this order."""
     count = np.diff(offsets)[rows]
-    taken = np.append(0, np.cumsum(count))
-    return taken, packed[np.repeat(offsets[rows] - taken[:-1], count) + np.arange(taken[-1])]
+    starts = np.append(0, np.cumsum(count))
+    return starts, packed[np.repeat(offsets[rows] - starts[:-1], count) + np.arange(starts[-1])]
