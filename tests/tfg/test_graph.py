@@ -436,6 +436,19 @@ def test_what_was_mapped_another_way_round_says_nothing_of_what_is_here(simulate
     assert (later.segments[:, 1] > 0.1).any()
 
 
+@pytest.mark.parametrize("told", [False, True], ids=["nobody can tell", "known to be there"])
+def test_a_face_is_not_missed_where_one_mapped_another_way_round_may_be_it(simulate, told) -> None:
+    """A wall between two goals that both see the one across its end, too; the far face in its place, or 1 m behind."""
+    world = simulate([[-4.0, 0.0, 4.0, 0.0], [6.0, -4.0, 6.0, 4.0]], noise=0.0)
+    world.observe(np.array([0.0, 2.0, 0.0]))
+    far = world.normal[:, 1] > 0.5
+    world.sigma = np.where(far & (not told), 2.0, 1e-3)
+    world.error = np.where(far & told, 1.0, 0.0)[:, None] * [[0.0, 1.0]]
+    tfg = world.observe(np.array([0.0, -2.0, 0.0]))
+    missed = np.abs(tfg.frontiers - [0.0, 0.3]).max(axis=1) < 2.0
+    assert missed.any() == told
+
+
 def test_when_a_loop_closes_its_arms_settle_what_was_open(simulate) -> None:
     """A passage whose parts, until the third goal, nobody can place relative to each other; the view ends at 10 m."""
     world = simulate([[-30.0, 1.0, 30.0, 1.0], [30.0, -1.0, -30.0, -1.0]], noise=0.0)

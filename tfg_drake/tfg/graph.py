@@ -23,7 +23,7 @@ from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
-from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
+from tfg_drake.tfg.drift import MOST_DRIFT, NEIGHBOURHOOD, drift_between, known_jointly
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     SAME_FRONTIER,
@@ -234,8 +234,10 @@ def update(
         return np.asarray(in_reach & ~otherwise.goals[points.goal])
 
     def known(points: FrontierPoints) -> BoolArray:
-        # How far two faces may have drifted apart is known where the robot is.
-        return near(points) & known_jointly(place_points(points, X_MA).p, estimate)
+        # How far two faces may have drifted apart is known where the robot is, and not of what was mapped otherwise.
+        p = place_points(points, X_MA).p
+        told = far_from(p, estimate.p_ML[otherwise.landmarks], NEIGHBOURHOOD)
+        return near(points) & told & known_jointly(p, estimate)
 
     def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
         """What is found now, where that can be told; elsewhere what was found then stands."""
