@@ -38,8 +38,10 @@ from tfg_drake.slam.map_window import (
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
 SMALL_STEP = 1e-3
-# Levenberg-Marquardt stops by itself; where it has lowered the error by less than this share it is not asked again: a
-# long loop that has just closed would take a quarter of an hour.
+# Where a whole Gauss-Newton step goes too far, as where a long loop has just closed, a part of it may do, in seconds;
+# Levenberg-Marquardt takes minutes.
+SHARES = (0.5, 0.25, 0.125)
+# Where a part of a step, or Levenberg-Marquardt, has lowered the error by less than this share, no more is asked for.
 CREEPING = 1e-4
 # Landmarks that goals outside the window have seen too may move this far, m, before the whole graph is solved.
 RIM_STEP = 0.01
@@ -216,8 +218,8 @@ def _settle_window(graph: GoalGraph, goals: IntArray) -> tuple[GoalGraph, float]
 
 
 def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    """Gauss-Newton steps by GTSAM's multifrontal elimination; Levenberg-Marquardt where a step fails to lower the
-    error."""
+    """Gauss-Newton steps by GTSAM's multifrontal elimination; a part of one where the whole fails to lower the error,
+    and Levenberg-Marquardt where a part does, too."""
     ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(factors)
     error = factors.error(values)
     for _ in range(MOST_STEPS):
@@ -229,7 +231,8 @@ def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
             moved = values.retract(step)
         moved_error, creeps = factors.error(moved), False
         if step is None or not moved_error <= error + 1e-6 * (1.0 + error):
-            moved = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+            shorter = None if step is None else _shortened(factors, values, step, error)
+            moved = shorter or gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
             moved_error = factors.error(moved)
             if not moved_error <= error + 1e-6 * (1.0 + error):
                 break
@@ -238,6 +241,17 @@ def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
         if step is None or creeps or np.max(np.abs(step.vector())) < SMALL_STEP:
             break
     return values
+
+
+def _shortened(
+    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, step: gtsam.VectorValues, error: float
+) -> gtsam.Values | None:
+    """The values moved by a part of the step that lowers the error, None where none of SHARES does."""
+    for share in SHARES:
+        moved = values.retract(step.scale(share))
+        if factors.error(moved) < error:
+            return moved
+    return None
 
 
 def _joint(

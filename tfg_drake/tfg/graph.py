@@ -46,7 +46,7 @@ from tfg_drake.tfg.frontier import (
     select,
     uninspected_frontiers,
 )
-from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, standing
+from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, nothing_otherwise, standing
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import segments_of, taken
 from tfg_drake.tfg.segmentation import panorama_links, segment
@@ -59,8 +59,8 @@ TRIED_DISTANCE = 0.5
 NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
-# As long as so much frontier is open where the robot is, m, it is not sent to where the map only seems to be open.
-HERE_FIRST = 1.0
+# Where so little frontier is left of what is here, m, the robot looks for what was mapped otherwise, too.
+LITTLE_LEFT = 1.0
 
 
 @message
@@ -187,11 +187,11 @@ def update(
     stars = _place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
     newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
     # Where the map lies over itself, what was mapped another way round says nothing of what is here, nor this of that.
-    otherwise = mapped_otherwise(surfaces, tag_ids, tag_goal, estimate)
+    otherwise = nothing_otherwise(surfaces, estimate)
     seen, faces = stars, (surfaces.offsets, placed)
-    if otherwise.landmarks.any():
-        of_goal = np.arange(graph.stage + 1) if goals is None else np.append(goals, goal)
-        seen = _of_goals(stars, ~otherwise.goals[of_goal])
+    if goals is not None and len(goals) < goal:
+        otherwise = mapped_otherwise(surfaces, tag_ids, tag_goal, estimate)
+        seen = _of_goals(stars, ~otherwise.goals[np.append(goals, goal)])
         faces = taken(np.flatnonzero(~otherwise.surfaces), *faces)
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
@@ -273,9 +273,10 @@ def resolve(
 ) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
 
-    Surfaces that have drifted into free space, or were mapped another way round so that nobody can tell where they lie
-    seen from the robot, are left out until they fit again (see `tfg_drake.tfg.overlap`), and landmarks that carry
-    nothing else face nowhere: they are not in view where the map has them.
+    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`), and
+    landmarks that carry nothing else face nowhere: they are not in view where the map has them. In a part of a larger
+    map the same holds for all that was mapped another way round, so that nobody can tell where it lies seen from the
+    robot: the part is what is here, and whoever looks for more asks the whole.
 
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
@@ -333,19 +334,16 @@ def empty_map() -> TfgMap:
 class _Placed:
     """The graph's surfaces and stars where the map estimate puts them.
 
-    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. stand: (m,) which have not
-    drifted into the free space of the stars. here: (m,) which of those were not mapped otherwise either. stars: in the
-    map frame, goals: (k,) those they are of. is_part: they are not all of the map's goals.
+    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. here: (m,) which have not drifted
+    into the free space of the stars, nor were mapped otherwise. stars: in the map frame, goals: (k,) those they are of.
     """
 
     pieces: FloatArray
     owner: IntArray
-    stand: BoolArray
     here: BoolArray
     otherwise: MappedOtherwise
     stars: tuple[IntArray, FloatArray, FloatArray]
     goals: IntArray
-    is_part: bool
 
     @functools.cached_property
     def segments(self) -> FloatArray:
@@ -353,23 +351,25 @@ class _Placed:
         return self.pieces[self.here]
 
 
-def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> _Placed:
-    """The graph placed; goals: (k,) those that it holds the stars of, if it is a part of one."""
+def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None, *, all_of_it: bool = False) -> _Placed:
+    """The graph placed; goals: (k,) those that it holds the stars of, if it is a part of one. all_of_it: what was
+    mapped otherwise counts in a part, too."""
     of_goal = np.arange(graph.stage) if goals is None else goals
     stars = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_goal])
     vertices = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, vertices)
-    stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)[owner]
-    otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
-    here = stand & ~otherwise.surfaces[owner]
-    return _Placed(pieces, owner, stand, here, otherwise, stars, of_goal, len(of_goal) < graph.stage)
+    stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)
+    otherwise = nothing_otherwise(graph.surfaces, estimate)
+    if len(of_goal) < graph.stage and not all_of_it:
+        otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
+    return _Placed(pieces, owner, (stand & ~otherwise.surfaces)[owner], otherwise, stars, of_goal)
 
 
 def _live_frontiers(
     graph: TfgGraph, estimate: MapEstimate, placed: _Placed, shadows: FrontierPoints, explorer: ExplorerConfig
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit. shadows: those of free space. In a part of a
-    larger map what was mapped otherwise waits as long as anything is open here.
+    """The frontier points in the map frame that are still worth a visit, but for those mapped otherwise. shadows: those
+    of free space.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
@@ -379,9 +379,8 @@ def _live_frontiers(
     points = join(shadows, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    live = select(replace(points, length=points.length * left**2), left > 0.0)
-    here = ~placed.otherwise.goals[live.goal]
-    return select(live, here) if placed.is_part and live.length[here].sum() >= HERE_FIRST else live
+    here = ~placed.otherwise.goals[points.goal]
+    return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
 def _well_inside(points: FrontierPoints, stars: tuple[IntArray, FloatArray]) -> BoolArray:
@@ -398,20 +397,13 @@ def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, esti
 
 
 def _open_shadows(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains and no star has settled; a surface or
-    star that was mapped otherwise says nothing of what was not."""
-    otherwise, stars = placed.otherwise, placed.stars
+    """Frontier points of free space, in the map frame, that no surface explains and no star has settled, but for those
+    mapped otherwise."""
     shadows = place_points(graph.shadows, estimate.X_MA)
-    theirs = otherwise.goals[shadows.goal]
-    is_open = open_frontiers(shadows, placed.segments)
-    elsewhere = placed.stand & ~placed.here
-    if elsewhere.any():
-        is_open &= ~theirs | open_frontiers(shadows, placed.pieces[elsewhere])
-    if otherwise.landmarks.any():
-        stars = _of_goals(stars, ~otherwise.goals[placed.goals])
+    is_open = open_frontiers(shadows, placed.segments) & ~placed.otherwise.goals[shadows.goal]
     # Of either arm of a loop that has closed since, the other may have seen what was open.
-    ask = is_open & ~theirs
-    is_open[ask] = ~_well_inside(select(shadows, ask), stars[:2])
+    stars = _of_goals(placed.stars, ~placed.otherwise.goals[placed.goals])
+    is_open[is_open] = ~_well_inside(select(shadows, is_open), stars[:2])
     return select(shadows, is_open)
 
 
@@ -475,6 +467,8 @@ def _of_goals(
     stars: tuple[IntArray, FloatArray, FloatArray], which: BoolArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """The stars of some (k,) of the goals."""
+    if which.all():
+        return stars
     rows = np.flatnonzero(which)
     return *taken(rows, *stars[:2]), stars[2][rows]
 
@@ -548,8 +542,11 @@ def _count_attempts(
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        placed = _placed(graph, estimate, goals)
-        points = _live_frontiers(graph, estimate, placed, _open_shadows(graph, estimate, placed), explorer)
+        for all_of_it in (False, True):
+            placed = _placed(graph, estimate, goals, all_of_it=all_of_it)
+            points = _live_frontiers(graph, estimate, placed, _open_shadows(graph, estimate, placed), explorer)
+            if not placed.otherwise.landmarks.any() or points.length.sum() >= LITTLE_LEFT:
+                break
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody

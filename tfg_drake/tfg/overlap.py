@@ -77,7 +77,7 @@ def mapped_otherwise(
     """
     landmarks = _known_badly(estimate)
     if not landmarks.any():
-        return MappedOtherwise(landmarks, *(np.zeros(len(of), dtype=np.bool_) for of in (estimate.X_MA, surfaces.goal)))
+        return nothing_otherwise(surfaces, estimate)
     known = np.zeros(len(landmarks), dtype=np.bool_)
     known[estimate.local] = True
     goal, ids = _saw(surfaces, tag_ids, tag_goal)
@@ -88,6 +88,11 @@ def mapped_otherwise(
     goals = (these > 0) & (others == 0)
     carried = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
     return MappedOtherwise(landmarks, goals, goals[surfaces.goal] | carried)
+
+
+def nothing_otherwise(surfaces: Surfaces, estimate: MapEstimate) -> MappedOtherwise:
+    """Everything was mapped as the robot came."""
+    return MappedOtherwise(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.goal)))
 
 
 @functools.lru_cache(maxsize=1)
