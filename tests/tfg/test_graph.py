@@ -15,6 +15,7 @@ from tfg_drake.tfg.frontier import (
     END_LENGTH,
     PUSH,
     find_frontiers,
+    find_open_ends,
     frontier_length_total,
     open_frontiers,
     place_points,
@@ -552,6 +553,23 @@ def test_round_the_corner_of_a_face_there_is_another_to_look_at(simulate) -> Non
     tfg = world.observe(np.array([4.0, 0.5, 0.0]))
     ends = tfg.frontiers[tfg.frontier_length == END_LENGTH]
     assert not (np.hypot(*(ends - [1.3, 0.15]).T) < 0.2).any()
+
+
+@pytest.mark.parametrize(
+    ("goes_on", "asked", "ends"),
+    [(False, True, 1), (True, True, 0), (False, False, 0)],
+    ids=["here", "goes on", "not asked"],
+)
+def test_a_face_ends_where_no_other_goes_on_asked_for_or_not(goes_on, asked, ends) -> None:
+    """A surface from x = 0 to 2, its front above, free space right of it below, and there another or none."""
+    pieces = [np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[2.0, 0.0], [4.0, 0.0]])][: 1 + goes_on]
+    free = np.array([[2.1, -2.0], [4.0, -2.0], [4.0, 2.0], [2.1, 2.0]])
+    offsets = 2 * np.arange(len(pieces) + 1)
+    p, normal = find_open_ends(
+        offsets, np.vstack(pieces), (np.array([0, 4]), free), np.array([asked, False])[: len(pieces)]
+    )
+    assert p.shape == (ends, 2)
+    np.testing.assert_array_equal(normal, np.tile([1.0, 0.0], (ends, 1)))
 
 
 def test_a_goal_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth_less(simulate) -> None:

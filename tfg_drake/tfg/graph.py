@@ -227,7 +227,8 @@ def update(
     backs = unseen_faces(
         find_unseen_backs(*faces, seen[:2], lambda p, normal: drift_between(p, normal, estimate)), UNINSPECTED_SPACING
     )
-    ends = unseen_faces(find_open_ends(*faces, seen[:2]), END_LENGTH)
+    # A wall that goes on where it was mapped otherwise does not end here.
+    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, seen[:2], ~otherwise.surfaces), END_LENGTH)
 
     def near(points: FrontierPoints) -> BoolArray:
         in_reach = np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach
