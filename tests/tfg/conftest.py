@@ -13,7 +13,6 @@ from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap, replace
 from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, no_sightings, resolve, update
 from tfg_drake.tfg.panorama import Panorama, build_panorama
-from tfg_drake.tfg.working_map import cut
 
 
 @dataclass
@@ -28,8 +27,6 @@ class Simulation:
     X_MA: list[np.ndarray] = field(default_factory=list)
     mapped: set[int] = field(default_factory=set)
     graph: TfgGraph = field(default_factory=empty_graph)
-    # Those of its goals that do not rest, if any does.
-    goals: np.ndarray | None = None
     estimate: MapEstimate | None = None
     last_panorama: Panorama | None = None
     tags: TagSensorConfig = field(default_factory=TagSensorConfig)
@@ -99,17 +96,8 @@ class Simulation:
             self.robot,
             self.explorer,
             glance=glance,
-            goals=self.goals,
         )
-        if self.goals is not None:
-            self.goals = np.append(self.goals, len(self.X_MA) - 1)
-        return resolve(self.graph, self.estimate, self.robot, self.explorer, goals=self.goals)
-
-    def rest(self) -> None:
-        """All goals so far rest: the graph is a part of a larger map's from now on, without what they saw."""
-        goals = np.arange(len(self.X_MA))
-        self.graph, _ = cut(self.graph, goals, np.zeros(len(goals), dtype=np.bool_))
-        self.goals = goals[:0]
+        return resolve(self.graph, self.estimate, self.robot, self.explorer)
 
     def moved(self, X_NM: np.ndarray) -> MapEstimate:
         """The estimate with the whole map moved rigidly."""

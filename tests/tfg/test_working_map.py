@@ -160,3 +160,44 @@ def test_nothing_rests_where_all_of_the_map_is_asked_at_every_stage(simulate, se
         arguments = large(world.estimate), world.last_panorama, no_sightings(), world.tags, world.robot
         graphs = update(graphs, *arguments, explorer, glance=True)
     assert not graphs.resting
+
+
+def test_what_was_mapped_another_way_round_rests_until_it_is_known_where_it_is(simulate) -> None:
+    """A passage 1 m wide along a room, whose map has drifted by 1 m into the passage; before, a wall far away."""
+    walls = [[-3.0, 0.2, 3.0, 0.2], [3.0, 0.2, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [998.0, 2.0, 1002.0, 2.0]]
+    walls += [[-8.0, 0.0, 8.0, 0.0], [-8.0, -1.0, 8.0, -1.0], [-1.0, -1.0, -1.0, -0.45]]
+    in_room, in_passage = np.array([-2.0, 1.6, 0.0]), np.array([0.5, -0.5, 0.0])
+    alone, world = simulate(walls, noise=0.0), simulate(walls, noise=0.0)
+    passage, graphs = (
+        take_up(each, empty_graphs(), np.array([1000.0, 0.0, 0.0]), no_sightings(), False) for each in (alone, world)
+    )
+    passage = take_up(alone, passage, in_passage, no_sightings(), False)
+    graphs = take_up(world, graphs, in_room, no_sightings(), False)
+    room = graphs.near
+    of_room = np.isin(np.arange(len(world.p_WT)), room.tag_ids) & (world.p_WT[:, 0] < 100.0)
+    world.error = np.where(of_room, -1.0, 0.0)[:, None] * [[0.0, 1.0]]
+    world.sigma = np.where(of_room, 2.0, 1e-3)
+    world.X_MA[1] = in_room - np.array([0.0, 1.0, 0.0])
+    graphs = take_up(world, graphs, in_passage, no_sightings(), False)
+    assert graphs.goals.tolist() == [0, 2]
+    # The passage is as if the room were not there ...
+    part, expected = (
+        working_map(of, each.estimate, each.last_panorama, each.robot, each.explorer)
+        for of, each in ((graphs, world), (passage, alone))
+    )
+    np.testing.assert_array_equal(part.estimate.ids, expected.estimate.ids)
+    for name in ("segments", "facing"):
+        np.testing.assert_array_equal(getattr(part.tfg, name), getattr(expected.tfg, name))
+    within = np.hypot(*(expected.tfg.frontiers - in_passage[:2]).T) <= part.reach
+    for name in ("frontiers", "frontier_length", "frontier_normal"):
+        np.testing.assert_array_equal(getattr(part.tfg, name), getattr(expected.tfg, name)[within])
+    # ... which the map of all still has,
+    all_of_it = whole_graph(graphs)
+    mine = all_of_it.shadows.goal == 1
+    np.testing.assert_array_equal(all_of_it.shadows.p[mine], room.shadows.p[room.shadows.goal == 1])
+    assert len(all_of_it.tag_ids) == len(world.mapped)
+    # and it is worked on again when the loop has closed.
+    world.error, world.sigma, world.X_MA[1] = None, None, in_room
+    graphs = take_up(world, graphs, np.array([0.6, -0.5, 0.0]), no_sightings(), True)
+    assert graphs.goals.tolist() == [0, 1, 2, 3]
+    assert np.isin(np.flatnonzero(of_room), graphs.near.tag_ids).all()

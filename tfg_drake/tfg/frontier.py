@@ -226,13 +226,12 @@ def find_unseen_backs(
 
 
 def find_open_ends(
-    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray], asked: BoolArray
+    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Points (u, 2) in front of faces that no turn has seen, only the corner where they begin, and normals (u, 2).
 
     There a surface ends in the open: no other one goes on, but what lies behind it is free. offsets, vertices: all
-    surfaces (s,), packed, m. stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame. asked: (s,) whose
-    ends.
+    surfaces, packed, m. stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
     """
     at = np.concatenate([vertices[offsets[:-1]], vertices[offsets[1:] - 1]])
     before = np.concatenate([vertices[offsets[:-1] + 1], vertices[offsets[1:] - 2]])
@@ -245,8 +244,7 @@ def find_open_ends(
     points = at + UNINSPECTED_STANDOFF * along + END_GAP * behind
     segments, segment_owner = segments_of(offsets, vertices)
     is_last = np.repeat([False, True], len(offsets) - 1)
-    is_open = asked[owner] & inside_any(points, *stars)
-    is_open &= ~joined(at, along, is_last, owner, segments, segment_owner, END_GAP)
+    is_open = ~joined(at, along, is_last, owner, segments, segment_owner, END_GAP) & inside_any(points, *stars)
     # The other face of a thin wall is not round the corner but behind: see find_unseen_backs.
     is_open &= ~inside_any(at - END_GAP * along + THIN_WALL * behind, *stars)
     points, along, at = points[is_open], along[is_open], at[is_open]

@@ -23,7 +23,7 @@ from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
-from tfg_drake.tfg.drift import MOST_DRIFT, NEIGHBOURHOOD, drift_between, known_jointly
+from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     SAME_FRONTIER,
@@ -46,9 +46,9 @@ from tfg_drake.tfg.frontier import (
     select,
     uninspected_frontiers,
 )
-from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, nothing_otherwise, standing
+from tfg_drake.tfg.overlap import standing
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import segments_of, taken
+from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
@@ -59,8 +59,6 @@ TRIED_DISTANCE = 0.5
 NEAR_SHARE = 0.5
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
-# Where so little frontier is left of what is here, m, the robot looks for what was mapped otherwise, too.
-LITTLE_LEFT = 1.0
 
 
 @message
@@ -186,21 +184,14 @@ def update(
     star_vertices = np.concatenate([graph.star_vertices, star])
     stars = _place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
     newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
-    # Where the map lies over itself, what was mapped another way round says nothing of what is here, nor this of that.
-    otherwise = nothing_otherwise(surfaces, estimate)
-    seen, faces = stars, (surfaces.offsets, placed)
-    if goals is not None and len(goals) < goal:
-        otherwise = mapped_otherwise(surfaces, tag_ids, tag_goal, estimate)
-        seen = _of_goals(stars, ~otherwise.goals[np.append(goals, goal)])
-        faces = taken(np.flatnonzero(~otherwise.surfaces), *faces)
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
     shadows = _merge(
         graph.shadows,
         points_of(goal, p, normal, length),
         X_MA,
-        lambda points: ~inside_any(points.p, *newest[:2]) | otherwise.goals[points.goal],
-        lambda points: ~inside_any(points.p, *seen[:2]),
+        lambda points: ~inside_any(points.p, *newest[:2]) & ~_settled(points, stars, estimate),
+        lambda points: ~inside_any(points.p, *stars[:2]),
         lambda old, new: far_from(new.p, old.p, SAME_FRONTIER),
     )
 
@@ -213,8 +204,8 @@ def update(
         graph.uninspected,
         points_of(goal, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
         X_MA,
-        lambda points: unseen(newest, points) | otherwise.goals[points.goal],
-        lambda points: unseen(seen, points),
+        lambda points: unseen(newest, points),
+        lambda points: unseen(stars, points),
         lambda old, new: far_from(_faces(new), _faces(old), 0.9 * UNINSPECTED_SPACING),
     )
     X_AM = inverse(X_MA[goal])
@@ -225,20 +216,17 @@ def update(
         return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
     backs = unseen_faces(
-        find_unseen_backs(*faces, seen[:2], lambda p, normal: drift_between(p, normal, estimate)), UNINSPECTED_SPACING
+        find_unseen_backs(surfaces.offsets, placed, stars[:2], lambda p, normal: drift_between(p, normal, estimate)),
+        UNINSPECTED_SPACING,
     )
-    # A wall that goes on where it was mapped otherwise does not end here.
-    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, seen[:2], ~otherwise.surfaces), END_LENGTH)
+    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, stars[:2]), END_LENGTH)
 
     def near(points: FrontierPoints) -> BoolArray:
-        in_reach = np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach
-        return np.asarray(in_reach & ~otherwise.goals[points.goal])
+        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach)
 
     def known(points: FrontierPoints) -> BoolArray:
-        # How far two faces may have drifted apart is known where the robot is, and not of what was mapped otherwise.
-        p = place_points(points, X_MA).p
-        told = far_from(p, estimate.p_ML[otherwise.landmarks], NEIGHBOURHOOD)
-        return near(points) & told & known_jointly(p, estimate)
+        # How far two faces may have drifted apart is known where the robot is.
+        return near(points) & known_jointly(place_points(points, X_MA).p, estimate)
 
     def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
         """What is found now, where that can be told; elsewhere what was found then stands."""
@@ -275,30 +263,26 @@ def resolve(
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
 
     Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`), and
-    landmarks that carry nothing else face nowhere: they are not in view where the map has them. In a part of a larger
-    map the same holds for all that was mapped another way round, so that nobody can tell where it lies seen from the
-    robot: the part is what is here, and whoever looks for more asks the whole.
+    landmarks that carry nothing else face nowhere: they are not in view where the map has them.
 
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
     placed = _placed(graph, estimate, goals)
-    otherwise = placed.otherwise
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
-    bare &= ~otherwise.landmarks
     posts = estimate.ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
-    drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
+    drifted = np.setdiff1d(ids[~placed.stand], ids[placed.stand])
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
-    facing[np.isin(estimate.ids, drifted) | otherwise.landmarks] = 0.0
-    shadows = _open_shadows(graph, estimate, placed)
-    frontier = _live_frontiers(graph, estimate, placed, shadows, explorer)
+    facing[np.isin(estimate.ids, drifted)] = 0.0
+    shadows = _open_shadows(graph, estimate, placed.segments)
+    frontier = _live_frontiers(graph, estimate, placed.segments, shadows, explorer)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     return TfgMap(
         stage=graph.stage,
         segments=np.vstack([placed.segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
-        segment_kind=np.append(kind[placed.here], np.full(len(posts), END)),
-        segment_ids=np.vstack([ids[placed.here], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
+        segment_kind=np.append(kind[placed.stand], np.full(len(posts), END)),
+        segment_ids=np.vstack([ids[placed.stand], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
         facing=facing,
         frontiers=frontier.p,
         frontier_length=frontier.length,
@@ -335,60 +319,57 @@ def empty_map() -> TfgMap:
 class _Placed:
     """The graph's surfaces and stars where the map estimate puts them.
 
-    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. here: (m,) which have not drifted
-    into the free space of the stars, nor were mapped otherwise. stars: in the map frame, goals: (k,) those they are of.
+    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of, stand: (m,) which have not
+    drifted into the free space of the stars. stars: in the map frame.
     """
 
     pieces: FloatArray
     owner: IntArray
-    here: BoolArray
-    otherwise: MappedOtherwise
+    stand: BoolArray
     stars: tuple[IntArray, FloatArray, FloatArray]
-    goals: IntArray
 
     @functools.cached_property
     def segments(self) -> FloatArray:
-        """The pieces (m, 4) that tell what is here."""
-        return self.pieces[self.here]
+        """The pieces (m, 4) that stand."""
+        return self.pieces[self.stand]
 
 
-def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None, *, all_of_it: bool = False) -> _Placed:
-    """The graph placed; goals: (k,) those that it holds the stars of, if it is a part of one. all_of_it: what was
-    mapped otherwise counts in a part, too."""
+def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> _Placed:
+    """The graph placed; goals: (k,) those that it holds the stars of, if it is a part of one."""
     of_goal = np.arange(graph.stage) if goals is None else goals
     stars = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_goal])
     vertices = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, vertices)
     stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)
-    otherwise = nothing_otherwise(graph.surfaces, estimate)
-    if len(of_goal) < graph.stage and not all_of_it:
-        otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
-    return _Placed(pieces, owner, (stand & ~otherwise.surfaces)[owner], otherwise, stars, of_goal)
+    return _Placed(pieces, owner, stand[owner], stars)
 
 
 def _live_frontiers(
-    graph: TfgGraph, estimate: MapEstimate, placed: _Placed, shadows: FrontierPoints, explorer: ExplorerConfig
+    graph: TfgGraph, estimate: MapEstimate, segments: FloatArray, shadows: FrontierPoints, explorer: ExplorerConfig
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit, but for those mapped otherwise. shadows: those
-    of free space.
+    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m,
+    shadows: those of free space.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
-    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
+    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, segments, UNINSPECTED_STANDOFF))
     points = join(shadows, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    here = ~placed.otherwise.goals[points.goal]
-    return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
+    return select(replace(points, length=points.length * left**2), left > 0.0)
 
 
-def _well_inside(points: FrontierPoints, stars: tuple[IntArray, FloatArray]) -> BoolArray:
-    """Which frontier points (f,) the stars cover, and what is MOST_DRIFT before and behind them."""
-    return np.asarray(
-        np.all([inside_any(points.p + by * points.normal, *stars) for by in (-MOST_DRIFT, 0.0, MOST_DRIFT)], axis=0)
-    )
+def _settled(
+    points: FrontierPoints, stars: tuple[IntArray, FloatArray, FloatArray], estimate: MapEstimate
+) -> BoolArray:
+    """Which frontier points (f,) of one arm of a loop lie well inside what is seen from another: these, and what is
+    MOST_DRIFT behind them, where all is known jointly, as the loop has closed by then."""
+    settled = inside_any(points.p, *stars[:2])
+    seen = select(points, settled)
+    settled[settled] = inside_any(seen.p - MOST_DRIFT * seen.normal, *stars[:2]) & known_jointly(seen.p, estimate)
+    return np.asarray(settled)
 
 
 @functools.lru_cache(maxsize=1)
@@ -397,15 +378,10 @@ def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, esti
     return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
-def _open_shadows(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains and no star has settled, but for those
-    mapped otherwise."""
+def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
+    """Frontier points of free space, in the map frame, that no surface explains."""
     shadows = place_points(graph.shadows, estimate.X_MA)
-    is_open = open_frontiers(shadows, placed.segments) & ~placed.otherwise.goals[shadows.goal]
-    # Of either arm of a loop that has closed since, the other may have seen what was open.
-    stars = _of_goals(placed.stars, ~placed.otherwise.goals[placed.goals])
-    is_open[is_open] = ~_well_inside(select(shadows, is_open), stars[:2])
-    return select(shadows, is_open)
+    return select(shadows, open_frontiers(shadows, segments))
 
 
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
@@ -462,16 +438,6 @@ def _update_facing(
     distance[better] = new_distance[better]
     has = tag_goal >= 0
     return ids[has], tag_goal[has], facing[has], distance[has]
-
-
-def _of_goals(
-    stars: tuple[IntArray, FloatArray, FloatArray], which: BoolArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The stars of some (k,) of the goals."""
-    if which.all():
-        return stars
-    rows = np.flatnonzero(which)
-    return *taken(rows, *stars[:2]), stars[2][rows]
 
 
 def _place_stars(
@@ -543,17 +509,15 @@ def _count_attempts(
     center = estimate.X_MA[-1, :2]
 
     def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        for all_of_it in (False, True):
-            placed = _placed(graph, estimate, goals, all_of_it=all_of_it)
-            points = _live_frontiers(graph, estimate, placed, _open_shadows(graph, estimate, placed), explorer)
-            if not placed.otherwise.landmarks.any() or points.length.sum() >= LITTLE_LEFT:
-                break
+        segments = _placed(graph, estimate, goals).segments
+        shadows = _open_shadows(graph, estimate, segments)
+        points = _live_frontiers(graph, estimate, segments, shadows, explorer)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
         # looks into what lies behind.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
-        clear = line_of_sight(placed.segments, center, points.p)
+        clear = line_of_sight(segments, center, points.p)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
         looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
