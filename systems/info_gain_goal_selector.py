@@ -46,8 +46,8 @@ class InfoGainGoalSelector(LeafSystem):
         output_ports:
         - goal
 
-    The goal is looked for in the working map; where nothing there is worth going to, and on the way to a goal outside
-    of it, in the whole one.
+    The goal is looked for in the working map; in the whole one where nothing there is worth going to, or only by a way
+    that is longer than to what may lie outside, and on the way to a goal outside of it.
     """
 
     def __init__(
@@ -94,10 +94,15 @@ class InfoGainGoalSelector(LeafSystem):
         )
         part = working.estimate, working.tfg, roadmap, self._parameters, now.remembered
         goal = None if underway else choose(*part, everything=working.is_all)
-        if goal is None or (goal.verdict != "goal" and not working.is_all):
+        if goal is None or not (working.is_all or _is_nearest(goal, roadmap, working.reach)):
             estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
             roadmap = eval_message(self._roadmap, context, Roadmap)
             goal = choose(estimate, tfg, roadmap, self._parameters, now.remembered)
         remembered = remember(now.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
         set_state_message(state, self._state, _SelectorState(goal, remembered))
         return EventStatus.Succeeded()
+
+
+def _is_nearest(goal: GoalChoice, roadmap: Roadmap, reach: float) -> bool:
+    """Whether a goal chosen within reach (m) lies nearer, as the robot drives, than anything outside can."""
+    return goal.verdict == "goal" and bool(roadmap.travel_length[roadmap.nodes(np.array([goal.node]))[0]] <= reach)

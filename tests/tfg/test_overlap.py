@@ -87,7 +87,7 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_was_mapped_otherwise(
     )
     goal, ids = np.array([(0, 1), (0, 2), (0, 4), (1, 5), (1, 1), (2, 2), (2, 5), (3, 5), (3, 4), (4, 4)]).T
     otherwise = share > 1.0
-    assert mapped_otherwise(goal, ids, estimate).tolist() == [False, False, otherwise, otherwise, *[False] * 3]
+    assert mapped_otherwise(goal, ids, estimate).tolist() == [False, False, *[otherwise] * 3, False, False]
     # What is in view is here, however badly it is known; a look that sees nothing changes nothing.
     seen = replace(seen, ids=np.array([1, 2, 5]))
     assert not mapped_otherwise(goal, ids, replace(estimate, observation=seen)).any()

@@ -52,16 +52,18 @@ def standing(
 
 
 def mapped_otherwise(goal: IntArray, ids: IntArray, estimate: MapEstimate) -> BoolArray:
-    """Which of the map's goals (k,) saw landmarks whose place, seen from the robot, is known badly, and of those known
-    jointly no others: what they saw was mapped another way round than the robot came, and nobody can tell where it is.
+    """Which of the map's goals (k,) saw landmarks, but none that is known well, seen from the robot, if any is known
+    badly: what they saw was mapped another way round than the robot came, and nobody can tell where it is.
 
-    goal and ids: (p,) goals and landmarks that they saw.
+    goal and ids: (p,) goals and landmarks that they saw. Those not known jointly are not known well.
     """
-    badly, known = _known_badly(estimate), np.zeros(len(estimate.ids), dtype=np.bool_)
-    known[estimate.local] = True
+    badly, well = _known_badly(estimate), np.zeros(len(estimate.ids), dtype=np.bool_)
+    if not badly.any():
+        return np.zeros(len(estimate.X_MA), dtype=np.bool_)
+    well[estimate.local] = ~badly[estimate.local]
     row = np.searchsorted(estimate.ids, ids)
-    these, others = (np.bincount(goal[of[row]], minlength=len(estimate.X_MA)) for of in (badly, known & ~badly))
-    return np.asarray((these > 0) & (others == 0))
+    any_seen, well_seen = (np.bincount(of, minlength=len(estimate.X_MA)) for of in (goal, goal[well[row]]))
+    return np.asarray((any_seen > 0) & (well_seen == 0))
 
 
 def _known_badly(estimate: MapEstimate) -> BoolArray:
