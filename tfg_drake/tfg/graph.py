@@ -46,9 +46,9 @@ from tfg_drake.tfg.frontier import (
     select,
     uninspected_frontiers,
 )
-from tfg_drake.tfg.overlap import standing
+from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, nothing_otherwise, standing
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import segments_of
+from tfg_drake.tfg.polyline import segments_of, taken
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
@@ -184,15 +184,23 @@ def update(
     star_vertices = np.concatenate([graph.star_vertices, star])
     stars = _place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
     newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
+    # Where the map lies over itself, what was mapped another way round says nothing of what is here, nor this of that.
+    otherwise, seen = nothing_otherwise(surfaces, estimate), stars
+    if goals is not None and len(goals) < goal:
+        otherwise = mapped_otherwise(surfaces, tag_ids, tag_goal, estimate)
+        seen = _of_goals(stars, ~otherwise.goals[np.append(goals, goal)])
+
+    def theirs(points: FrontierPoints) -> BoolArray:
+        return otherwise.goals[points.goal]
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
     shadows = _merge(
         graph.shadows,
         points_of(goal, p, normal, length),
         X_MA,
-        lambda points: ~inside_any(points.p, *newest[:2]) & ~_settled(points, stars, estimate),
-        lambda points: ~inside_any(points.p, *stars[:2]),
-        lambda old, new: far_from(new.p, old.p, SAME_FRONTIER),
+        lambda points: theirs(points) | ~(inside_any(points.p, *newest[:2]) | _settled(points, seen, estimate)),
+        lambda points: ~inside_any(points.p, *seen[:2]),
+        lambda old, new: far_from(new.p, old.p[~theirs(old)], SAME_FRONTIER),
     )
 
     def unseen(stars: tuple[IntArray, FloatArray, FloatArray], points: FrontierPoints) -> BoolArray:
@@ -204,9 +212,9 @@ def update(
         graph.uninspected,
         points_of(goal, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
         X_MA,
-        lambda points: unseen(newest, points),
-        lambda points: unseen(stars, points),
-        lambda old, new: far_from(_faces(new), _faces(old), 0.9 * UNINSPECTED_SPACING),
+        lambda points: theirs(points) | unseen(newest, points),
+        lambda points: unseen(seen, points),
+        lambda old, new: far_from(_faces(new), _faces(old)[~theirs(old)], 0.9 * UNINSPECTED_SPACING),
     )
     X_AM = inverse(X_MA[goal])
 
@@ -215,6 +223,7 @@ def update(
         points = points_of(goal, p, normal, np.full(len(p), length))
         return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
+    # Of a wall mapped from either side, both faces count, as far apart as they may have drifted.
     backs = unseen_faces(
         find_unseen_backs(surfaces.offsets, placed, stars[:2], lambda p, normal: drift_between(p, normal, estimate)),
         UNINSPECTED_SPACING,
@@ -263,26 +272,30 @@ def resolve(
     """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
 
     Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`), and
-    landmarks that carry nothing else face nowhere: they are not in view where the map has them.
+    landmarks that carry nothing else face nowhere: they are not in view where the map has them. In a part of a larger
+    map the same holds for surfaces, landmarks and frontiers that were mapped another way round, so that nobody can tell
+    where they lie seen from the robot: whoever looks for more than what is here asks the whole.
 
     goals: (k,) those that the graph holds the stars of, if it is a part of one.
     """
     placed = _placed(graph, estimate, goals)
+    otherwise = placed.otherwise
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
+    bare &= ~otherwise.landmarks
     posts = estimate.ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
-    drifted = np.setdiff1d(ids[~placed.stand], ids[placed.stand])
+    drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
-    facing[np.isin(estimate.ids, drifted)] = 0.0
-    shadows = _open_shadows(graph, estimate, placed.segments)
-    frontier = _live_frontiers(graph, estimate, placed.segments, shadows, explorer)
+    facing[np.isin(estimate.ids, drifted) | otherwise.landmarks] = 0.0
+    shadows = _open_shadows(graph, estimate, placed)
+    frontier = _live_frontiers(graph, estimate, placed, shadows, explorer)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
     return TfgMap(
         stage=graph.stage,
         segments=np.vstack([placed.segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
-        segment_kind=np.append(kind[placed.stand], np.full(len(posts), END)),
-        segment_ids=np.vstack([ids[placed.stand], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
+        segment_kind=np.append(kind[placed.here], np.full(len(posts), END)),
+        segment_ids=np.vstack([ids[placed.here], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
         facing=facing,
         frontiers=frontier.p,
         frontier_length=frontier.length,
@@ -319,19 +332,30 @@ def empty_map() -> TfgMap:
 class _Placed:
     """The graph's surfaces and stars where the map estimate puts them.
 
-    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of, stand: (m,) which have not
-    drifted into the free space of the stars. stars: in the map frame.
+    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. stand: (m,) which have not
+    drifted into the free space of the stars. stars: in the map frame. otherwise: what says nothing of what is here.
     """
 
     pieces: FloatArray
     owner: IntArray
     stand: BoolArray
     stars: tuple[IntArray, FloatArray, FloatArray]
+    otherwise: MappedOtherwise
+
+    @functools.cached_property
+    def here(self) -> BoolArray:
+        """Which pieces (m,) tell what is here."""
+        return self.stand & ~self.otherwise.surfaces[self.owner]
 
     @functools.cached_property
     def segments(self) -> FloatArray:
-        """The pieces (m, 4) that stand."""
-        return self.pieces[self.stand]
+        """Those pieces (h, 4)."""
+        return self.pieces[self.here]
+
+    @property
+    def all_of_it(self) -> _Placed:
+        """The same with nothing mapped otherwise."""
+        return dataclasses.replace(self, otherwise=self.otherwise.nothing)
 
 
 def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> _Placed:
@@ -341,24 +365,28 @@ def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> _
     vertices = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, vertices)
     stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)
-    return _Placed(pieces, owner, stand[owner], stars)
+    otherwise = nothing_otherwise(graph.surfaces, estimate)
+    if len(of_goal) < graph.stage:
+        otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
+    return _Placed(pieces, owner, stand[owner], stars, otherwise)
 
 
 def _live_frontiers(
-    graph: TfgGraph, estimate: MapEstimate, segments: FloatArray, shadows: FrontierPoints, explorer: ExplorerConfig
+    graph: TfgGraph, estimate: MapEstimate, placed: _Placed, shadows: FrontierPoints, explorer: ExplorerConfig
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit. segments: (m, 4) the surfaces that stand, m,
-    shadows: those of free space.
+    """The frontier points in the map frame that are still worth a visit, but for those mapped otherwise. shadows: those
+    of free space.
 
     Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
-    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, segments, UNINSPECTED_STANDOFF))
+    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
     points = join(shadows, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    return select(replace(points, length=points.length * left**2), left > 0.0)
+    here = ~placed.otherwise.goals[points.goal]
+    return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
 def _settled(
@@ -367,8 +395,8 @@ def _settled(
     """Which frontier points (f,) of one arm of a loop lie well inside what is seen from another: these, and what is
     MOST_DRIFT behind them, where all is known jointly, as the loop has closed by then."""
     settled = inside_any(points.p, *stars[:2])
-    seen = select(points, settled)
-    settled[settled] = inside_any(seen.p - MOST_DRIFT * seen.normal, *stars[:2]) & known_jointly(seen.p, estimate)
+    inside = select(points, settled)
+    settled[settled] = inside_any(inside.p - MOST_DRIFT * inside.normal, *stars[:2]) & known_jointly(inside.p, estimate)
     return np.asarray(settled)
 
 
@@ -378,10 +406,10 @@ def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, esti
     return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
-def _open_shadows(graph: TfgGraph, estimate: MapEstimate, segments: FloatArray) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains."""
+def _open_shadows(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
+    """Frontier points of free space, in the map frame, that no surface explains, but for those mapped otherwise."""
     shadows = place_points(graph.shadows, estimate.X_MA)
-    return select(shadows, open_frontiers(shadows, segments))
+    return select(shadows, open_frontiers(shadows, placed.segments) & ~placed.otherwise.goals[shadows.goal])
 
 
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
@@ -438,6 +466,16 @@ def _update_facing(
     distance[better] = new_distance[better]
     has = tag_goal >= 0
     return ids[has], tag_goal[has], facing[has], distance[has]
+
+
+def _of_goals(
+    stars: tuple[IntArray, FloatArray, FloatArray], which: BoolArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The stars of some (k,) of the goals."""
+    if which.all():
+        return stars
+    rows = np.flatnonzero(which)
+    return *taken(rows, *stars[:2]), stars[2][rows]
 
 
 def _place_stars(
@@ -508,20 +546,26 @@ def _count_attempts(
     """
     center = estimate.X_MA[-1, :2]
 
-    def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        segments = _placed(graph, estimate, goals).segments
-        shadows = _open_shadows(graph, estimate, segments)
-        points = _live_frontiers(graph, estimate, segments, shadows, explorer)
+    def in_view_of(graph: TfgGraph, placed: _Placed) -> FloatArray:
+        points = _live_frontiers(graph, estimate, placed, _open_shadows(graph, estimate, placed), explorer)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
         # looks into what lies behind.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
-        clear = line_of_sight(segments, center, points.p)
+        clear = line_of_sight(placed.segments, center, points.p)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
         looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
         return np.asarray(points.p[(distance <= reach) & ~slant & clear & looked])
+
+    def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
+        placed = _placed(graph, estimate, goals)
+        here = in_view_of(graph, placed)
+        # The robot came for what was mapped otherwise, if it did not for what is here.
+        if len(here) or not placed.otherwise.landmarks.any():
+            return here
+        return in_view_of(graph, placed.all_of_it)
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
     then, failed = in_view(before, goals), in_view(after, None if goals is None else np.append(goals, after.stage - 1))

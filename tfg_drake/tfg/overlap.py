@@ -2,11 +2,15 @@
 
 Two faces of a wall share no landmark. Until a loop closes, what was mapped from one side may lie in free space that was
 seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one whose
-place relative to the robot is known less well, as the way to it along what ties the map together is longer. And what is
-known so badly, seen from the robot, that it may lie anywhere says nothing of what is here.
+place relative to the robot is known less well, as the way to it along what ties the map together is longer. And where a
+room was mapped another way round, so that nobody can tell where it lies seen from the passage, it says nothing of what
+the passage is like, drifted into it or not.
 """
 
 from __future__ import annotations
+
+import dataclasses
+import functools
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -47,25 +51,56 @@ def standing(
     # As a rule there is nothing of the kind, and how the goals are tied does not matter.
     if not through(np.ones(count), none).any():
         return np.ones(count, dtype=np.bool_)
-    rank = distance_along_map(*saw(surfaces, tag_ids, tag_goal), star_goal, estimate)
+    rank = distance_along_map(*_saw(surfaces, tag_ids, tag_goal), star_goal, estimate)
     return np.asarray(~through(rank[surfaces.goal], rank[star_goal]))
 
 
-def mapped_otherwise(goal: IntArray, ids: IntArray, estimate: MapEstimate) -> BoolArray:
-    """Which of the map's goals (k,) saw landmarks, but none that is known well, seen from the robot, if any is known
-    badly: what they saw was mapped another way round than the robot came, and nobody can tell where it is.
+@dataclasses.dataclass(frozen=True)
+class MappedOtherwise:
+    """What was mapped another way round than the robot came: seen from it, nobody can tell where that lies.
 
-    goal and ids: (p,) goals and landmarks that they saw. Those not known jointly are not known well.
+    landmarks: (n,) of the map, goals: (k,) of the map, surfaces: (s,).
     """
-    badly, well = _known_badly(estimate), np.zeros(len(estimate.ids), dtype=np.bool_)
-    if not badly.any():
-        return np.zeros(len(estimate.X_MA), dtype=np.bool_)
-    well[estimate.local] = ~badly[estimate.local]
+
+    landmarks: BoolArray
+    goals: BoolArray
+    surfaces: BoolArray
+
+    @property
+    def nothing(self) -> MappedOtherwise:
+        """Of the same map, nothing."""
+        return MappedOtherwise(*(np.zeros_like(of) for of in (self.landmarks, self.goals, self.surfaces)))
+
+
+def mapped_otherwise(
+    surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray, estimate: MapEstimate
+) -> MappedOtherwise:
+    """What cannot be told from where the robot is: landmarks, those goals that saw no others of the landmarks known
+    jointly, and the surfaces of either.
+
+    tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
+    """
+    landmarks = _known_badly(estimate)
+    if not landmarks.any():
+        return nothing_otherwise(surfaces, estimate)
+    known = np.zeros(len(landmarks), dtype=np.bool_)
+    known[estimate.local] = True
+    goal, ids = _saw(surfaces, tag_ids, tag_goal)
     row = np.searchsorted(estimate.ids, ids)
-    any_seen, well_seen = (np.bincount(of, minlength=len(estimate.X_MA)) for of in (goal, goal[well[row]]))
-    return np.asarray((any_seen > 0) & (well_seen == 0))
+    these, others = (
+        np.bincount(goal[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
+    )
+    goals = (these > 0) & (others == 0)
+    carried = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
+    return MappedOtherwise(landmarks, goals, goals[surfaces.goal] | carried)
 
 
+def nothing_otherwise(surfaces: Surfaces, estimate: MapEstimate) -> MappedOtherwise:
+    """Everything was mapped as the robot came."""
+    return MappedOtherwise(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.goal)))
+
+
+@functools.lru_cache(maxsize=1)
 def _known_badly(estimate: MapEstimate) -> BoolArray:
     """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it: none of those
     that the newest goal saw. What all of them are known worse by is the robot's own."""
@@ -79,7 +114,7 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
     return badly
 
 
-def saw(surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray) -> tuple[IntArray, IntArray]:
+def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray) -> tuple[IntArray, IntArray]:
     """Goals and landmarks (p,) that they saw, as far as surfaces tell and these landmarks with a goal each, (n,)."""
     goal = np.concatenate([np.repeat(surfaces.goal, 2), tag_goal])
     ids = np.concatenate([surfaces.ids.ravel(), tag_ids])

@@ -204,3 +204,10 @@ def uncovered_runs(
     edges = np.flatnonzero(np.diff(np.concatenate([[True], is_covered, [True]]).astype(np.int8)))
     runs = [(float(start[a]), float(stop[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [(a, b) for a, b in runs if b - a >= least]
+
+
+def taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Offsets and contents of some rows of a packed array, in this order."""
+    count = np.diff(offsets)[rows]
+    starts = np.append(0, np.cumsum(count))
+    return starts, packed[np.repeat(offsets[rows] - starts[:-1], count) + np.arange(starts[-1])]

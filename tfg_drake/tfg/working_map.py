@@ -1,9 +1,7 @@
 """The part of a large map that planning works on: it takes a new goal up as the whole would.
 
 A goal sees as far as its scan reaches. So whatever there is within some distance of the newest goal was seen by goals
-no farther away than that and the scan's reach; on a map too large to be known jointly all others rest. So does what was
-mapped another way round, so that nobody can tell where it lies seen from the robot: it says nothing of what is here,
-drifted into it or not, until a loop closes.
+no farther away than that and the scan's reach; on a map too large to be known jointly all others rest.
 """
 
 from __future__ import annotations
@@ -21,8 +19,8 @@ from tfg_drake.resting import Parted, awake, extended, rearranged, undivided, wh
 from tfg_drake.tfg import graph as tfg_graph
 from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
 from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, empty_map
-from tfg_drake.tfg.overlap import mapped_otherwise, saw
 from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.polyline import taken
 from tfg_drake.tfg.surfaces import Surfaces
 
 # How far two places that were once next to each other may have been torn apart by a loop that closed, m.
@@ -73,9 +71,7 @@ def update(
             # While all was known jointly, the newest goal looked for unseen faces everywhere.
             backs, ends = (anchored(of, estimate.X_MA[:-1]) for of in (graphs.near.unseen_backs, graphs.near.open_ends))
             graphs = replace(graphs, near=replace(graphs.near, unseen_backs=backs, open_ends=ends))
-        reach = (COMPLETE + 1.0) * seen
-        near_goals = awake(graphs.part, estimate.X_MA, reach) & ~_mapped_otherwise(graphs, estimate, reach)
-        graphs = rearranged(graphs, near_goals, cut, joined)
+        graphs = rearranged(graphs, awake(graphs.part, estimate.X_MA, (COMPLETE + 1.0) * seen), cut, joined)
     near = tfg_graph.update(
         graphs.near,
         estimate_near(graphs, estimate, seen),
@@ -93,21 +89,6 @@ def update(
         missing = missing != near.sighted.id
         near = replace(near, sighted=select(near.sighted, missing), viewpoints=select(near.viewpoints, missing))
     return extended(graphs, near, estimate.stage)
-
-
-def _mapped_otherwise(graphs: Parted[TfgGraph], estimate: MapEstimate, reach: float) -> BoolArray:
-    """Which goals (k,) are `tfg_drake.tfg.overlap.mapped_otherwise`, as far as those within reach (m) of the newest
-    tell."""
-    parts = [graphs.near, *_resting_within(graphs, estimate, reach)]
-    goals, ids = zip(*(saw(part.surfaces, part.tag_ids, part.tag_goal) for part in parts), strict=True)
-    return mapped_otherwise(np.concatenate(goals), np.concatenate(ids), estimate)
-
-
-def _resting_within(graphs: Parted[TfgGraph], estimate: MapEstimate, reach: float) -> list[TfgGraph]:
-    """What rests, though some of its goals are within reach (m) of the newest."""
-    rest = np.flatnonzero(graphs.part >= 0)
-    within = np.hypot(*(estimate.X_MA[rest, :2] - estimate.X_MA[-1, :2]).T) <= reach
-    return [graphs.resting[name] for name in np.unique(graphs.part[rest[within]]).tolist()]
 
 
 def reach_of(panorama: Panorama) -> float:
@@ -147,14 +128,11 @@ def whole_graph(graphs: Parted[TfgGraph]) -> TfgGraph:
 
 
 def estimate_near(graphs: Parted[TfgGraph], estimate: MapEstimate, reach: float) -> MapEstimate:
-    """The map with those landmarks that what is near is anchored to, and those within reach (m) of the newest goal that
-    do not rest."""
+    """The map with those landmarks that what is near is anchored to, and those within reach (m) of the newest goal."""
     if not graphs.resting:
         return estimate
-    keep = np.hypot(*(estimate.p_ML - estimate.X_MA[-1, :2]).T) <= reach
-    for part in _resting_within(graphs, estimate, 2.0 * reach):
-        keep[np.searchsorted(estimate.ids, part.tag_ids)] = False
     ids = np.concatenate([graphs.near.tag_ids, graphs.near.surfaces.ids.ravel()])
+    keep = np.hypot(*(estimate.p_ML - estimate.X_MA[-1, :2]).T) <= reach
     keep[np.searchsorted(estimate.ids, ids[ids >= 0])] = True
     return of_landmarks(estimate, keep)
 
@@ -199,7 +177,7 @@ def joined(graphs: Sequence[TfgGraph], goals: Sequence[IntArray]) -> TfgGraph:
     tag = np.argsort(np.concatenate([graph.tag_ids for graph in graphs]))
     star = np.argsort(np.concatenate(goals))
     surfaces = _chained([graph.surfaces for graph in graphs])
-    star_offsets, star_vertices = _taken(
+    star_offsets, star_vertices = taken(
         star,
         _chained_offsets([graph.star_offsets for graph in graphs]),
         np.concatenate([graph.star_vertices for graph in graphs]),
@@ -224,7 +202,7 @@ def _of_goals(graph: TfgGraph, goals: IntArray, which: BoolArray) -> TfgGraph:
     theirs = np.zeros(int(goals.max(initial=-1)) + 1, dtype=np.bool_)
     theirs[goals[which]] = True
     tags = theirs[graph.tag_goal]
-    star_offsets, star_vertices = _taken(np.flatnonzero(which), graph.star_offsets, graph.star_vertices)
+    star_offsets, star_vertices = taken(np.flatnonzero(which), graph.star_offsets, graph.star_vertices)
     points: dict[str, Any] = {name: select(of, theirs[of.goal]) for name in _POINTS for of in (getattr(graph, name),)}
     return replace(
         graph,
@@ -251,17 +229,10 @@ def _chained(parts: Sequence[Surfaces]) -> Surfaces:
 
 def _surfaces(surfaces: Surfaces, rows: IntArray) -> Surfaces:
     """Some of the surfaces, in this order."""
-    offsets, vertices = _taken(rows, surfaces.offsets, surfaces.vertices)
+    offsets, vertices = taken(rows, surfaces.offsets, surfaces.vertices)
     return Surfaces(
         surfaces.kind[rows], surfaces.ids[rows], surfaces.goal[rows], surfaces.range[rows], offsets, vertices
     )
-
-
-def _taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Offsets and contents of some rows of a packed array, in this order."""
-    count = np.diff(offsets)[rows]
-    starts = np.append(0, np.cumsum(count))
-    return starts, packed[np.repeat(offsets[rows] - starts[:-1], count) + np.arange(starts[-1])]
 
 
 def _chained_offsets(parts: Sequence[IntArray]) -> IntArray:
