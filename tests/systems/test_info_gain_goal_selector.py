@@ -204,6 +204,27 @@ def test_on_its_way_the_robot_is_not_turned_round_by_what_comes_into_sight_far_a
         assert np.abs(goal.look).min() > 1.5  # to the west
 
 
+def test_a_goal_by_a_way_longer_than_the_working_map_reaches_is_weighed_against_all_of_the_map():
+    estimate, tfg = half_known_room()
+    there = roadmap()
+    # By the working map alone the robot would go elsewhere.
+    other = dataclasses.replace(there, travel_time=np.where(there.reachable, 40.0 - there.travel_time, np.inf))
+    chosen = []
+    for length in (9.0, 11.0):
+        selector = Selector(goal="nearest_frontier")
+        selector.ready()
+        here = dataclasses.replace(other, travel_length=np.full(len(there.points), length))
+        selector.set_part(
+            working_map=WorkingMap(estimate, tfg, np.zeros(1, dtype=bool), 10.0),
+            working_roadmap=with_frontiers(here, estimate, tfg, TagSensorConfig()),
+        )
+        chosen.append(selector.goal().node)
+    alone = Selector(goal="nearest_frontier")
+    alone.ready()
+    assert chosen[1] == alone.goal().node
+    assert chosen[0] != chosen[1]
+
+
 def test_a_tour_is_planned_over_the_places_that_see_enough_known_tags():
     _, tfg = half_known_room()
     behind_a_wall = dataclasses.replace(tfg, segments=np.vstack([tfg.segments, [[-1.5, -4.0, -1.5, 0.5]]]))
