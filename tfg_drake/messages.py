@@ -189,14 +189,14 @@ class TfgMap:
     """The topological feature graph resolved in the map frame: what planning and pictures need.
 
     stage: number of goals in it. segments: (m, 4) obstacle surface pieces x0, y0, x1, y1 in M, m, but for those that
-    have drifted into free space. segment_kind: (m,) 0 edge between landmarks, 1 wall end anchored to a landmark, 2
-    surface without a landmark. segment_ids: (m, 2) ids of the landmarks the piece is anchored to, -1 where there is
-    none. A landmark without a surface is a piece of no length. facing: (n, 2) unit vectors in M, row for row with
-    MapEstimate.ids: the side from which each landmark was seen, zero where its surfaces have drifted. frontiers: (f, 2)
-    points in M, a little inside the unknown, frontier_length: (f,) m of frontier each stands for, frontier_normal: (f,
-    2) unit vectors pointing from the unknown back to where the frontier was seen from; where it lies in front of a
-    surface not seen well enough, that surface's normal. Every piece of surface was seen from its left. star_offsets:
-    (k + 1,) and star_vertices: (v, 2): star j, the free polygon seen from goal j, has the vertices
+    have drifted (see `tfg_drake.tfg.overlap`). segment_kind: (m,) 0 edge between landmarks, 1 wall end anchored to a
+    landmark, 2 surface without a landmark. segment_ids: (m, 2) ids of the landmarks the piece is anchored to, -1 where
+    there is none. A landmark without a surface is a piece of no length. facing: (n, 2) unit vectors in M, row for row
+    with MapEstimate.ids: the side from which each landmark was seen, zero where its surfaces have drifted. frontiers:
+    (f, 2) points in M, a little inside the unknown, frontier_length: (f,) m of frontier each stands for,
+    frontier_normal: (f, 2) unit vectors pointing from the unknown back to where the frontier was seen from; where it
+    lies in front of a surface not seen well enough, that surface's normal. Every piece of surface was seen from its
+    left. star_offsets: (k + 1,) and star_vertices: (v, 2): star j, the free polygon seen from goal j, has the vertices
     star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up:
     (g, 2) points of open frontier that were tried in vain as often as the explorer tries, wide enough for the robot,
     given_up_length: (g,) m, given_up_normal: (g, 2). viewpoints: (v, 2) places in M, m, from where tags that the map

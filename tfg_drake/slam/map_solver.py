@@ -219,7 +219,7 @@ def _settle_window(graph: GoalGraph, goals: IntArray) -> tuple[GoalGraph, float]
 
 def _optimum(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
     """Gauss-Newton steps by GTSAM's multifrontal elimination; a part of one where the whole fails to lower the error,
-    and Levenberg-Marquardt where a part does, too."""
+    and Levenberg-Marquardt where every part does."""
     ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(factors)
     error = factors.error(values)
     for _ in range(MOST_STEPS):

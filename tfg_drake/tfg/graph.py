@@ -352,11 +352,6 @@ class _Placed:
         """Those pieces (h, 4)."""
         return self.pieces[self.here]
 
-    @property
-    def all_of_it(self) -> _Placed:
-        """The same with nothing mapped otherwise."""
-        return dataclasses.replace(self, otherwise=self.otherwise.nothing)
-
 
 def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> _Placed:
     """The graph placed; goals: (k,) those that it holds the stars of, if it is a part of one."""
@@ -565,7 +560,8 @@ def _count_attempts(
         # The robot came for what was mapped otherwise, if it did not for what is here.
         if len(here) or not placed.otherwise.landmarks.any():
             return here
-        return in_view_of(graph, placed.all_of_it)
+        all_of_it = nothing_otherwise(graph.surfaces, estimate)
+        return in_view_of(graph, dataclasses.replace(placed, otherwise=all_of_it))
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
     then, failed = in_view(before, goals), in_view(after, None if goals is None else np.append(goals, after.stage - 1))

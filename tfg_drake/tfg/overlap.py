@@ -66,11 +66,6 @@ class MappedOtherwise:
     goals: BoolArray
     surfaces: BoolArray
 
-    @property
-    def nothing(self) -> MappedOtherwise:
-        """Of the same map, nothing."""
-        return MappedOtherwise(*(np.zeros_like(of) for of in (self.landmarks, self.goals, self.surfaces)))
-
 
 def mapped_otherwise(
     surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray, estimate: MapEstimate
