@@ -88,12 +88,10 @@ class InfoGainGoalSelector(LeafSystem):
         if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
         # On its way to a goal outside of the working map the robot weighs all there is against it.
-        underway = now.goal.node >= 0 and (
-            np.hypot(*(now.goal.p_MG - working.estimate.X_MD[:2])) > working.reach
-            or not roadmap.reaches(np.array([now.goal.node]))[0]
-        )
-        part = working.estimate, working.tfg, roadmap, self._parameters, now.remembered
-        goal = None if underway else choose(*part, everything=working.is_all)
+        goal = None
+        if now.goal.node < 0 or _is_nearest(now.goal, roadmap, working.reach):
+            part = working.estimate, working.tfg, roadmap, self._parameters, now.remembered
+            goal = choose(*part, everything=working.is_all)
         if goal is None or not (working.is_all or _is_nearest(goal, roadmap, working.reach)):
             estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
             roadmap = eval_message(self._roadmap, context, Roadmap)
@@ -104,5 +102,5 @@ class InfoGainGoalSelector(LeafSystem):
 
 
 def _is_nearest(goal: GoalChoice, roadmap: Roadmap, reach: float) -> bool:
-    """Whether a goal chosen within reach (m) lies nearer, as the robot drives, than anything outside can."""
-    return goal.verdict == "goal" and bool(roadmap.travel_length[roadmap.nodes(np.array([goal.node]))[0]] <= reach)
+    """Whether there is a goal, and nearer, as the robot drives, than anything beyond reach (m) can be."""
+    return goal.node >= 0 and bool(roadmap.reaches(np.array([goal.node]), reach)[0])

@@ -306,10 +306,11 @@ class Roadmap:
         rows = np.searchsorted(ids, names)
         return np.where(ids[rows.clip(max=len(ids) - 1)] == names, rows, -1) if len(ids) else np.full(len(names), -1)
 
-    def reaches(self, names: IntArray) -> BoolArray:
-        """Whether the nodes of these names are in this roadmap and can be reached."""
+    def reaches(self, names: IntArray, within: float = math.inf) -> BoolArray:
+        """Whether the nodes of these names are in this roadmap and can be reached, by a way within so many metres."""
         nodes = self.nodes(names)
-        return np.asarray((nodes >= 0) & np.append(self.reachable, False)[nodes])
+        near = self.reachable & (self.travel_length <= within)
+        return np.asarray((nodes >= 0) & np.append(near, False)[nodes])
 
 
 @message

@@ -94,23 +94,47 @@ def test_what_rests_comes_back_where_the_map_has_moved_it():
     np.testing.assert_allclose(moved.points, np.add(end.points, [3.0, 0.0]), atol=1e-9)
 
 
-def test_a_path_leads_to_a_goal_where_the_roadmap_rests():
+@pytest.fixture(scope="module")
+def far_end():
+    """State of the planner, map, TFG and what is near at the far end of the corridor, the rest of which rests."""
     state = initial_state()
     for k in range(1, len(GOALS) + 1):
         estimate, tfg = known(CORRIDOR, GOALS[:k])
         near = awake(state.parts.part, estimate.X_MA, 20.0)
         state = grow(state, WorkingMap(estimate, tfg, near), PARAMETERS)
+    return state, estimate, tfg, near
+
+
+def planned_to(node, far_end, reach=np.inf):
+    """The state after the way to a node was planned, and how often all of the map was asked for."""
+    state, estimate, tfg, near = far_end
+    stage = len(estimate.X_MA)
+    pose = PoseEstimate(0.0, estimate.X_MD, np.eye(3), np.zeros(2), stage, np.zeros(0, dtype=int), np.zeros((0, 2)))
+    goal = replace(empty_choice(), stage=stage, node=int(node))
+    mission, scan = MissionStatus("plan", stage, 0.0), LaserScan(0.0, np.zeros(0), np.zeros(0), 10.0, 0.01)
+    working = WorkingMap(estimate, tfg, near, reach)
+    asked = []
+    planned = step(state, working, lambda: asked.append(1) or (estimate, tfg), pose, goal, scan, mission, PARAMETERS)
+    return planned, len(asked)
+
+
+def test_a_path_leads_to_a_goal_where_the_roadmap_rests(far_end):
+    state, estimate, _, _ = far_end
     everything = whole_roadmap(state.parts, estimate.X_MA)
     rests = ~np.isin(everything.ids, state.nodes.ids)
     assert rests.sum() > 30
     node = int(np.argmin(np.where(rests, np.hypot(*(everything.points - [5.0, 0.0]).T), np.inf)))
     assert state.roadmap.nodes(everything.ids[[node]]) == [-1]
-    pose = PoseEstimate(0.0, estimate.X_MD, np.eye(3), np.zeros(2), k, np.zeros(0, dtype=int), np.zeros((0, 2)))
-    goal = replace(empty_choice(), stage=k, node=int(everything.ids[node]))
-    mission, scan = MissionStatus("plan", k, 0.0), LaserScan(0.0, np.zeros(0), np.zeros(0), 10.0, 0.01)
-    working = WorkingMap(estimate, tfg, near)
-    asked = []
-    planned = step(state, working, lambda: asked.append(1) or (estimate, tfg), pose, goal, scan, mission, PARAMETERS)
-    assert asked == [1]
+    planned, asked = planned_to(everything.ids[node], far_end)
+    assert asked == 1
     np.testing.assert_allclose(planned.path.points[-1], everything.points[node], atol=1e-9)
     assert np.hypot(*np.diff(planned.path.points, axis=0).T).sum() < 80.0
+
+
+def test_a_way_longer_than_the_working_map_reaches_is_planned_on_all_of_the_map(far_end):
+    state, *_ = far_end
+    node = int(np.argmin(np.abs(np.where(state.roadmap.reachable, state.roadmap.travel_length, np.inf) - 10.0)))
+    name = state.roadmap.names(np.array([node]))[0]
+    (short, asked), (_, asked_far) = (planned_to(name, far_end, reach) for reach in (12.0, 8.0))
+    assert (asked, asked_far) == (0, 1)
+    np.testing.assert_allclose(short.path.points[-1], state.roadmap.points[node], atol=1e-9)

@@ -391,6 +391,28 @@ def test_on_the_way_to_a_far_goal_all_of_the_map_is_weighed():
     assert len(goal.candidates) == len(far.candidates)
 
 
+def test_on_a_long_way_to_a_goal_nearby_all_of_the_map_is_weighed():
+    there = roadmap()
+    near = there.points[:, 0] < -1.0
+    weighed = []
+    for length in (9.0, 11.0):
+        selector = Selector()
+        selector.ready()
+        before = selector.goal().node
+        assert not near[before]
+        part = named(roadmap(2), np.union1d(np.flatnonzero(near), [before]))
+        # By itself the part would have the robot go elsewhere now.
+        time, way = (np.where(part.ids == before, far, 1.0) for far in (100.0, length))
+        part = dataclasses.replace(part, travel_time=np.where(part.reachable, time, np.inf), travel_length=way)
+        estimate, tfg = (dataclasses.replace(message, stage=2) for message in half_known_room())
+        selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
+        working = WorkingMap(estimate, tfg, np.zeros(2, dtype=bool), 10.0)
+        selector.set_part(working_map=working, working_roadmap=with_frontiers(part, estimate, tfg, TagSensorConfig()))
+        weighed.append(selector.goal().candidates)
+    assert (near[weighed[0]] | (weighed[0] == before)).all()
+    assert (~near[weighed[1]]).sum() > 1
+
+
 def test_what_promised_enough_is_remembered_while_it_rests():
     before = dataclasses.replace(
         empty_choice(),

@@ -121,7 +121,8 @@ def step(
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
     if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
         nodes = state.nodes
-        if not state.roadmap.reaches(np.array([goal.node]))[0]:
+        if not state.roadmap.reaches(np.array([goal.node]), working.reach)[0]:
+            # A way as long as that may be shorter through what rests.
             estimate, tfg = whole()
             nodes = whole_roadmap(state.parts, estimate.X_MA)
         return _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
