@@ -47,7 +47,7 @@ class InfoGainGoalSelector(LeafSystem):
         - goal
 
     The goal is looked for in the working map; in the whole one where nothing there is worth going to, or only by a way
-    that is longer than to what may lie outside, and on the way to a goal outside of it.
+    that is longer than to what may lie outside, and as long as the robot is on such a way.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class InfoGainGoalSelector(LeafSystem):
         roadmap = eval_message(self._working_roadmap, context, Roadmap)
         if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
-        # On its way to a goal outside of the working map the robot weighs all there is against it.
+        # On a long way the robot weighs all there is against its goal.
         goal = None
         if now.goal.node < 0 or _is_nearest(now.goal, roadmap, working.reach):
             part = working.estimate, working.tfg, roadmap, self._parameters, now.remembered

@@ -56,7 +56,7 @@ class PrmPlanner(LeafSystem):
         - path_status
 
     working_roadmap is that of the working map. The whole of a large map, and with it roadmap, which is made for whoever
-    looks at it, is made use of where a goal lies outside of that.
+    looks at it, is made use of where a goal lies outside of that, or only a way longer than that reaches leads to it.
     seed: of the roadmap's samples; with it and the inputs the roadmap is determined.
     """
 
