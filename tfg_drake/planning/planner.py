@@ -111,8 +111,8 @@ def step(
 ) -> PlannerState:
     """The state after one look at the newest messages; the same object where nothing changed.
 
-    whole: map and TFG with nothing left out, asked for where the goal lies outside the part that is worked on, or only a
-    way longer than that reaches leads to it.
+    whole: map and TFG with nothing left out, asked for where the goal lies outside the part that is worked on, or only
+    a way longer than that reaches leads to it.
     """
     estimate, tfg = working.estimate, working.tfg
     if working.stage > state.nodes.stage:
