@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.tfg import graph as whole
-from tfg_drake.tfg.frontier import frontier_length_total, place_points
+from tfg_drake.tfg.frontier import frontier_length_total, join, place_points, points_of, select
 from tfg_drake.tfg.graph import Sightings, TfgGraph, no_sightings, resolve
 from tfg_drake.tfg.working_map import empty_graphs, update, whole_graph, working_map
 
@@ -174,11 +175,20 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
     )
     passage = take_up(alone, passage, in_passage, no_sightings(), False)
     graphs = take_up(world, graphs, in_room, no_sightings(), False)
-    room = graphs.near
+    drifted = in_room - np.array([0.0, 1.0, 0.0])
+    # Much of what is open in the room lies now where it is in the passage, and in the middle of that.
+    open_there = {}
+    for name in ("shadows", "uninspected"):
+        there = place_points(select(of := getattr(passage.near, name), of.goal == 1), np.array(alone.X_MA))
+        p, normal = (np.vstack([each, [xy]]) for each, xy in ((there.p, [1.0, -0.5]), (there.normal, [0.0, -1.0])))
+        points = points_of(1, transform(inverse(drifted), p), normal, np.full(len(p), 0.3))
+        open_there[name] = join(getattr(graphs.near, name), points)
+    room = replace(graphs.near, **open_there)
+    graphs = replace(graphs, near=room)
     of_room = np.isin(np.arange(len(world.p_WT)), room.tag_ids) & (world.p_WT[:, 0] < 100.0)
     world.error = np.where(of_room, -1.0, 0.0)[:, None] * [[0.0, 1.0]]
     world.sigma = np.where(of_room, 2.0, 1e-3)
-    world.X_MA[1] = in_room - np.array([0.0, 1.0, 0.0])
+    world.X_MA[1] = drifted
     graphs = take_up(world, graphs, in_passage, no_sightings(), False)
     # The passage is as if the room were not there ...
     part, expected = (
@@ -191,8 +201,10 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
         mine, alone_there = getattr(graphs.near, name), getattr(passage.near, name)
         np.testing.assert_array_equal(mine.p[mine.goal == 2], alone_there.p[alone_there.goal == 1])
     # ... which loses nothing by that,
-    mine = graphs.near.shadows.goal == 1
-    np.testing.assert_array_equal(graphs.near.shadows.p[mine], room.shadows.p[room.shadows.goal == 1])
+    for name in ("shadows", "uninspected"):
+        mine, before = (select(of := getattr(graph, name), of.goal == 1) for graph in (graphs.near, room))
+        assert len(before.p) > 1
+        np.testing.assert_array_equal(mine.p, before.p)
     all_of_it = resolve(whole_graph(graphs), world.estimate, world.robot, world.explorer)
     assert all_of_it.facing.any(axis=1).all()
     # and it is there again when the loop has closed.
