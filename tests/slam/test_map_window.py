@@ -146,6 +146,16 @@ def test_what_a_block_of_the_way_was_told_makes_a_loop_about_to_close_less_loose
     assert 0.97 < off[0] < 1.0 + 0.8 * (off[1] - 1.0)
 
 
+def test_a_way_begun_while_the_map_was_small_is_told_anew_too(monkeypatch):
+    deviation = []
+    for length in (4, 1000):
+        monkeypatch.setattr(map_window, "BLOCK", length)
+        graph, _, _ = block(16)
+        assert len(window_goals(graph, graph.X_MA[-1, :2])) == 16
+        deviation.append(np.sqrt(np.diag(link(graph, travelled_covariance(graph), 0, 12)[1])))
+    assert (deviation[0] < 0.85 * deviation[1]).all()
+
+
 def test_goals_beyond_the_window_tell_what_they_have_seen_of_its_edge(windows, monkeypatch):
     graph, _, _ = block()
     goals = window_goals(graph, graph.X_MA[-1, :2])

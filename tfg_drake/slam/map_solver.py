@@ -69,16 +69,15 @@ def solve(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple
         graph = settled if rim <= RIM_STEP else settle(settled)
         # The goal may turn out to lie elsewhere, as after the robot was carried.
         goals = window_goals(graph, graph.X_MA[-1, :2])
-    windowed = len(goals) < len(graph.observations)
-    block = smoothed_block(graph, goals) if windowed else ()
-    rows, covariance, entropy = _joint(graph, goals, ends=block)
-    if windowed:
+    rows, covariance, entropy = _joint(graph, goals)
+    if len(goals) < len(graph.observations):
         entropy += graph.entropy - _entropy_before(graph, goals)
+    # A small map, too: when it has grown large, what lies beyond its windows is known by what was told until then.
+    block = smoothed_block(graph, goals)
     if block:
+        _, joint, _ = _joint(graph, goals, ends=block)
         ends = slice(-3 * len(block) - 3, -3)
-        graph = with_travel(graph, block[-2], block[-1], _added_by_last(graph, block, covariance[ends, ends]))
-        kept = np.r_[: 2 * len(rows), -3:0]
-        covariance = covariance[np.ix_(kept, kept)]
+        graph = with_travel(graph, block[-2], block[-1], _added_by_last(graph, block, joint[ends, ends]))
     return _noted(graph, rows, covariance, entropy, stamp, observation)
 
 

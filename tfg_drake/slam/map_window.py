@@ -115,7 +115,7 @@ def smoothed_block(graph: GoalGraph, goals: IntArray) -> tuple[int, ...]:
     """Where the newest block of the way begins and ends that a window's goals (w,) know well, by what came before and
     after, behind where the block before it began, if they hold that too; none but once a block, when the robot is a
     block farther on."""
-    last, before = ((int(k) // BLOCK - 1) * BLOCK for k in np.flatnonzero(graph.is_goal)[[-1, -2]])
+    last, before = ((int(k) // BLOCK - 1) * BLOCK for k in np.append(0, np.flatnonzero(graph.is_goal))[[-1, -2]])
     begin, first = last - BLOCK, last - 2 * BLOCK
     if last == before or begin < 0 or not _holds(goals, begin, len(graph.observations)):
         return ()
