@@ -159,6 +159,7 @@ def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: Flo
     """
     gains = expected(np.arange(len(time)), tags.thinned(SCREENING_TAGS))
     best = _best(gains, time)
+    best = best[tags.count[best] > SCREENING_TAGS]
     return _replaced(gains, best, expected(best, tags.of(best)))
 
 
