@@ -199,7 +199,7 @@ def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
 
 
 def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]
-    """A dot where each goal's turn or glance began, in a circle with its number where there is room for one."""
+    """A dot where each goal's turn or glance began, under its number where there is room for one."""
     goals = compose(X_WM, X_MA)[:, :2] if len(X_MA) else np.zeros((0, 2))
     if not len(goals):
         return
@@ -211,7 +211,8 @@ def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: igno
         if all(np.hypot(*(goals[number] - goals[other])) > spacing for other in numbered):
             numbered.append(number)
     axes.plot(*goals.T, "o", markersize=3, color=_ESTIMATE, linewidth=0, label="goal or glance", zorder=4.9)
-    ring = {"markersize": 10, "color": "white", "markeredgecolor": _ESTIMATE, "linewidth": 0}
-    axes.plot(*goals[numbered].T, "o", **ring, zorder=5)
+    # As wide as the number is.
+    box = {"boxstyle": "round,pad=0.3,rounding_size=0.8", "facecolor": "white", "edgecolor": _ESTIMATE}
+    middle = {"ha": "center", "va": "center"}
     for number in numbered:
-        axes.text(*goals[number], str(number + 1), fontsize=6, color=_ESTIMATE, ha="center", va="center", zorder=5.1)
+        axes.text(*goals[number], str(number + 1), fontsize=6, color=_ESTIMATE, bbox=box, **middle, zorder=5)
