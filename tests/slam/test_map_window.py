@@ -299,6 +299,16 @@ def test_windows_lead_to_the_map_that_whole_solves_lead_to(monkeypatch):
     assert settled.entropy == pytest.approx(expected.entropy, abs=0.5)
 
 
+def test_of_a_map_too_large_to_be_known_jointly_each_landmark_is_known_in_the_end(windows, monkeypatch):
+    graph, estimate, _ = block()
+    _, jointly = whole(graph, 0.0, estimate.observation)
+    monkeypatch.setattr(map_solver, "MOST_JOINT", 0)
+    settled, each = whole(graph, 0.0, estimate.observation)
+    assert len(each.local) < len(each.ids)
+    assert np.abs(each.landmark_covariance / jointly.landmark_covariance - 1.0).max() < 1e-3
+    np.testing.assert_array_equal(settled.landmark_covariance, each.landmark_covariance)
+
+
 def test_a_window_saves_the_solve_of_the_whole(windows, monkeypatch):
     calls = []
     monkeypatch.setattr(map_solver, "settle", lambda graph: calls.append(len(graph.observations)) or settle(graph))

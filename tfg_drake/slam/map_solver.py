@@ -106,15 +106,23 @@ def restored(graph: GoalGraph, stamp: float, observation: GoalObservation) -> Ma
 
 
 def whole(graph: GoalGraph, stamp: float, observation: GoalObservation) -> tuple[GoalGraph, MapEstimate]:
-    """As `solve`, but of the whole graph and with the joint covariance of all landmarks, up to MOST_JOINT unknowns.
+    """As `solve`, but of the whole graph and with the joint covariance of all landmarks; of more than MOST_JOINT
+    unknowns with that of each landmark by itself.
 
-    For the end of a mission: its cost grows with the map, the covariance's with the third power.
+    For the end of a mission: its cost grows with the map, the joint covariance's with the third power.
     """
     graph = settle(graph)
     if 6 * len(graph.observations) + 2 * len(graph.ids) > MOST_JOINT:
+        graph = replace(graph, landmark_covariance=_each_by_itself(graph))
         return graph, restored(graph, stamp, observation)
     rows, covariance, entropy = _joint(graph, np.arange(len(graph.observations)))
     return _noted(graph, rows, covariance, entropy, stamp, observation)
+
+
+def _each_by_itself(graph: GoalGraph) -> FloatArray:
+    """The covariance (n, 2, 2) of each landmark, m^2, from GTSAM's Bayes tree of the whole graph."""
+    marginals = gtsam.Marginals(factor_graph(graph), values_of(graph))
+    return np.array([marginals.marginalCovariance(L(int(tag))) for tag in graph.ids]).reshape(-1, 2, 2)
 
 
 def _noted(
