@@ -20,8 +20,8 @@ from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray
 from tfg_drake.paper_figures import Field, Stage, draw_gains, draw_growth, draw_priors, draw_tfg, write_figure
 
-# The stage whose gains are drawn: much is known, much is open.
-GAIN_STAGE = 8
+# The stage whose gains are drawn, half-way: much is known, much is open.
+GAIN_STAGE = 60
 # Pictures of the map's growth.
 GROWTH = 4
 # Simulated time between two looks at the mission, s.
