@@ -162,6 +162,9 @@ class ExplorerConfig:
     budget_time: float = 0.0
     budget_distance: float = 0.0
     return_home: bool = False
+    # Whether the robot, when all is explored, looks again where the landmarks' error falls by a larger share than the
+    # mission grows longer (tour only).
+    revisit: bool = True
     # Landmarks expected per metre of unexplored surface.
     density: float = 1.0
     # Standard deviation of an unknown landmark's position, each axis, m.

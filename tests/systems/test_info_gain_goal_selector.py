@@ -121,6 +121,40 @@ def test_a_closed_and_certain_map_is_complete():
     assert (goal.verdict, goal.node) == ("complete", -1)
 
 
+@pytest.mark.parametrize(
+    ("variance", "settings", "verdict"),
+    [
+        (1e-3, {}, "goal"),
+        (1e-6, {}, "complete"),
+        (1e-3, {"revisit": False}, "complete"),
+        (1e-3, {"goal": "nearest_frontier"}, "complete"),
+        (1e-3, {"budget_time": 110.0}, "complete"),
+    ],
+)
+def test_when_all_is_explored_the_robot_looks_again_where_that_makes_the_map_more_accurate(variance, settings, verdict):
+    estimate, tfg = half_known_room()
+    estimate = dataclasses.replace(estimate, stamp=100.0, covariance=variance * np.eye(9))
+    closed = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    selector = Selector(**settings)
+    selector.ready(map=estimate, tfg=closed)
+    goal = selector.goal()
+    assert goal.verdict == verdict
+    assert goal.gain.max() < ExplorerConfig().stop_gain
+    if verdict == "goal":
+        assert goal.candidates[np.argmax(goal.value)] == goal.node
+        assert goal.value.max() > 1.0
+        assert len(goal.look) == 0
+
+
+def test_what_is_known_in_parts_only_cannot_tell_where_to_look_again():
+    estimate, tfg = half_known_room()
+    closed = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    estimate = dataclasses.replace(estimate, stamp=100.0, local=np.arange(2), covariance=1e-3 * np.eye(7))
+    selector = Selector()
+    selector.ready(map=estimate, tfg=closed)
+    assert selector.goal().verdict == "complete"
+
+
 def test_an_empty_world_has_no_goal_but_a_verdict():
     estimate, tfg = (dataclasses.replace(message, stage=1) for message in (empty_map(), empty_tfg()))
     selector = Selector()

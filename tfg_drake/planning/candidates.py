@@ -65,10 +65,19 @@ class Candidates:
         """Which (c,) see enough live frontier to be worth a visit, whatever their gain."""
         return np.asarray(self.open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
 
+    def worth(self, stop_gain: float) -> BoolArray:
+        """Which (c,) are worth a visit: they see enough live frontier, or promise more than stop_gain, nats."""
+        return np.asarray(self.sees_enough | (self.gains.gain > stop_gain))
+
 
 def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
     """s. The robot arrives facing some of what it came for, and turns half round for the rest, on average."""
-    return 0.5 * max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
+    return 0.5 * (time_all_round(sensor, explorer) - OVERHEAD) + OVERHEAD
+
+
+def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
+    """s, at a goal where the robot looks all round."""
+    return max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
 
 
 def judged(
@@ -77,13 +86,15 @@ def judged(
     roadmap: Roadmap,
     parameters: GoalParameters,
     previous: GoalChoice,
+    *,
+    in_full: bool = False,
 ) -> Candidates:
     """The roadmap's reachable nodes, but for those next to past goals, at most explorer.samples of them judged now.
 
     On a large map, a place where the landmarks are not known jointly with the robot's pose promises what it did when
-    they last were, by the previous choice (see `goal_choice.remember`): nothing has changed there since. Candidates
-    that come nowhere near the best promise what SCREENING_TAGS of their tags do, a little less than they would, as long
-    as any sees frontier: before the mission ends, all are judged in full.
+    they last were, by the previous choice (see `goal_choice.remember`): nothing has changed there since. Unless all are
+    to be judged in_full, candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a
+    little less than they would.
     """
     sensor, odometry, explorer = parameters.sensor, parameters.odometry, parameters.explorer
     nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
@@ -97,7 +108,6 @@ def judged(
     ask = np.isin(candidates, asked)
     points, time, names = roadmap.points[candidates], roadmap.travel_time[candidates], roadmap.names(candidates)
     open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
-    sees_enough = open_ahead.sum(axis=1) >= ENOUGH_FRONTIER
 
     def expected(rows: IntArray, tags: View) -> Gains:
         at, needed = roadmap.points[asked[rows]], roadmap.travel_time[asked[rows]]
@@ -105,14 +115,14 @@ def judged(
         return information_gain(at, distance, needed, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
 
     tags = expected_tags(points[ask], estimate, tfg, sensor)
-    if explorer.gain == "exact" and len(asked) > 2 * EXACT and sees_enough[ask].any():
+    if explorer.gain == "exact" and len(asked) > 2 * EXACT and not in_full:
         now = _screened(expected, tags, time[ask] + time_at_goal(sensor, explorer))
     else:
         now = expected(np.arange(len(asked)), tags)
     now = _found_again(now, here[np.isin(nodes, asked)])
     in_view = np.full(len(candidates), -1)
     in_view[ask] = tags.count
-    gains = _filled(previous, names, ask, now, sees_enough)
+    gains = _filled(previous, names, ask, now, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
     return Candidates(candidates, names, points, time, gains, in_view, open_ahead)
 
 

@@ -15,6 +15,7 @@ from tfg_drake.planning.budget import budget_left, way_home
 from tfg_drake.planning.candidates import Candidates, GoalParameters, judged, time_at_goal
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
+from tfg_drake.planning.revisit import worth_revisiting
 
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
@@ -52,17 +53,27 @@ def choose(
     found worth remembering (see remember). everything: they are no part of a larger map.
 
     Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
-    Where nothing is, the robot goes back to passages that were too narrow (see `tfg_drake.planning.barred`).
+    Where nothing is, the robot looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`), then
+    goes back to passages that were too narrow (`tfg_drake.planning.barred`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
     robot, explorer = parameters.robot, parameters.explorer
-    candidates = judged(estimate, tfg, roadmap, parameters, previous)
-    gains, stay = candidates.gains, time_at_goal(parameters.sensor, explorer)
+    stay = time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
-    worth = candidates.sees_enough | (gains.gain > explorer.stop_gain)
+    candidates = judged(estimate, tfg, roadmap, parameters, previous)
     affordable = budget.affords(roadmap, candidates.nodes)
+    worth = candidates.worth(explorer.stop_gain)
+    once_more = np.zeros(len(worth))
+    if not worth.any():
+        if explorer.revisit and explorer.goal == "tour" and everything:
+            once_more = affordable * worth_revisiting(candidates.nodes, estimate, tfg, roadmap, parameters)
+        if not (once_more > 1.0).any():
+            # Before the mission ends all are asked by all that they see.
+            candidates = judged(estimate, tfg, roadmap, parameters, previous, in_full=True)
+            worth = candidates.worth(explorer.stop_gain)
+    gains = candidates.gains
     # As long as any place is worth going to, every place will do for a goal drawn at random.
     anywhere = explorer.goal == "random" and bool(worth.any())
     open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
@@ -87,6 +98,9 @@ def choose(
         reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     elif worth.any():
         node, (verdict, reason) = -1, spent
+    elif (revisited := pick(once_more, once_more > 1.0)) >= 0:
+        node, verdict, value = int(candidates.nodes[revisited]), "goal", once_more
+        reason = "All is explored, but the map grows more accurate yet: it looks round once more."
     else:
         barred = barred_places(estimate, tfg, roadmap, parameters)
         back = np.zeros(len(barred.nodes))
