@@ -263,6 +263,13 @@ class Mission:
         """When the mission ended or, if it has not, the simulated time, s."""
         return self.status.since if self.status.phase == "done" else self.time
 
+    @property
+    def explored_time(self) -> float:
+        """Since when nothing has been left to explore, s; nan where something is."""
+        if self._choice is not None and self._choice.explored <= self.end_time:
+            return self._choice.explored
+        return self.end_time if self.outcome == "complete" else math.nan
+
     def true_poses(self) -> tuple[FloatArray, FloatArray] | None:
         """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, to the end; None where not known."""
         return self.truth.poses(self._context, self.end_time) if self.truth is not None else None

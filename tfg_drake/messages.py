@@ -324,6 +324,7 @@ class GoalChoice:
     at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
     chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
     looked_again: (t,) names of nodes before narrow passages that the robot has gone back to, before the mission ends.
+    explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
     """
 
     stage: int
@@ -341,6 +342,7 @@ class GoalChoice:
     spent: bool = False
     look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     looked_again: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    explored: float = math.inf
 
 
 @message

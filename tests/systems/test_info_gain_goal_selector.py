@@ -140,10 +140,24 @@ def test_when_all_is_explored_the_robot_looks_again_where_that_makes_the_map_mor
     goal = selector.goal()
     assert goal.verdict == verdict
     assert goal.gain.max() < ExplorerConfig().stop_gain
+    assert goal.explored == 100.0
     if verdict == "goal":
         assert goal.candidates[np.argmax(goal.value)] == goal.node
         assert goal.value.max() > 1.0
         assert len(goal.look) == 0
+
+
+def test_what_was_explored_stays_so_until_something_opens():
+    estimate, tfg = half_known_room()
+    estimate = dataclasses.replace(estimate, covariance=1e-3 * np.eye(9))
+    closed = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    selector, explored = Selector(), []
+    for stage, seen in enumerate((closed, closed, tfg, closed), 1):
+        now = {"map": dataclasses.replace(estimate, stage=stage, stamp=100.0 * stage)}
+        now |= {"tfg": dataclasses.replace(seen, stage=stage), "roadmap": roadmap(stage)}
+        selector.ready(**now, mission=MissionStatus("choose", stage, 0.0))
+        explored.append(selector.goal().explored)
+    assert explored == [100.0, 100.0, np.inf, 400.0]
 
 
 def test_what_is_known_in_parts_only_cannot_tell_where_to_look_again():

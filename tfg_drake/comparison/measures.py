@@ -66,6 +66,7 @@ CPU_IDLE = Measure("CPU idle at real time", "%", 1, cpu_idle)
 MEASURES = (
     TIME,
     Measure("time to see 99 % of the area", "s", 0, _field("area_seen_s")),
+    Measure("time until nothing was left to explore", "s", 0, _field("explored_s")),
     Measure("distance", "m", 1, _field("distance_m")),
     POSITION,
     Measure("position error, max", "m", 4, _field("position_error_m.max")),

@@ -90,7 +90,7 @@ def choose(
         if len(before) and candidates.time[before[0]] < candidates.time[best]:
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
-    looked = previous.looked_again
+    looked, explored = previous.looked_again, math.inf
     spent = "budget", f"{budget} of the budget were too little for another goal."
     if best >= 0:
         node, verdict = int(candidates.nodes[best]), "goal"
@@ -100,6 +100,7 @@ def choose(
         node, (verdict, reason) = -1, spent
     elif (revisited := pick(once_more, once_more > 1.0)) >= 0:
         node, verdict, value = int(candidates.nodes[revisited]), "goal", once_more
+        explored = min(previous.explored, estimate.stamp)
         reason = "All is explored, but the map grows more accurate yet: it looks round once more."
     else:
         barred = barred_places(estimate, tfg, roadmap, parameters)
@@ -116,6 +117,7 @@ def choose(
         else:
             gain = float(barred.gain.max(initial=0.0))
             node, (verdict, reason) = -1, _end(bool(len(candidates.nodes)), gain, estimate, tfg, roadmap, parameters)
+            explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
     if verdict != "goal" and explorer.return_home:
         node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
     p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
@@ -134,6 +136,7 @@ def choose(
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
         look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
         looked_again=looked,
+        explored=explored,
     )
 
 
