@@ -25,9 +25,10 @@ endif
 test:  ## run the test suite (PYTHON=python3.12: with that Python, if it is there)
 	@$(if $(skip),echo "skipped: $(skip)",$(MAKE) --no-print-directory suite)
 
+# Two at a time; a file's tests share what one of them has set up.
 .PHONY: suite
 suite: $(VENV)/.test
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
 
 lint: $(VENV)/.test  ## ruff's rules
 	$(BIN)/ruff check
