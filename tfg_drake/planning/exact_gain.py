@@ -70,6 +70,15 @@ def _whitened(dx: float, dy: float, noise: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
+def whitened(d: FloatArray, noise: FloatArray) -> FloatArray:
+    """As _whitened, (k, 2, 2), of landmarks at d (k, 2), m, from the robot."""
+    G = np.empty((len(d), 2, 2))
+    for k in range(len(d)):
+        G[k] = _whitened(d[k, 0], d[k, 1], noise)
+    return G
+
+
+@njit(cache=True)
 def share_seen(distance: FloatArray | float, reach: FloatArray) -> FloatArray:
     """How much of what a frontier point stands for is seen from a distance (m): the depth of view left behind it.
 

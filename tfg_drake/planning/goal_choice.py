@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -11,8 +12,8 @@ from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.barred import barred_places, looked_again, worth_of_looking
-from tfg_drake.planning.budget import budget_left, way_home
-from tfg_drake.planning.candidates import Candidates, GoalParameters, judged, time_at_goal
+from tfg_drake.planning.budget import Budget, budget_left, way_home
+from tfg_drake.planning.candidates import Candidates, GoalParameters, judged, time_all_round, time_at_goal
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
 from tfg_drake.planning.revisit import worth_revisiting
@@ -62,13 +63,15 @@ def choose(
     robot, explorer = parameters.robot, parameters.explorer
     stay = time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
+    all_round = dataclasses.replace(budget, stay=time_all_round(parameters.sensor, explorer))
     candidates = judged(estimate, tfg, roadmap, parameters, previous)
     affordable = budget.affords(roadmap, candidates.nodes)
     worth = candidates.worth(explorer.stop_gain)
     once_more = np.zeros(len(worth))
     if not worth.any():
         if explorer.revisit and explorer.goal == "tour" and everything:
-            once_more = affordable * worth_revisiting(candidates.nodes, estimate, tfg, roadmap, parameters)
+            once_more = worth_revisiting(candidates.nodes, estimate, tfg, roadmap, parameters)
+            once_more *= all_round.affords(roadmap, candidates.nodes)
         if not (once_more > 1.0).any():
             # Before the mission ends all are asked by all that they see.
             candidates = judged(estimate, tfg, roadmap, parameters, previous, in_full=True)
@@ -91,33 +94,20 @@ def choose(
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
     looked, explored = previous.looked_again, math.inf
-    spent = "budget", f"{budget} of the budget were too little for another goal."
     if best >= 0:
         node, verdict = int(candidates.nodes[best]), "goal"
         rate = gains.gain[best] / (candidates.time[best] + stay)
         reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     elif worth.any():
-        node, (verdict, reason) = -1, spent
+        node, (verdict, reason) = -1, _spent(budget)
     elif (revisited := pick(once_more, once_more > 1.0)) >= 0:
         node, verdict, value = int(candidates.nodes[revisited]), "goal", once_more
-        explored = min(previous.explored, estimate.stamp)
+        budget, explored = all_round, min(previous.explored, estimate.stamp)
         reason = "All is explored, but the map grows more accurate yet: it looks round once more."
     else:
-        barred = barred_places(estimate, tfg, roadmap, parameters)
-        back = np.zeros(len(barred.nodes))
-        if everything:
-            looked = looked_again(barred, roadmap, estimate.X_MD[:2], looked)
-            back = worth_of_looking(barred, roadmap, stay, explorer.stop_gain, looked)
-        again = pick(back, (back > 0.0) & budget.affords(roadmap, barred.entry))
-        if again >= 0:
-            node, verdict = int(barred.entry[again]), "goal"
-            reason = f"{barred.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
-        elif back.any():
-            node, (verdict, reason) = -1, spent
-        else:
-            gain = float(barred.gain.max(initial=0.0))
-            node, (verdict, reason) = -1, _end(bool(len(candidates.nodes)), gain, estimate, tfg, roadmap, parameters)
-            explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
+        any_left = bool(len(candidates.nodes))
+        node, verdict, reason, looked = _last(any_left, estimate, tfg, roadmap, parameters, budget, looked, everything)
+        explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
     if verdict != "goal" and explorer.return_home:
         node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
     p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
@@ -140,24 +130,49 @@ def choose(
     )
 
 
-def _end(
+def _spent(budget: Budget) -> tuple[str, str]:
+    """Verdict and reason where there is more worth going to than the budget allows."""
+    return "budget", f"{budget} of the budget were too little for another goal."
+
+
+def _last(
     any_left: bool,
-    barred_gain: float,
     estimate: MapEstimate,
     tfg: TfgMap,
     roadmap: Roadmap,
     parameters: GoalParameters,
-) -> tuple[str, str]:
-    """Verdict and reason where no candidate, if any is left, is worth going to; barred_gain: nats, as of `why_end`."""
+    budget: Budget,
+    looked: IntArray,
+    everything: bool,
+) -> tuple[int, str, str, IntArray]:
+    """Where no candidate, if any is left, is worth going to: the node before a passage that was too narrow, -1 where
+    the mission ends; verdict and reason; and the names (t,) of nodes from which the robot has looked at such a passage
+    again.
+
+    looked: (s,) those so far. everything: as of `choose`.
+    """
+    barred = barred_places(estimate, tfg, roadmap, parameters)
+    back = np.zeros(len(barred.nodes))
+    stop_gain = parameters.explorer.stop_gain
+    if everything:
+        looked = looked_again(barred, roadmap, estimate.X_MD[:2], looked)
+        back = worth_of_looking(barred, roadmap, budget.stay, stop_gain, looked)
+    again = pick(back, (back > 0.0) & budget.affords(roadmap, barred.entry))
+    if again >= 0:
+        reason = f"{barred.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
+        return int(barred.entry[again]), "goal", reason, looked
+    if back.any():
+        return -1, *_spent(budget), looked
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
-    return why_end(
+    verdict, reason = why_end(
         any_left,
-        barred_gain,
+        float(barred.gain.max(initial=0.0)),
         given_up_open(tfg, roadmap, parameters.robot.radius + NODE_MARGIN),
         float(tfg.frontier_length.sum()),
         bool(roadmap.entry[home] < 0),
-        parameters.explorer.stop_gain,
+        stop_gain,
     )
+    return -1, verdict, reason, looked
 
 
 def remember(before: GoalChoice, choice: GoalChoice, roadmap: Roadmap, stop_gain: float) -> GoalChoice:

@@ -11,14 +11,15 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.candidates import GoalParameters, time_all_round
-from tfg_drake.planning.exact_gain import to_arrival
+from tfg_drake.planning.exact_gain import to_arrival, whitened
 from tfg_drake.planning.expected_view import View, expected_tags
 from tfg_drake.planning.information_gain import odometry_covariance, sightings_of_turn, turn_noise
 
 # Places that are asked, about as many at most: tags are seen from so far away that more tell little more.
 PLACES = 100
-# Tags are never nearer than this, m.
-NEAREST = 0.05
+# They are screened by so many of the tags in view, and so many of the best judged by all.
+SCREENING_TAGS = 16
+BEST = 10
 
 
 def worth_revisiting(
@@ -45,10 +46,25 @@ def worth_revisiting(
     Q = odometry_covariance(estimate.X_MD, points, roadmap.travel_length[nodes], time, parameters.odometry)
     tags = expected_tags(points, estimate, tfg, sensor)
     noise = turn_noise(sensor, sightings_of_turn(sensor, explorer.turn_rate))
-    removed = error_removed(points, Q, tags, estimate.p_ML, estimate.X_MD, estimate.covariance, noise)
+    covariance, squared = estimate.covariance, squared_by_landmarks(estimate.covariance)
     time = time + time_all_round(sensor, explorer)
-    value[asked] = removed / np.trace(estimate.covariance[:-3, :-3]) / (time / (estimate.stamp + time))
+
+    def share_of_error(rows: IntArray, seen: View) -> FloatArray:
+        removed = error_removed(points[rows], Q[rows], seen, estimate.p_ML, estimate.X_MD, covariance, squared, noise)
+        return np.asarray(removed / np.trace(covariance[:-3, :-3]))
+
+    share_of_time = time / (estimate.stamp + time)
+    worth = share_of_error(np.arange(len(nodes)), tags.thinned(SCREENING_TAGS)) / share_of_time
+    best = np.sort(np.argsort(-worth, kind="stable")[:BEST])
+    worth[best] = share_of_error(best, tags.of(best)) / share_of_time[best]
+    value[asked] = worth
     return value
+
+
+def squared_by_landmarks(covariance: FloatArray) -> FloatArray:
+    """S_.L S_L. (2n + 3, 2n + 3), m^4 where of landmarks only, of the joint covariance S of n landmarks and a pose."""
+    by_landmarks = covariance[:, :-3]
+    return np.asarray(by_landmarks @ by_landmarks.T)
 
 
 def error_removed(
@@ -58,6 +74,7 @@ def error_removed(
     p_ML: FloatArray,
     X_MD: FloatArray,
     covariance: FloatArray,
+    squared: FloatArray,
     noise: FloatArray,
 ) -> FloatArray:
     """By how much, (c,) m^2, a turn at each point (c, 2), m in M, lowers the trace of the landmarks' covariance.
@@ -68,35 +85,27 @@ def error_removed(
         tr S_LL - tr S_LL|z = tr((I + J S J^T)^-1 J S_.L S_L. J^T).
 
     Q: (c, 3, 3), in M, what odometry adds on the way from the departure pose X_MD (3,). tags: which of the landmarks
-    p_ML (n, 2), m in M, each point sees. covariance: (2n + 3, 2n + 3) of p_ML row by row and of X_MD. noise: as in
-    `exact_gain`.
+    p_ML (n, 2), m in M, each point sees. covariance: (2n + 3, 2n + 3) of p_ML row by row and of X_MD. squared: of that,
+    see `squared_by_landmarks`. noise: as in `exact_gain`.
     """
-    n = 2 * len(p_ML)
-    squared = covariance[:, :n] @ covariance[:n]
-    removed = np.zeros(len(points))
-    for c in np.flatnonzero(tags.count):
-        seen = tags.index[tags.offsets[c] : tags.offsets[c + 1]]
-        J, K = _whitened(p_ML[seen] - points[c], noise)
-        J = np.hstack([J, K @ to_arrival(X_MD, *points[c])])
-        rows = np.r_[np.stack([2 * seen, 2 * seen + 1], axis=1).ravel(), n : n + 3]
-        both = np.ix_(rows, rows)
-        C = np.eye(len(J)) + J @ covariance[both] @ J.T + K @ Q[c] @ K.T
-        removed[c] = np.trace(np.linalg.solve(C, J @ squared[both] @ J.T))
-    return removed
-
-
-def _whitened(d: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Jacobians of ranges and bearings of landmarks at d (m, 2), m, from the robot, over their deviations: by the
-    landmarks (2m, 2m) and by the pose (2m, 3). noise: as in `exact_gain`."""
-    m = len(d)
-    r = np.maximum(np.hypot(*d.T), NEAREST)
-    sigma = np.maximum(noise[0] + noise[1] * r, noise[2])
-    G = np.empty((m, 2, 2))
-    G[:, 0] = d / (r * sigma)[:, None]
-    G[:, 1] = d[:, ::-1] * [-1.0, 1.0] / (r * r * noise[3])[:, None]
-    J = np.zeros((m, 2, m, 2))
-    J[np.arange(m), :, np.arange(m)] = G
-    K = np.zeros((m, 2, 3))
-    K[:, :, :2] = -G
-    K[:, 1, 2] = -1.0 / noise[3]
-    return J.reshape(2 * m, 2 * m), K.reshape(2 * m, 3)
+    c, m = len(points), int(tags.count.max(initial=0))
+    # All points at once, as if each saw as many: the rows of what it does not see are zero and take nothing off.
+    sees = np.arange(m) < tags.count[:, None]
+    seen = np.zeros((c, m), dtype=np.int64)
+    seen[sees] = tags.index
+    G = np.zeros((c, m, 2, 2))
+    G[sees] = whitened((p_ML[seen] - points[:, None])[sees], noise)
+    by_pose = np.zeros((c, m, 2, 3))
+    by_pose[..., :2] = -G
+    by_pose[..., 1, 2] = np.where(sees, -1.0 / noise[3], 0.0)
+    K = by_pose.reshape(c, 2 * m, 3)
+    by_landmarks = np.zeros((c, m, 2, m, 2))
+    by_landmarks[:, np.arange(m), :, np.arange(m)] = G.transpose(1, 0, 2, 3)
+    F = np.array([to_arrival(X_MD, x, y) for x, y in points]).reshape(c, 3, 3)
+    J = np.concatenate([by_landmarks.reshape(c, 2 * m, 2 * m), K @ F], axis=2)
+    rows = np.stack([2 * seen, 2 * seen + 1], axis=2).reshape(c, 2 * m)
+    rows = np.hstack([rows, np.tile(np.arange(len(covariance) - 3, len(covariance)), (c, 1))])
+    both = rows[:, :, None], rows[:, None]
+    to_rows = J.transpose(0, 2, 1)
+    C = np.eye(2 * m) + J @ covariance[both] @ to_rows + K @ Q @ K.transpose(0, 2, 1)
+    return np.asarray(np.trace(np.linalg.solve(C, J @ squared[both] @ to_rows), axis1=1, axis2=2))
