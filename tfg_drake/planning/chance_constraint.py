@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
@@ -205,9 +205,9 @@ def predicted_deviation(
 
 def required_clearance(radius: float, sigma: FloatArray, collision_probability: float) -> FloatArray:
     """Clearance (n,), m, that a disc of this radius (m) needs with deviation sigma (n,), m, between two surfaces."""
-    return np.asarray(radius + norm.ppf(1.0 - 0.5 * collision_probability) * sigma)
+    return np.asarray(radius + ndtri(1.0 - 0.5 * collision_probability) * sigma)
 
 
 def collision_probability(clearance: FloatArray, radius: float, sigma: FloatArray) -> FloatArray:
     """The probability (n,) of a collision between two surfaces at this clearance (n,), m: see required_clearance."""
-    return np.asarray(np.minimum(1.0, 2.0 * norm.sf((clearance - radius) / sigma)))
+    return np.asarray(np.minimum(1.0, 2.0 * ndtr((radius - clearance) / sigma)))

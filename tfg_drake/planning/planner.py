@@ -173,8 +173,7 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
         # Where less is left than is worth a visit, no sample could see enough.
         if in_reach or open_length < ENOUGH_FRONTIER or (effort > 0 and not beyond):
             break
-    shut_in = not (roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])).any()
-    if len(state.obstacles) and (shut_in or (beyond and not in_reach)):
+    if len(state.obstacles) and ((beyond and not in_reach) or _shut_in(roadmap, tfg, estimate)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         roadmap = make_roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before, reach)
@@ -185,6 +184,11 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
     )
+
+
+def _shut_in(roadmap: Roadmap, tfg: TfgMap, estimate: MapEstimate) -> bool:
+    """Whether the robot can reach no place but those where it has been."""
+    return not (roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])).any()
 
 
 def make_roadmap(
