@@ -1,11 +1,17 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
 from tests.planning.test_information_gain import problem, whitened
-from tfg_drake.config import TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.messages import Roadmap, TfgMap
+from tfg_drake.planning import revisit
+from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.expected_view import View
 from tfg_drake.planning.information_gain import turn_noise
-from tfg_drake.planning.revisit import error_removed, squared_by_landmarks
+from tfg_drake.planning.revisit import error_removed, squared_by_landmarks, worth_revisiting
+from tfg_drake.slam.goal_graph import empty_map
 
 
 def brute_force(point, Q, seen, p_ML, X_MD, covariance, noise):
@@ -53,3 +59,34 @@ def test_places_judged_together_are_worth_what_each_is_by_itself(seed):
     apart = [brute_force(p, q, rows, p_ML, X_MD, covariance, NOISE) for p, q, rows in zip(points, Q, seen, strict=True)]
     np.testing.assert_allclose(together, apart, atol=1e-9)
     assert together[1] == 0.0
+
+
+def test_screening_finds_the_place_that_all_tags_tell(monkeypatch):
+    rng = np.random.default_rng(0)
+    along, on = np.linspace(-4.8, 4.8, 20), np.full(20, 5.0)
+    p_ML = np.vstack([np.stack(wall, axis=1) for wall in ((along, -on), (on, along), (along, on), (-on, along))])
+    bent = rng.normal(0.0, 0.01, (len(p_ML) * 2 + 3, 30))
+    estimate = dataclasses.replace(
+        empty_map(), stage=1, stamp=100.0, ids=np.arange(80), p_ML=p_ML, local=np.arange(80),
+        covariance=bent @ bent.T + 1e-5 * np.eye(len(bent)), X_MA=np.zeros((1, 3)),
+    )  # fmt: skip
+    corners = np.array([[-5.0, -5], [5, -5], [5, 5], [-5, 5]])
+    tfg = TfgMap(
+        1, np.hstack([corners, np.roll(corners, -1, axis=0)]), np.zeros(0, dtype=int), np.zeros((0, 2), dtype=int),
+        np.repeat([[0.0, 1], [-1, 0], [0, -1], [1, 0]], 20, axis=0), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)),
+        np.zeros(1, dtype=int), np.zeros((0, 2)), np.zeros((0, 2)),
+    )  # fmt: skip
+    points = rng.uniform(-4.0, 4.0, (60, 2))
+    nodes, reachable = np.arange(60), np.ones(60, dtype=bool)
+    time = np.hypot(*points.T) / 0.5
+    roadmap = Roadmap(1, points, np.zeros((0, 2), dtype=int), reachable, reachable, nodes, time, time)
+    parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+    screened = worth_revisiting(nodes, estimate, tfg, roadmap, parameters)
+    monkeypatch.setattr(revisit, "SCREENING_TAGS", 80)
+    by_all = worth_revisiting(nodes, estimate, tfg, roadmap, parameters)
+    best = np.argsort(-screened)[0]
+    assert best == np.argmax(by_all)
+    assert screened[best] == pytest.approx(by_all[best], rel=1e-9)
+    # Fewer tags never tell more, and here they tell less.
+    assert (screened <= by_all * (1 + 1e-9)).all()
+    assert (screened < by_all * 0.99).any()

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import MissionStatus, Roadmap, TfgMap, WorkingMap
 from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
-from tfg_drake.planning.candidates import time_at_goal
+from tfg_drake.planning.candidates import time_all_round, time_at_goal
 from tfg_drake.planning.goal_choice import empty_choice, remember
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam.goal_graph import empty_map
@@ -16,6 +16,8 @@ from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
 NONE = np.zeros((0, 2))
 IDS = np.zeros(0, dtype=np.int64)
+HALF_TURN = time_at_goal(TagSensorConfig(), ExplorerConfig())
+WHOLE_TURN = time_all_round(TagSensorConfig(), ExplorerConfig())
 
 
 def empty_tfg():
@@ -129,6 +131,9 @@ def test_a_closed_and_certain_map_is_complete():
         (1e-3, {"revisit": False}, "complete"),
         (1e-3, {"goal": "nearest_frontier"}, "complete"),
         (1e-3, {"budget_time": 110.0}, "complete"),
+        # The nearest places are 2 s away; a second look takes a whole turn, not half of one.
+        (1e-3, {"budget_time": 100.1 + 2 * MARGIN + RESERVE_TIME + HALF_TURN}, "complete"),
+        (1e-3, {"budget_time": 100.1 + 2 * MARGIN + RESERVE_TIME + WHOLE_TURN}, "goal"),
     ],
 )
 def test_when_all_is_explored_the_robot_looks_again_where_that_makes_the_map_more_accurate(variance, settings, verdict):
