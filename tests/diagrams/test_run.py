@@ -63,7 +63,8 @@ def test_the_summary_has_every_field_in_order(finished):
 
 
 def test_stages_are_written_line_by_line(finished):
-    lines = [json.loads(line) for line in (finished.folder / "stages.jsonl").read_text().splitlines()]
+    written = (finished.folder / "stages.jsonl").read_text().splitlines()
+    lines = [json.loads(line, parse_constant=pytest.fail) for line in written]
     assert lines == finished.stages
     assert [line["stage"] for line in lines] == list(range(1, finished.summary["stages"] + 1))
     first = lines[0]

@@ -3,12 +3,13 @@ import dataclasses
 import numpy as np
 
 from tests.planning.test_path import returns
-from tests.planning.test_roadmap import PARAMETERS, build, nearest, two_rooms
+from tests.planning.test_roadmap import PARAMETERS, build, known, nearest, two_rooms
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import MissionStatus, PoseEstimate, Roadmap, WorkingMap, replace
+from tfg_drake.planning import planner
+from tfg_drake.planning.candidates import frontier_in_sight
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.planner import (
-    frontier_in_sight,
     grow,
     initial_state,
     make_roadmap,
@@ -16,7 +17,7 @@ from tfg_drake.planning.planner import (
     step,
     with_frontiers,
 )
-from tfg_drake.planning.roadmap import RoadmapParameters
+from tfg_drake.planning.roadmap import RoadmapParameters, extend
 from tfg_drake.slam import goal_graph
 from tfg_drake.tfg.graph import empty_map
 
@@ -70,6 +71,33 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
     assert np.hypot(*(a - b).T).sum() > 1.5
     # From the first glance's end to the last one's, every metre once.
     np.testing.assert_allclose(state.driven_before, 1.6)
+
+
+def test_where_nothing_has_been_open_for_two_stages_nothing_is_sampled(monkeypatch):
+    noted = []
+    monkeypatch.setattr(
+        planner, "extend", lambda *given, **named: noted.append(named["sampled"]) or extend(*given, **named)
+    )
+
+    def sampled(open_length, part_at=0):
+        """Stage by stage, with so many metres (k,) of frontier open; at one stage, not all of the map is worked on."""
+        noted.clear()
+        state, goals = initial_state(), [(-4 + 0.4 * k, 1, 0) for k in range(len(open_length))]
+        for k, length in enumerate(open_length, 1):
+            estimate, tfg = known(two_rooms(), goals[:k])
+            tfg = replace(
+                tfg,
+                frontiers=np.array([[-5.0, 1.0]]),
+                frontier_length=np.array([length]),
+                frontier_normal=np.array([[1.0, 0.0]]),
+            )
+            near = np.arange(k) > 0 if k == part_at else np.ones(k, dtype=bool)
+            state = grow(state, WorkingMap(estimate, tfg, near), PARAMETERS)
+        return noted.copy()
+
+    assert sampled([1.0, 0.1, 0.1, 0.0, 1.0, 0.0]) == [False, False, True, True, False, False]
+    assert sampled([0.0, 0.0]) == [False, True]
+    assert sampled([0.0, 0.0, 0.0], part_at=3) == [False, True, False]
 
 
 def watched(path, X_MB, speed, scan, X_MA):

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 import shapely
+from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
@@ -145,6 +146,18 @@ def test_more_effort_gives_more_nodes():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0)])
     more = extend(state, tfg, estimate, PARAMETERS, effort=1)
     assert len(more.points) > 1.5 * len(state.points)
+
+
+def test_what_is_sampled_grows_by_the_way_driven_only():
+    driven = resample(np.array([[-4.0, 1.0], [-1, 0], [1, 0], [3, 0.5]]), 0.1)
+    state, estimate, tfg = build(two_rooms(), [(-4, 1, 0)])
+    estimate, tfg = known(two_rooms(), [(-4, 1, 0), (3, 0.5, 0)])
+    more = extend(state, tfg, estimate, PARAMETERS, driven=driven)
+    only = extend(state, tfg, estimate, PARAMETERS, driven=driven, sampled=True)
+    new = only.points[len(state.points) :]
+    assert 3 <= len(new) < 0.5 * (len(more.points) - len(state.points))
+    assert cKDTree(driven).query(new)[0].max() < 1e-9
+    assert np.isfinite(routes(only, tfg, estimate.X_MD, ROBOT, PLANNER).cost).mean() > 0.9
 
 
 def test_the_last_effort_accepts_a_door_that_is_a_little_too_narrow():

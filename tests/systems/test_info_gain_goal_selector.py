@@ -144,12 +144,29 @@ def test_when_all_is_explored_the_robot_looks_again_where_that_makes_the_map_mor
     selector.ready(map=estimate, tfg=closed)
     goal = selector.goal()
     assert goal.verdict == verdict
-    assert goal.gain.max() < ExplorerConfig().stop_gain
     assert goal.explored == 100.0
+    assert goal.gain.max() < ExplorerConfig().stop_gain
     if verdict == "goal":
-        assert goal.candidates[np.argmax(goal.value)] == goal.node
-        assert goal.value.max() > 1.0
+        assert goal.candidates.tolist() == [goal.node]
+        assert goal.value[0] > 1.0
         assert len(goal.look) == 0
+
+
+@pytest.mark.parametrize(("revisit", "by_nats"), [(True, False), (False, True)])
+def test_where_nothing_is_open_accuracy_comes_before_nats(revisit, by_nats):
+    estimate, tfg = half_known_room()
+    estimate = dataclasses.replace(estimate, stamp=100.0, covariance=1e-3 * np.eye(9))
+    closed = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    selector = Selector(revisit=revisit, stop_gain=0.1)
+    selector.ready(map=estimate, tfg=closed)
+    goal = selector.goal()
+    assert goal.verdict == "goal"
+    assert ("nats are expected" in goal.reason) == by_nats
+    assert (len(goal.candidates) > 1) == by_nats
+    # What is still open comes first.
+    selector = Selector(revisit=revisit, stop_gain=0.1)
+    selector.ready(map=estimate)
+    assert "nats are expected" in selector.goal().reason
 
 
 def test_what_was_explored_stays_so_until_something_opens():

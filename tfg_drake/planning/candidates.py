@@ -96,8 +96,8 @@ def judged(
     to be judged in_full, candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a
     little less than they would.
     """
-    sensor, odometry, explorer = parameters.sensor, parameters.odometry, parameters.explorer
-    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2]))
+    sensor, explorer = parameters.sensor, parameters.explorer
+    nodes = places(roadmap, tfg, estimate.X_MD[:2])
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
     kept = ~here & np.isin(roadmap.names(nodes), previous.candidates)
@@ -110,9 +110,7 @@ def judged(
     open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
 
     def expected(rows: IntArray, tags: View) -> Gains:
-        at, needed = roadmap.points[asked[rows]], roadmap.travel_time[asked[rows]]
-        distance, frontiers = roadmap.travel_length[asked[rows]], sees.of(asked[rows])
-        return information_gain(at, distance, needed, tags, frontiers, estimate, tfg, sensor, odometry, explorer)
+        return expected_gains(asked[rows], tags, estimate, tfg, roadmap, parameters)
 
     tags = expected_tags(points[ask], estimate, tfg, sensor)
     if explorer.gain == "exact" and len(asked) > 2 * EXACT and not in_full:
@@ -124,6 +122,22 @@ def judged(
     in_view[ask] = tags.count
     gains = _filled(previous, names, ask, now, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
     return Candidates(candidates, names, points, time, gains, in_view, open_ahead)
+
+
+def expected_gains(
+    nodes: IntArray, tags: View, estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, parameters: GoalParameters
+) -> Gains:
+    """What a full turn at each of the nodes (c,) of the roadmap, from where these tags are seen, is expected to
+    bring."""
+    points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
+    frontiers = View(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
+    settings = parameters.sensor, parameters.odometry, parameters.explorer
+    return information_gain(points, distance, time, tags, frontiers, estimate, tfg, *settings)
+
+
+def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:
+    """The nodes, ascending, that the robot at p_MD (2,), m in M, can reach and has not been done with."""
+    return np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, p_MD))
 
 
 def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> IntArray:
@@ -221,11 +235,28 @@ def _filled(
     )
 
 
+def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
+    """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
+    fit."""
+    frontiers = View(roadmap.frontier_offsets, roadmap.frontier_index)
+    node, length = _each_seen(roadmap.points, frontiers, tfg, sensor)
+    enough = np.bincount(node, length, len(roadmap.points)) >= ENOUGH_FRONTIER
+    return bool(enough[roadmap.reachable].any()), bool(enough[~roadmap.reachable].any())
+
+
 def frontier_seen(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
     """Length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, less where the view
     ends soon behind it."""
+    point, seen = _each_seen(points, frontiers, tfg, sensor)
+    length = np.zeros((len(points), len(tfg.frontiers)))
+    length[point, frontiers.index] = seen
+    return length
+
+
+def _each_seen(
+    points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig
+) -> tuple[IntArray, FloatArray]:
+    """Of each entry of the view, the point's row and the length, m, as of `frontier_seen`."""
     point = np.repeat(np.arange(len(points)), frontiers.count)
     distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
-    length = np.zeros((len(points), len(tfg.frontiers)))
-    length[point, frontiers.index] = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
-    return length
+    return point, tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -13,7 +12,17 @@ from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.barred import barred_places, looked_again, worth_of_looking
 from tfg_drake.planning.budget import Budget, budget_left, way_home
-from tfg_drake.planning.candidates import Candidates, GoalParameters, judged, time_all_round, time_at_goal
+from tfg_drake.planning.candidates import (
+    Candidates,
+    GoalParameters,
+    expected_gains,
+    frontier_in_sight,
+    judged,
+    places,
+    time_all_round,
+    time_at_goal,
+)
+from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
 from tfg_drake.planning.revisit import worth_revisiting
@@ -54,8 +63,9 @@ def choose(
     found worth remembering (see remember). everything: they are no part of a larger map.
 
     Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
-    Where nothing is, the robot looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`), then
-    goes back to passages that were too narrow (`tfg_drake.planning.barred`).
+    Where no place sees enough, the robot looks again first where the map gains most in accuracy
+    (`tfg_drake.planning.revisit`); where nothing is worth going to, it goes back to passages that were too narrow
+    (`tfg_drake.planning.barred`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -63,19 +73,15 @@ def choose(
     robot, explorer = parameters.robot, parameters.explorer
     stay = time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
-    all_round = dataclasses.replace(budget, stay=time_all_round(parameters.sensor, explorer))
-    candidates = judged(estimate, tfg, roadmap, parameters, previous)
+    open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
+    if explorer.revisit and explorer.goal == "tour" and everything and not open_left:
+        again = _second_look(estimate, tfg, roadmap, parameters, previous)
+        if again is not None:
+            return again
+    # Before the mission ends all are asked by all that they see.
+    candidates = judged(estimate, tfg, roadmap, parameters, previous, in_full=not open_left)
     affordable = budget.affords(roadmap, candidates.nodes)
     worth = candidates.worth(explorer.stop_gain)
-    once_more = np.zeros(len(worth))
-    if not worth.any():
-        if explorer.revisit and explorer.goal == "tour" and everything:
-            once_more = worth_revisiting(candidates.nodes, estimate, tfg, roadmap, parameters)
-            once_more *= all_round.affords(roadmap, candidates.nodes)
-        if not (once_more > 1.0).any():
-            # Before the mission ends all are asked by all that they see.
-            candidates = judged(estimate, tfg, roadmap, parameters, previous, in_full=True)
-            worth = candidates.worth(explorer.stop_gain)
     gains = candidates.gains
     # As long as any place is worth going to, every place will do for a goal drawn at random.
     anywhere = explorer.goal == "random" and bool(worth.any())
@@ -100,10 +106,6 @@ def choose(
         reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     elif worth.any():
         node, (verdict, reason) = -1, _spent(budget)
-    elif (revisited := pick(once_more, once_more > 1.0)) >= 0:
-        node, verdict, value = int(candidates.nodes[revisited]), "goal", once_more
-        budget, explored = all_round, min(previous.explored, estimate.stamp)
-        reason = "All is explored, but the map grows more accurate yet: it looks round once more."
     else:
         any_left = bool(len(candidates.nodes))
         node, verdict, reason, looked = _last(any_left, estimate, tfg, roadmap, parameters, budget, looked, everything)
@@ -127,6 +129,41 @@ def choose(
         look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
         looked_again=looked,
         explored=explored,
+    )
+
+
+def _second_look(
+    estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, parameters: GoalParameters, previous: GoalChoice
+) -> GoalChoice | None:
+    """The choice where no place sees enough live frontier, but the map can grow more accurate; none where it cannot.
+
+    The only candidate is the place chosen: nats are not what it is chosen by, and no other is asked for them.
+    """
+    sensor, explorer = parameters.sensor, parameters.explorer
+    budget = budget_left(explorer, estimate.stamp, roadmap.driven, time_all_round(sensor, explorer))
+    nodes = places(roadmap, tfg, estimate.X_MD[:2])
+    value = worth_revisiting(nodes, estimate, tfg, roadmap, parameters) * budget.affords(roadmap, nodes)
+    best = pick(value, value > 1.0)
+    if best < 0:
+        return None
+    asked, node = nodes[[best]], int(nodes[best])
+    names, points = roadmap.names(asked), roadmap.points[asked]
+    gains = expected_gains(asked, expected_tags(points, estimate, tfg, sensor), estimate, tfg, roadmap, parameters)
+    return GoalChoice(
+        stage=estimate.stage,
+        node=int(names[0]),
+        p_MG=points[0],
+        candidates=names,
+        exploitation=gains.exploitation,
+        exploration=gains.exploration,
+        pose_price=gains.pose_price,
+        gain=gains.gain,
+        value=value[[best]],
+        verdict="goal",
+        reason="All is explored, but the map grows more accurate yet: it looks round once more.",
+        latest_arrival=budget.latest_arrival(roadmap, node),
+        looked_again=previous.looked_again,
+        explored=min(previous.explored, estimate.stamp),
     )
 
 

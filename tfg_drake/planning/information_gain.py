@@ -103,7 +103,8 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
     S_DD = np.array(S[n:, n:])
     if n == 0:
         return S_DD
-    conditional = S_DD - S[n:, :n] @ cho_solve(cho_factor(S[:n, :n], lower=True), S[:n, n:])
+    factor = cho_factor(S[:n, :n], lower=True, check_finite=False)
+    conditional = S_DD - S[n:, :n] @ cho_solve(factor, S[:n, n:], check_finite=False)
     return np.asarray(0.5 * (conditional + conditional.T))
 
 

@@ -26,8 +26,8 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.planning.candidates import apart_from_goals, frontier_seen
-from tfg_drake.planning.expected_view import View, expected_frontiers
+from tfg_drake.planning.candidates import apart_from_goals, frontier_in_sight, places
+from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
@@ -60,7 +60,7 @@ class PlannerState:
     the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
     goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the
     robot has been at this stage, m in M, from where the newest goal's observation began on; driven_before: m, until it
-    ended.
+    ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
     """
 
     parts: Parted[RoadmapState]
@@ -73,6 +73,7 @@ class PlannerState:
     scan_stamp: float
     driven: FloatArray
     driven_before: float
+    open_length: float
 
     @property
     def nodes(self) -> RoadmapState:
@@ -96,6 +97,7 @@ def initial_state() -> PlannerState:
         scan_stamp=-np.inf,
         driven=np.zeros((0, 2)),
         driven_before=0.0,
+        open_length=np.inf,
     )
 
 
@@ -162,10 +164,20 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
     parts = rearranged(state.parts, working.near, cut, joined)
     nodes = parts.near
     reach = working.reach
-    open_length = tfg.frontier_length[within(tfg.frontiers, estimate.X_MA[-1], reach)].sum()
+    open_length = float(tfg.frontier_length[within(tfg.frontiers, estimate.X_MA[-1], reach)].sum())
+    # Where nothing is open and nothing was a stage ago, a sample would find no new space.
+    sampled = bool(working.near.all()) and max(open_length, state.open_length) < ENOUGH_FRONTIER
     for effort in range(len(EFFORTS)):
         nodes = extend(
-            nodes, tfg, estimate, parameters, driven=state.driven, effort=effort, goals=working.goals, reach=reach
+            nodes,
+            tfg,
+            estimate,
+            parameters,
+            driven=state.driven,
+            effort=effort,
+            goals=working.goals,
+            reach=reach,
+            sampled=sampled,
         )
         obstacles = obstacles_in_map(state, estimate)
         roadmap = make_roadmap(nodes, tfg, estimate, parameters, obstacles, driven_before, reach)
@@ -183,12 +195,13 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
         roadmap=roadmap,
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
+        open_length=open_length,
     )
 
 
 def _shut_in(roadmap: Roadmap, tfg: TfgMap, estimate: MapEstimate) -> bool:
     """Whether the robot can reach no place but those where it has been."""
-    return not (roadmap.reachable & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])).any()
+    return not len(places(roadmap, tfg, estimate.X_MD[:2]))
 
 
 def make_roadmap(
@@ -223,14 +236,6 @@ def with_frontiers(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor:
     asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])
     view = expected_frontiers(roadmap.points[asked], tfg, sensor).spread(np.flatnonzero(asked), len(roadmap.points))
     return replace(roadmap, frontier_offsets=view.offsets, frontier_index=view.index)
-
-
-def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
-    """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
-    fit."""
-    view = View(roadmap.frontier_offsets, roadmap.frontier_index)
-    enough = frontier_seen(roadmap.points, view, tfg, sensor).sum(axis=1) >= ENOUGH_FRONTIER
-    return bool(enough[roadmap.reachable].any()), bool(enough[~roadmap.reachable].any())
 
 
 def obstacles_in_map(state: PlannerState, estimate: MapEstimate) -> FloatArray:

@@ -18,7 +18,7 @@ from tfg_drake.planning.information_gain import odometry_covariance, sightings_o
 # Places that are asked, about as many at most: tags are seen from so far away that more tell little more.
 PLACES = 100
 # They are screened by so many of the tags in view, and so many of the best judged by all.
-SCREENING_TAGS = 16
+SCREENING_TAGS = 12
 BEST = 10
 
 
@@ -79,10 +79,10 @@ def error_removed(
 ) -> FloatArray:
     """By how much, (c,) m^2, a turn at each point (c, 2), m in M, lowers the trace of the landmarks' covariance.
 
-    With S the joint covariance of the landmarks L and the arrival pose, and J the whitened Jacobian of ranges and
-    bearings by both,
+    With S the joint covariance of the landmarks L and the departure pose, A what an error of the arrival pose makes of
+    where the landmarks in view V are seen, R the noise there, and J = [I, A F] by both, F from departure to arrival,
 
-        tr S_LL - tr S_LL|z = tr((I + J S J^T)^-1 J S_.L S_L. J^T).
+        tr S_LL - tr S_LL|z = tr((R + A Q A^T + J S J^T)^-1 J S_.L S_L. J^T).
 
     Q: (c, 3, 3), in M, what odometry adds on the way from the departure pose X_MD (3,). tags: which of the landmarks
     p_ML (n, 2), m in M, each point sees. covariance: (2n + 3, 2n + 3) of p_ML row by row and of X_MD. squared: of that,
@@ -93,19 +93,26 @@ def error_removed(
     sees = np.arange(m) < tags.count[:, None]
     seen = np.zeros((c, m), dtype=np.int64)
     seen[sees] = tags.index
-    G = np.zeros((c, m, 2, 2))
-    G[sees] = whitened((p_ML[seen] - points[:, None])[sees], noise)
-    by_pose = np.zeros((c, m, 2, 3))
-    by_pose[..., :2] = -G
-    by_pose[..., 1, 2] = np.where(sees, -1.0 / noise[3], 0.0)
-    K = by_pose.reshape(c, 2 * m, 3)
-    by_landmarks = np.zeros((c, m, 2, m, 2))
-    by_landmarks[:, np.arange(m), :, np.arange(m)] = G.transpose(1, 0, 2, 3)
-    F = np.array([to_arrival(X_MD, x, y) for x, y in points]).reshape(c, 3, 3)
-    J = np.concatenate([by_landmarks.reshape(c, 2 * m, 2 * m), K @ F], axis=2)
+    G = whitened((p_ML[seen] - points[:, None])[sees], noise)
+    to_position = G.transpose(0, 2, 1) / np.square(G).sum(axis=2)[:, None]
+    by_arrival = np.zeros((c, m, 2, 3))
+    by_arrival[sees, :, :2] = -np.eye(2)
+    by_arrival[sees, :, 2] = to_position[..., 1] / -noise[3]
+    A = by_arrival.reshape(c, 2 * m, 3)
+    R = np.zeros((c, m, 2, m, 2))
+    R[:, np.arange(m), :, np.arange(m)] = np.eye(2)
+    tag = np.nonzero(sees)
+    R[tag[0], tag[1], :, tag[1]] = to_position @ to_position.transpose(0, 2, 1)
+    AF = A @ np.array([to_arrival(X_MD, x, y) for x, y in points]).reshape(c, 3, 3)
     rows = np.stack([2 * seen, 2 * seen + 1], axis=2).reshape(c, 2 * m)
-    rows = np.hstack([rows, np.tile(np.arange(len(covariance) - 3, len(covariance)), (c, 1))])
-    both = rows[:, :, None], rows[:, None]
-    to_rows = J.transpose(0, 2, 1)
-    C = np.eye(2 * m) + J @ covariance[both] @ to_rows + K @ Q @ K.transpose(0, 2, 1)
-    return np.asarray(np.trace(np.linalg.solve(C, J @ squared[both] @ to_rows), axis1=1, axis2=2))
+    in_view = np.repeat(sees, 2, axis=1)[:, :, None]
+    both, both_in_view = rows[:, :, None] * len(covariance) + rows[:, None], in_view & in_view.transpose(0, 2, 1)
+
+    def by_view(S: FloatArray) -> FloatArray:
+        """J S J^T, (c, 2m, 2m)."""
+        half = S[rows, -3:] * in_view + 0.5 * AF @ S[-3:, -3:]
+        by_pose = np.concatenate([AF, half], axis=2) @ np.concatenate([half, AF], axis=2).transpose(0, 2, 1)
+        return np.asarray(S.take(both) * both_in_view + by_pose)
+
+    C = R.reshape(c, 2 * m, 2 * m) + A @ Q @ A.transpose(0, 2, 1) + by_view(covariance)
+    return np.asarray(np.trace(np.linalg.solve(C, by_view(squared)), axis1=1, axis2=2))

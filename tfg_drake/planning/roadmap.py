@@ -359,16 +359,18 @@ def extend(
     effort: int = 0,
     goals: IntArray | None = None,
     reach: float = np.inf,
+    sampled: bool = False,
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
     driven: (d, 2) m in M, the way of the robot to the last goal. effort: index into EFFORTS. goals: (a,) those whose
     stars the map holds, if it is a part of one. reach: m round the newest goal; farther away nothing is added and all
-    stays as it was checked last. The same arguments give the same roadmap.
+    stays as it was checked last. sampled: it is on all of the map already, and only that way is new. The same arguments
+    give the same roadmap.
     """
     goals = np.arange(len(estimate.X_MA)) if goals is None else goals
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
-    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach)
+    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach, sampled)
     first_new = len(state.anchor)
     fresh = len(points) - first_new
     _, nearest = cKDTree(estimate.X_MA[goals, :2]).query(points[first_new:])
@@ -417,6 +419,7 @@ def _with_new_nodes(
     driven: FloatArray,
     effort: int,
     reach: float,
+    sampled: bool,
 ) -> tuple[FloatArray, IntArray, int]:
     """The nodes (n, 2), m in M, the old ones first, then those of the way driven (d, 2), then samples; the chain of
     edges (e, 2), smaller node first, along that way; and the node where it ends. Further arguments as of `extend`."""
@@ -425,6 +428,9 @@ def _with_new_nodes(
     before = int(np.append(np.flatnonzero(state.ids == state.way_end), -1)[0])
     travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius, before)
     nodes = np.vstack([nodes, travelled])
+    chained = np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
+    if sampled:
+        return nodes, chained, way_end
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
     proposals, spacing = _proposals(rng, tfg, radius, EFFORTS[effort][0])
     inside = within(proposals, estimate.X_MA[-1], reach - EDGE_LENGTH)
@@ -433,7 +439,7 @@ def _with_new_nodes(
     room = radius + NODE_MARGIN
     roomy = clearance(np.hstack([nodes] * 2), tfg.segments, room) >= room
     points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
-    return points, np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1), way_end
+    return points, chained, way_end
 
 
 def _distinct(edges: Edges, count: int) -> Edges:
