@@ -19,8 +19,9 @@ from tfg_drake.messages import FloatArray, Odometry, message, replace
 # Random walk of the position whatever the motion, m per root second: wheels slip a little when turning on the spot,
 # and no covariance becomes singular.
 POSITION_NOISE = 5e-4
-# A robot whose wheels stand may still be nudged: errors accrue at this share of their rate in motion.
-REST_SHARE = 0.001
+# A robot whose wheels stand may have turned by less than an encoder tells: errors accrue at this share of their rate in
+# motion, which makes 0.3 mrad in half a minute; a tick of one wheel of a Kobuki is 0.4 mrad.
+REST_SHARE = 0.0001
 # From goal to goal the calibration may change by this share of its first standard deviation.
 DRIFT = 0.1
 # Least standard deviation of a member of the calibration: a known constant is still a state.
