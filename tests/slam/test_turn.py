@@ -7,7 +7,7 @@ from gtsam.symbol_shorthand import B, L
 
 from tfg_drake.geometry import se2
 from tfg_drake.slam import turn as turn_module
-from tfg_drake.slam.odometry_model import odometry_model
+from tfg_drake.slam.odometry_model import REST_SHARE, odometry_model
 from tfg_drake.slam.turn import solve_turn
 
 STEPS = 201
@@ -130,3 +130,29 @@ def test_a_push_at_rest_is_told_by_the_tags(drive):
     end = dataclasses.replace(end, clock=begin.clock + 1e-3 * (end.stamp - begin.stamp), X_OB=begin.X_OB)
     solution = solve_turn(model, begin, tuple(pushed), end)
     np.testing.assert_allclose(solution.observation.X_AD[:2], [1.0, 0.0], atol=0.05)
+
+
+def sigma_of_heading(drive, standing, turns):
+    """How well, rad, the tags tell the heading of A, from which the robot looks so long, s, before it turns."""
+    robot = drive(np.random.default_rng(7).uniform(-8.0, 8.0, (30, 2)), 7, 1.0)
+    begin = robot.instant()
+    still = robot.frames(0.0, 0.0, 32 * standing)
+    clock = [begin.clock + REST_SHARE * (frame.stamp - begin.stamp) for frame in still]
+    still = tuple(dataclasses.replace(frame, clock=t, X_OB=begin.X_OB) for frame, t in zip(still, clock, strict=True))
+    rest = still[-1].stamp - clock[-1]
+    # From there on the clock runs, and the heading counts on from where the wheels stood.
+    drift = robot.instant().X_OB[2] - begin.X_OB[2]
+    moving = robot.frames(0.0, 1.0, STEPS * turns)
+    moved = [*moving, robot.instant()]
+    moved = [dataclasses.replace(f, clock=f.clock - rest, X_OB=f.X_OB - [0.0, 0.0, drift]) for f in moved]
+    solution = solve_turn(odometry_model(robot.config), begin, (*still, *moved[:-1]), moved[-1])
+    assert solution.dropped <= 2
+    n = len(solution.observation.ids)
+    across = (solution.observation.p_AL[:, ::-1] * [-1.0, 1.0]).ravel()
+    return 1 / np.sqrt(across @ np.linalg.solve(solution.observation.covariance[: 2 * n, : 2 * n], across))
+
+
+def test_standing_tells_the_heading_that_turning_does_not(drive):
+    short, long, turning = (sigma_of_heading(drive, *how) for how in ((4, 1), (16, 1), (4, 3)))
+    assert long < 0.65 * short
+    assert turning > 0.95 * short
