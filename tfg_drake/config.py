@@ -181,9 +181,9 @@ class ExplorerConfig:
     glance_period: float = 2.0
     # The way between goals is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
     path_keyframe_period: float = 5.0
-    # The robot stands and looks this long before it first moves, s, and then turns round so many times. The map's heading
-    # is that of the start pose: only frames taken there tell it, as the gyro wanders with every turn; the turns tell
-    # where among the landmarks the robot stood.
+    # The robot stands and looks this long before it first moves, s, and then turns round so many times. The map's
+    # heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every turn; the turns
+    # tell where among the landmarks the robot stood.
     first_look: float = 20.0
     first_turns: int = 3
 
