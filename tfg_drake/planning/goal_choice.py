@@ -25,7 +25,7 @@ from tfg_drake.planning.candidates import (
 from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
-from tfg_drake.planning.revisit import WORTH_IT, worth_revisiting
+from tfg_drake.planning.revisit import worth_revisiting
 
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
@@ -143,7 +143,7 @@ def _second_look(
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, time_all_round(sensor, explorer))
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     value = worth_revisiting(nodes, estimate, tfg, roadmap, parameters) * budget.affords(roadmap, nodes)
-    best = pick(value, value > WORTH_IT)
+    best = pick(value, value > 1.0)
     if best < 0:
         return None
     asked, node = nodes[[best]], int(nodes[best])

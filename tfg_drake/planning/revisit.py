@@ -20,9 +20,6 @@ PLACES = 100
 # They are screened by so many of the tags in view, and so many of the best judged by all.
 SCREENING_TAGS = 12
 BEST = 10
-# A place is worth it from here on. What is seen on the way is not counted: with it, looks that promised this took 1.3
-# times as large a share off the error as they added to the time, those that promised 0.5 as large a share.
-WORTH_IT = 0.7
 
 
 def worth_revisiting(
@@ -35,8 +32,8 @@ def worth_revisiting(
     """The share of the landmarks' expected squared error that a turn at each of the nodes (v,) of the roadmap removes,
     over the share of the mission's time that it then has taken, (v,); 0 where a place is not asked.
 
-    Measuring everything all over again is worth 1: variance times time stays. Above that their product falls, and it
-    does so from WORTH_IT on. Landmarks that are not all known jointly cannot tell, and nothing is worth it.
+    Measuring everything all over again is worth 1: variance times time stays. Above that their product falls. Landmarks
+    that are not all known jointly cannot tell, and nothing is worth it. What is seen on the way is not counted.
     """
     value = np.zeros(len(nodes))
     if len(estimate.local) < len(estimate.ids) or not len(estimate.ids):
