@@ -23,14 +23,14 @@ def run(monkeypatch, capsys):
 
 
 def test_planning_time_sees_all_parts_of_a_stage(run) -> None:
-    lines = run("planning_time.py", "paper", "--seeds", "1", "--max-time", "30").splitlines()
+    lines = run("planning_time.py", "paper", "--seeds", "1", "--max-time", "46").splitlines()
     assert int(lines[0].split()[0]) >= 2
     assert [line.split()[0] for line in lines[1:6]] == ["tfg", "roadmap", "goal", "planning", "all"]
     assert all(float(line.split()[1]) > 0.0 for line in lines[1:6])
 
 
 def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:
-    arguments = ("paper", "--max-time", "30", "--rollouts", "100", "--paths", "1")
+    arguments = ("paper", "--max-time", "46", "--rollouts", "100", "--paths", "1")
     rows = [line.split() for line in run("chance_constraint.py", *arguments).splitlines()[1:]]
     assert [(row[0], float(row[1])) for row in rows] == [("point", 0.1), ("point", 0.01), ("path", 0.1), ("path", 0.01)]
     assert all(int(row[2]) >= 2 and int(row[3]) > 50 for row in rows)

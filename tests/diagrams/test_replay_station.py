@@ -14,6 +14,7 @@ seed: 3
 world:
   start: [2, 1.5, 0.3]
   walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
+explorer: {first_look: 8}
 """
 EXACT = ("map.npz", "stages.jsonl", "trajectory.tum", "scenario.yaml", "ports.mcap")
 

@@ -45,7 +45,7 @@ def test_what_cannot_be_driven_is_refused_in_one_line(call, arguments, line):
 
 def test_a_run_is_driven_through_once_more(call, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
-    code, _, _ = call("explore", "house", "--headless", "--max-time", "28", "--out", str(first))
+    code, _, _ = call("explore", "house", "--headless", "--max-time", "40", "--out", str(first))
     assert code == 0
     code, out, _ = call("explore", "--robot", f"replay:{first}", "--headless", "--out", str(second), "--json")
     assert code == 0

@@ -21,6 +21,7 @@ seed: 3
 world:
   start: [2, 1.5, 0.3]
   walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
+explorer: {first_look: 8}
 """
 # What a machine's speed and load may change.
 MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s"}

@@ -21,6 +21,7 @@ seed: 3
 world:
   start: [2, 1.5, 0.3]
   walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
+explorer: {first_look: 8}
 """
 START = np.array([2.0, 1.5, 0.3])
 TRUTH = ["pose_anees", "area_coverage", "area_seen_s", "contacts", "min_clearance_m"]

@@ -9,7 +9,7 @@ from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenari
 
 
 def mission(tmp_path, max_time, *settings):
-    scenario = ApplySettings(LoadScenario(FindScenario("paper")), settings)
+    scenario = ApplySettings(LoadScenario(FindScenario("paper")), ["explorer.first_look=8", *settings])
     return explore(scenario, max_time=max_time, out_dir=tmp_path / "run")
 
 

@@ -23,7 +23,7 @@ class Explorer:
         host, port = emulator.sensors
         source = f"socket:{host}:{port}"
         arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--out", str(folder)]
-        arguments += ["--headless", "--max-time", str(max_time)]
+        arguments += ["--headless", "--max-time", str(max_time), "--set", "explorer.first_look=8"]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", "--robot", "kobuki", *arguments],
             stdin=subprocess.PIPE,
