@@ -22,7 +22,7 @@ def test_the_example_maps_a_house():
     limit = "AdvanceTo(600.0)"
     assert limit in example
     names = {}
-    exec(example.replace(limit, "AdvanceTo(28.0)"), names)
+    exec(example.replace(limit, "AdvanceTo(40.0)"), names)
     assert isinstance(names["estimate"], MapEstimate)
     assert len(names["estimate"].ids) > 10
 
