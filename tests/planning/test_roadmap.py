@@ -174,6 +174,32 @@ def test_the_last_effort_accepts_a_door_that_is_a_little_too_narrow():
     assert widths == {0: 0.56, 1: 0.56, 2: 0.5}
 
 
+def test_where_only_the_last_effort_would_go_counts_as_a_place_where_the_robot_fits():
+    """A door that leaves a robot that is sure of its place no more than the last effort asks for."""
+    estimate, tfg = known(two_rooms(0.462), [(-4, 0, 0)])
+    seen = []
+    for effort in (0, len(EFFORTS) - 1):
+        state = extend(empty_roadmap(), tfg, estimate, PARAMETERS, effort=effort)
+        ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+        message = roadmap_message(state, ways, ROBOT, PLANNER)
+        behind = message.points[:, 0] > 0.3
+        seen.append([bool(which[behind].any()) for which in (message.reachable, message.enterable)])
+    assert seen == [[False, True], [True, True]]
+
+
+def test_harder_tries_put_nodes_in_a_passage_though_others_are_near():
+    """A node a little off the middle of a door, from which no way leads straight through it."""
+    estimate, tfg = known(two_rooms(0.5), [(-4, 0, 0)])
+    place = np.array([[-0.2, 0.0]])
+    state = replace(
+        empty_roadmap(), ids=np.array([0]), next_id=1, anchor=np.array([0]), p_AN=place - [-4.0, 0.0],
+        points=place, sigma=np.array([0.02]), settled=np.array([False]),
+    )  # fmt: skip
+    for effort, expected in ((0, False), (1, True)):
+        points = extend(state, tfg, estimate, PARAMETERS, effort=effort).points
+        assert bool((np.hypot(*points.T) < 0.02).any()) == expected
+
+
 def test_what_was_travelled_stays_open_with_little_to_spare():
     segments = two_rooms(0.42)
     driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)

@@ -522,6 +522,22 @@ def test_a_goal_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth
     np.testing.assert_allclose(length(world.observe(np.zeros(3))), [1 / 9, 1.0, 1.0])
 
 
+def test_a_look_past_one_end_of_a_wall_is_no_attempt_but_through_a_slit_it_is(simulate) -> None:
+    """Tags sighted 4 m ahead, 2 m behind the end of a wall that the line of sight passes at this distance; with a
+    second wall, between the ends of both."""
+
+    def length(walls: list[list[float]]) -> float:
+        world = simulate(walls)
+        p = np.array([[4.3, 0.0]])
+        world.observe(np.zeros(3), Sightings(np.array([10_000]), p, p - [1.0, 0.0]))
+        tfg = world.observe(np.zeros(3))
+        return float(tfg.frontier_length[np.hypot(*(tfg.frontiers - [4.0, 0.0]).T).argmin()])
+
+    for gap, expected in ((0.02, 1.0), (0.15, 4 / 9)):
+        assert length([[2.0, gap, 2.0, 2.0]]) == pytest.approx(expected)
+        assert length([[2.0, gap, 2.0, 2.0], [2.0, -2.0, 2.0, -gap]]) == pytest.approx(4 / 9)
+
+
 def test_only_openings_that_the_robot_fits_through_and_that_were_tried_often_enough_are_given_up(simulate) -> None:
     world = simulate([[-3.0, 2.0, 3.0, 2.0]])
     world.observe(np.zeros(3))

@@ -276,7 +276,7 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, density: in
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
     groups = [
         (tfg.viewpoints, SAME_NODE),
-        (gaps, PASSAGE_SPACING),
+        (gaps, PASSAGE_SPACING / density),
         (fringe, FRONTIER_SPACING / density),
         (newest, SPACING / density),
         (older, SPACING / density),

@@ -18,6 +18,7 @@ from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
 from tfg_drake.planning.roadmap import (
     COMFORT,
     EDGE_LENGTH,
+    EFFORTS,
     NEIGHBOURS,
     OBSTACLE_MARGIN,
     RoadmapState,
@@ -186,9 +187,10 @@ def _connect(
     return near[chosen].astype(np.int64), has[chosen]
 
 
-def _fitting(state: RoadmapState, robot: RobotConfig, deviation: float, planner: PlannerConfig) -> BoolArray:
-    """Edges (e,) with room for a robot that strays from its path, relative to the map, by this deviation (m)."""
-    need = required_clearance(robot.radius, np.array(deviation), planner.collision_probability)
+def _fitting(state: RoadmapState, robot: RobotConfig, deviation: float, probability: float) -> BoolArray:
+    """Edges (e,) with room for a robot that strays from its path, relative to the map, by this deviation (m), where
+    this probability of a collision is accepted."""
+    need = required_clearance(robot.radius, np.array(deviation), probability)
     return np.asarray(state.edges.usable | (state.edges.free & (state.edges.clearance >= need)))
 
 
@@ -206,7 +208,7 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
     reachable = np.isfinite(ways.cost)
     entry = np.where(reachable, np.arange(len(reachable)), -1)
     # The robot came by that, whatever was found when it was last near.
-    fits = _fitting(state, robot, FAIR_DEVIATION, planner) | state.edges.travelled
+    fits = _fitting(state, robot, FAIR_DEVIATION, planner.collision_probability) | state.edges.travelled
     beyond = _joined(state, fits, reachable) & ~reachable
     if beyond.any():
         a, b = state.edges.nodes[fits].T
@@ -231,12 +233,15 @@ def roadmap_message(
 
     driven: m, so far. home: the routes from where the robot began, where it must come back.
     """
+    # Whatever the least careful stage would try.
+    boldest = max(planner.collision_probability, *(accepted for _, accepted in EFFORTS))
+    fits = _fitting(state, robot, TRACKING_DEVIATION, boldest)
     return Roadmap(
         stage=state.stage,
         points=state.points,
         edges=state.edges.nodes[state.edges.usable],
         reachable=np.isfinite(ways.cost),
-        enterable=_joined(state, _fitting(state, robot, TRACKING_DEVIATION, planner), np.isfinite(ways.cost)),
+        enterable=_joined(state, fits, np.isfinite(ways.cost)),
         entry=_entries(state, ways, robot, planner),
         travel_time=ways.time,
         travel_length=ways.length,
