@@ -1,6 +1,7 @@
 import itertools
 
 import numpy as np
+import pytest
 import shapely
 
 from tfg_drake.messages import replace
@@ -10,14 +11,15 @@ from tfg_drake.slam.goal_graph import empty_map
 STEEPEST = np.radians(75)
 
 
-def view(points, targets, normals, segments, range_max=10.0, incidence=STEEPEST, tolerance=0.1):
+def view(points, targets, normals, segments, range_max=10.0, incidence=STEEPEST, tolerance=0.1, graze=0.0):
     arguments = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (points, targets, normals))
     offsets, index = visible_targets(*arguments, np.asarray(segments, dtype=float).reshape(-1, 4), range_max, incidence,
-                                     tolerance)  # fmt: skip
+                                     tolerance, graze)  # fmt: skip
     return [index[a:b].tolist() for a, b in itertools.pairwise(offsets)]
 
 
-def test_agrees_with_shapely():
+@pytest.mark.parametrize("graze", [0.0, 0.2])
+def test_agrees_with_shapely(graze):
     rng = np.random.default_rng(1)
     points, targets = rng.uniform(-6, 6, (30, 2)), rng.uniform(-6, 6, (60, 2))
     angle = rng.uniform(-np.pi, np.pi, 60)
@@ -30,11 +32,21 @@ def test_agrees_with_shapely():
         d = p - targets
         r = np.hypot(*d.T)
         end = targets + 0.1 * d / r[:, None]
-        rays = shapely.linestrings(np.stack([np.broadcast_to(p, end.shape), end], axis=1))
-        seen = (r < 5) & ((d * normals).sum(1) >= np.cos(np.radians(75)) * r) & ~shapely.intersects(rays, walls)
+        aside = graze * np.stack([-d[:, 1], d[:, 0]], axis=1) / r[:, None]
+        clear, left, right = (
+            ~shapely.intersects(shapely.linestrings(np.stack([np.broadcast_to(p, end.shape), end + by], axis=1)), walls)
+            for by in (0.0, aside, -aside)
+        )
+        seen = (r < 5) & ((d * normals).sum(1) >= np.cos(np.radians(75)) * r) & clear & (left == right)
         expected.append(np.flatnonzero(seen).tolist())
     assert sum(map(len, expected)) > 50
-    assert view(points, targets, normals, segments, range_max=5.0) == expected
+    assert view(points, targets, normals, segments, range_max=5.0, graze=graze) == expected
+
+
+def test_what_is_seen_past_one_end_of_a_wall_by_too_little_does_not_count_but_through_a_slit_it_does():
+    upper, lower = [[3.0, 0.06, 3.0, 2.0]], [[3.0, -0.06, 3.0, -2.0]]
+    for walls, graze, seen in ((upper, 0.0, [0]), (upper, 0.1, []), (upper + lower, 0.1, [0]), (upper, 0.05, [0])):
+        assert view([[0, 0]], [[3.3, 0]], [[-1, 0]], walls, graze=graze) == [seen]
 
 
 def test_the_far_face_of_a_thin_wall_is_not_seen():

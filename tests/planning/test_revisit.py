@@ -7,7 +7,7 @@ from tests.planning.test_information_gain import problem, whitened
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning import revisit
-from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.expected_view import View
 from tfg_drake.planning.information_gain import turn_noise
 from tfg_drake.planning.revisit import error_removed, squared_by_landmarks, worth_revisiting
@@ -81,9 +81,9 @@ def test_screening_finds_the_place_that_all_tags_tell(monkeypatch):
     time = np.hypot(*points.T) / 0.5
     roadmap = Roadmap(1, points, np.zeros((0, 2), dtype=int), reachable, reachable, nodes, time, time)
     parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
-    screened = worth_revisiting(nodes, estimate, tfg, roadmap, parameters)
+    screened = worth_revisiting(nodes, Situation(estimate, tfg, roadmap, parameters))
     monkeypatch.setattr(revisit, "SCREENING_TAGS", 80)
-    by_all = worth_revisiting(nodes, estimate, tfg, roadmap, parameters)
+    by_all = worth_revisiting(nodes, Situation(estimate, tfg, roadmap, parameters))
     best = np.argsort(-screened)[0]
     assert best == np.argmax(by_all)
     assert screened[best] == pytest.approx(by_all[best], rel=1e-9)

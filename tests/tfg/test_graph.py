@@ -523,7 +523,7 @@ def test_a_goal_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth
 
 
 def test_a_look_past_one_end_of_a_wall_is_no_attempt_but_through_a_slit_it_is(simulate) -> None:
-    """Tags sighted 4 m ahead, 2 m behind the end of a wall that the line of sight passes at this distance; with a
+    """A tag sighted 4 m ahead, just behind the end of a wall that the line of sight passes at this distance; with a
     second wall, between the ends of both."""
 
     def length(walls: list[list[float]]) -> float:
@@ -534,8 +534,8 @@ def test_a_look_past_one_end_of_a_wall_is_no_attempt_but_through_a_slit_it_is(si
         return float(tfg.frontier_length[np.hypot(*(tfg.frontiers - [4.0, 0.0]).T).argmin()])
 
     for gap, expected in ((0.02, 1.0), (0.15, 4 / 9)):
-        assert length([[2.0, gap, 2.0, 2.0]]) == pytest.approx(expected)
-        assert length([[2.0, gap, 2.0, 2.0], [2.0, -2.0, 2.0, -gap]]) == pytest.approx(4 / 9)
+        assert length([[3.7, gap, 3.7, 2.0]]) == pytest.approx(expected)
+        assert length([[3.7, gap, 3.7, 2.0], [3.7, -2.0, 3.7, -gap]]) == pytest.approx(4 / 9)
 
 
 def test_only_openings_that_the_robot_fits_through_and_that_were_tried_often_enough_are_given_up(simulate) -> None:

@@ -11,8 +11,8 @@ import dataclasses
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.messages import FloatArray, IntArray, Roadmap
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
 from tfg_drake.planning.information_gain import information_gain
 
@@ -34,8 +34,9 @@ class Barred:
     time: FloatArray
 
 
-def barred_places(estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, parameters: GoalParameters) -> Barred:
+def barred_places(now: Situation) -> Barred:
     """All that the roadmap knows of, and what they promise."""
+    estimate, tfg, roadmap, parameters = now.estimate, now.tfg, now.roadmap, now.parameters
     sensor = parameters.sensor
     nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
     entry, points = roadmap.entry[nodes], roadmap.points[nodes]

@@ -44,6 +44,17 @@ class GoalParameters:
 
 
 @dataclasses.dataclass(frozen=True)
+class Situation:
+    """All that a choice goes by at one stage: map, TFG and roadmap of that stage, or as much of them as is near, and
+    what is known of the robot."""
+
+    estimate: MapEstimate
+    tfg: TfgMap
+    roadmap: Roadmap
+    parameters: GoalParameters
+
+
+@dataclasses.dataclass(frozen=True)
 class Candidates:
     """Places to go to next.
 
@@ -80,15 +91,7 @@ def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
     return max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
 
 
-def judged(
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    roadmap: Roadmap,
-    parameters: GoalParameters,
-    previous: GoalChoice,
-    *,
-    in_full: bool = False,
-) -> Candidates:
+def judged(now: Situation, previous: GoalChoice, *, in_full: bool = False) -> Candidates:
     """The roadmap's reachable nodes, but for those next to past goals, at most explorer.samples of them judged now.
 
     On a large map, a place where the landmarks are not known jointly with the robot's pose promises what it did when
@@ -96,7 +99,8 @@ def judged(
     to be judged in_full, candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a
     little less than they would.
     """
-    sensor, explorer = parameters.sensor, parameters.explorer
+    estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
+    sensor, explorer = now.parameters.sensor, now.parameters.explorer
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
     here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
@@ -110,29 +114,28 @@ def judged(
     open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
 
     def expected(rows: IntArray, tags: View) -> Gains:
-        return expected_gains(asked[rows], tags, estimate, tfg, roadmap, parameters)
+        return expected_gains(asked[rows], tags, now)
 
     tags = expected_tags(points[ask], estimate, tfg, sensor)
     if explorer.gain == "exact" and len(asked) > 2 * EXACT and not in_full:
-        now = _screened(expected, tags, time[ask] + time_at_goal(sensor, explorer))
+        promised = _screened(expected, tags, time[ask] + time_at_goal(sensor, explorer))
     else:
-        now = expected(np.arange(len(asked)), tags)
-    now = _found_again(now, here[np.isin(nodes, asked)])
+        promised = expected(np.arange(len(asked)), tags)
+    promised = _found_again(promised, here[np.isin(nodes, asked)])
     in_view = np.full(len(candidates), -1)
     in_view[ask] = tags.count
-    gains = _filled(previous, names, ask, now, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
+    gains = _filled(previous, names, ask, promised, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
     return Candidates(candidates, names, points, time, gains, in_view, open_ahead)
 
 
-def expected_gains(
-    nodes: IntArray, tags: View, estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, parameters: GoalParameters
-) -> Gains:
+def expected_gains(nodes: IntArray, tags: View, now: Situation) -> Gains:
     """What a full turn at each of the nodes (c,) of the roadmap, from where these tags are seen, is expected to
     bring."""
+    roadmap, parameters = now.roadmap, now.parameters
     points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
     frontiers = View(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
     settings = parameters.sensor, parameters.odometry, parameters.explorer
-    return information_gain(points, distance, time, tags, frontiers, estimate, tfg, *settings)
+    return information_gain(points, distance, time, tags, frontiers, now.estimate, now.tfg, *settings)
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:

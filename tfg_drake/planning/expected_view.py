@@ -13,6 +13,7 @@ from tfg_drake.geometry.distance import segments_cross
 from tfg_drake.geometry.sectors import sector_of, segments_by_sector
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.tfg.frontier import GRAZE
 
 # A landmark lies on a surface piece that passes within the map's own error of it, m.
 SURFACE_TOLERANCE = 0.1
@@ -60,6 +61,18 @@ class View:
 
 
 @njit(cache=True)
+def _hiding(
+    x: float, y: float, ex: float, ey: float, segments: FloatArray, rows: IntArray, start: int, stop: int
+) -> int:
+    """The first entry of rows, in start:stop, whose segment crosses the line from (x, y) to (ex, ey), -1 if none."""
+    for h in range(start, stop):
+        x0, y0, x1, y1 = segments[rows[h], 0], segments[rows[h], 1], segments[rows[h], 2], segments[rows[h], 3]
+        if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
+            return h
+    return -1
+
+
+@njit(cache=True)
 def visible_targets(
     points: FloatArray,
     targets: FloatArray,
@@ -68,11 +81,13 @@ def visible_targets(
     range_max: float,
     max_incidence: float,
     tolerance: float,
+    graze: float = 0.0,
 ) -> tuple[IntArray, IntArray]:
     """Targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
 
     points: (c, 2), targets: (n, 2) and segments: (m, 4) in one frame, m. normals: (n, 2) unit vectors, the side from
-    which each target can be seen. tolerance: length, m, by which lines of sight are shortened at the target.
+    which each target can be seen. tolerance: length, m, by which lines of sight are shortened at the target. graze: m:
+    what would be hidden were it so far to the one side, but not to the other, does not count.
     """
     cos_max = math.cos(max_incidence)
     offsets = np.zeros(len(points) + 1, dtype=np.int64)
@@ -95,7 +110,8 @@ def visible_targets(
             share = max(0.0, 1.0 - tolerance / r)
             ex, ey = x + share * dx, y + share * dy
             asked[lines], ends[lines, 0], ends[lines, 1] = t, ex, ey
-            left, right, low, high = min(left, ex), max(right, ex), min(low, ey), max(high, ey)
+            left, right = min(left, ex - graze), max(right, ex + graze)
+            low, high = min(low, ey - graze), max(high, ey + graze)
             lines += 1
 
         found = 0
@@ -113,15 +129,19 @@ def visible_targets(
         first = count
         for k in range(lines):
             ex, ey = ends[k, 0], ends[k, 1]
-            clear = True
-            s = sector_of(targets[asked[k], 0] - x, targets[asked[k], 1] - y)
-            for h in range(sector[s], sector[s + 1]):
-                x0, y0, x1, y1 = near[hiding[h], 0], near[hiding[h], 1], near[hiding[h], 2], near[hiding[h], 3]
-                if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
-                    clear = False
-                    # What hid one target often hides the next: look there first.
-                    hiding[sector[s]], hiding[h] = hiding[h], hiding[sector[s]]
-                    break
+            dx, dy = targets[asked[k], 0] - x, targets[asked[k], 1] - y
+            s = sector_of(dx, dy)
+            h = _hiding(x, y, ex, ey, near, hiding, sector[s], sector[s + 1])
+            clear = h < 0
+            if not clear:
+                # What hid one target often hides the next: look there first.
+                hiding[sector[s]], hiding[h] = hiding[h], hiding[sector[s]]
+            elif graze > 0.0:
+                r = math.sqrt(dx * dx + dy * dy)
+                gx, gy = -graze * dy / r, graze * dx / r
+                a, b = sector_of(dx + gx, dy + gy), sector_of(dx - gx, dy - gy)
+                one = _hiding(x, y, ex + gx, ey + gy, near, hiding, sector[a], sector[a + 1]) < 0
+                clear = one == (_hiding(x, y, ex - gx, ey - gy, near, hiding, sector[b], sector[b + 1]) < 0)
             if clear:
                 if count == len(index):
                     grown = np.empty(2 * count, dtype=np.int64)
@@ -150,7 +170,10 @@ def expected_tags(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor
 
 
 def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig) -> View:
-    """Frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of tfg.frontiers."""
+    """Frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of tfg.frontiers.
+
+    Past one end of a surface it must look by more than GRAZE; through a slit between two it is tried.
+    """
     return View(
         *visible_targets(
             points,
@@ -160,6 +183,7 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig)
             FRONTIER_RANGE_SHARE * sensor.range,
             sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN,
             0.0,
+            GRAZE,
         )
     )
 

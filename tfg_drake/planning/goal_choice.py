@@ -15,6 +15,7 @@ from tfg_drake.planning.budget import Budget, budget_left, way_home
 from tfg_drake.planning.candidates import (
     Candidates,
     GoalParameters,
+    Situation,
     expected_gains,
     frontier_in_sight,
     judged,
@@ -70,16 +71,17 @@ def choose(
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
         return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
+    now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
     stay = time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
     open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
     if explorer.revisit and explorer.goal == "tour" and everything and not open_left:
-        again = _second_look(estimate, tfg, roadmap, parameters, previous)
+        again = _second_look(now, previous)
         if again is not None:
             return again
     # Before the mission ends all are asked by all that they see.
-    candidates = judged(estimate, tfg, roadmap, parameters, previous, in_full=not open_left)
+    candidates = judged(now, previous, in_full=not open_left)
     affordable = budget.affords(roadmap, candidates.nodes)
     worth = candidates.worth(explorer.stop_gain)
     gains = candidates.gains
@@ -107,8 +109,7 @@ def choose(
     elif worth.any():
         node, (verdict, reason) = -1, _spent(budget)
     else:
-        any_left = bool(len(candidates.nodes))
-        node, verdict, reason, looked = _last(any_left, estimate, tfg, roadmap, parameters, budget, looked, everything)
+        node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
     if verdict != "goal" and explorer.return_home:
         node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
@@ -132,23 +133,22 @@ def choose(
     )
 
 
-def _second_look(
-    estimate: MapEstimate, tfg: TfgMap, roadmap: Roadmap, parameters: GoalParameters, previous: GoalChoice
-) -> GoalChoice | None:
+def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     """The choice where no place sees enough live frontier, but the map can grow more accurate; none where it cannot.
 
     The only candidate is the place chosen: nats are not what it is chosen by, and no other is asked for them.
     """
-    sensor, explorer = parameters.sensor, parameters.explorer
+    estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
+    sensor, explorer = now.parameters.sensor, now.parameters.explorer
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, time_all_round(sensor, explorer))
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
-    value = worth_revisiting(nodes, estimate, tfg, roadmap, parameters) * budget.affords(roadmap, nodes)
+    value = worth_revisiting(nodes, now) * budget.affords(roadmap, nodes)
     best = pick(value, value > 1.0)
     if best < 0:
         return None
     asked, node = nodes[[best]], int(nodes[best])
     names, points = roadmap.names(asked), roadmap.points[asked]
-    gains = expected_gains(asked, expected_tags(points, estimate, tfg, sensor), estimate, tfg, roadmap, parameters)
+    gains = expected_gains(asked, expected_tags(points, estimate, tfg, sensor), now)
     return GoalChoice(
         stage=estimate.stage,
         node=int(names[0]),
@@ -173,14 +173,7 @@ def _spent(budget: Budget) -> tuple[str, str]:
 
 
 def _last(
-    any_left: bool,
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    roadmap: Roadmap,
-    parameters: GoalParameters,
-    budget: Budget,
-    looked: IntArray,
-    everything: bool,
+    now: Situation, any_left: bool, budget: Budget, looked: IntArray, *, everything: bool
 ) -> tuple[int, str, str, IntArray]:
     """Where no candidate, if any is left, is worth going to: the node before a passage that was too narrow, -1 where
     the mission ends; verdict and reason; and the names (t,) of nodes from which the robot has looked at such a passage
@@ -188,9 +181,9 @@ def _last(
 
     looked: (s,) those so far. everything: as of `choose`.
     """
-    barred = barred_places(estimate, tfg, roadmap, parameters)
+    estimate, roadmap, stop_gain = now.estimate, now.roadmap, now.parameters.explorer.stop_gain
+    barred = barred_places(now)
     back = np.zeros(len(barred.nodes))
-    stop_gain = parameters.explorer.stop_gain
     if everything:
         looked = looked_again(barred, roadmap, estimate.X_MD[:2], looked)
         back = worth_of_looking(barred, roadmap, budget.stay, stop_gain, looked)
@@ -204,8 +197,8 @@ def _last(
     verdict, reason = why_end(
         any_left,
         float(barred.gain.max(initial=0.0)),
-        given_up_open(tfg, roadmap, parameters.robot.radius + NODE_MARGIN),
-        float(tfg.frontier_length.sum()),
+        given_up_open(now.tfg, roadmap, now.parameters.robot.radius + NODE_MARGIN),
+        float(now.tfg.frontier_length.sum()),
         bool(roadmap.entry[home] < 0),
         stop_gain,
     )

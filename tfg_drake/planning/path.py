@@ -179,13 +179,13 @@ def path_is_free(
     """Whether the next two metres of a path (k, 2), m in M, are open to a disc of this radius (m) at pose X_MB (3,).
 
     Two returns of the scan that no mapped surface (segments (m, 4)) explains, nearer to the path than the radius and
-    2 cm, block it; so do returns of mapped surfaces, where the disc would touch them. bold: only where it would touch
-    does anything block it.
+    2 cm, block it; so do returns of mapped surfaces, where the disc would touch them: a surface may go on a little
+    beyond its end in the map. bold: only where it would touch by 2 cm does anything block it.
     """
     ahead = _ahead(points, X_MB)
     hits = _returns(scan, X_MB)
     distance = point_distance(hits, ahead)
-    if int((distance < radius - 0.02).sum()) >= 2:
+    if int((distance < (radius - 0.02 if bold else radius)).sum()) >= 2:
         return False
     close = distance < radius + 0.02
     if bold or close.sum() < 2:
@@ -198,12 +198,13 @@ def unmapped_obstacles(
 ) -> FloatArray:
     """What blocks a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
 
-    The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains,
-    neighbours too close for the robot to pass between them joined to a surface.
+    The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains, or that
+    it would touch, neighbours too close for the robot to pass between them joined to a surface.
     """
     hits = _returns(scan, X_MB)
     distance = point_distance(hits, _ahead(points, X_MB))
-    hits = hits[(distance < radius + OBSTACLE_REACH) & (point_distance(hits, segments) > MAPPED_WITHIN)]
+    unmapped = point_distance(hits, segments) > MAPPED_WITHIN
+    hits = hits[(distance < radius + OBSTACLE_REACH) & (unmapped | (distance < radius))]
     if len(hits) == 0:
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.planning.candidates import GoalParameters, time_all_round
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
 from tfg_drake.planning.expected_view import View, expected_tags
 from tfg_drake.planning.information_gain import odometry_covariance, sightings_of_turn, turn_noise
@@ -22,19 +22,14 @@ SCREENING_TAGS = 12
 BEST = 10
 
 
-def worth_revisiting(
-    nodes: IntArray,
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    roadmap: Roadmap,
-    parameters: GoalParameters,
-) -> FloatArray:
+def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     """The share of the landmarks' expected squared error that a turn at each of the nodes (v,) of the roadmap removes,
     over the share of the mission's time that it then has taken, (v,); 0 where a place is not asked.
 
     Measuring everything all over again is worth 1: variance times time stays. Above that their product falls. Landmarks
     that are not all known jointly cannot tell, and nothing is worth it. What is seen on the way is not counted.
     """
+    estimate, roadmap, parameters = now.estimate, now.roadmap, now.parameters
     value = np.zeros(len(nodes))
     if len(estimate.local) < len(estimate.ids) or not len(estimate.ids):
         return value
@@ -44,7 +39,7 @@ def worth_revisiting(
     sensor, explorer = parameters.sensor, parameters.explorer
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
     Q = odometry_covariance(estimate.X_MD, points, roadmap.travel_length[nodes], time, parameters.odometry)
-    tags = expected_tags(points, estimate, tfg, sensor)
+    tags = expected_tags(points, estimate, now.tfg, sensor)
     noise = turn_noise(sensor, sightings_of_turn(sensor, explorer.turn_rate))
     covariance, squared = estimate.covariance, squared_by_landmarks(estimate.covariance)
     time = time + time_all_round(sensor, explorer)

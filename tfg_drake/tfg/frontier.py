@@ -29,6 +29,8 @@ SPACING = 0.4
 ROOT = 0.2
 # A frontier point this close to a surface is part of it, m.
 SURFACE_DISTANCE = 0.1
+# Past one end of a surface it must be seen by more than this, m: what lies between the last two rays may hide it.
+GRAZE = 0.1
 # Spacing of the points of uninspected surface, m, how far in front of it they must have been seen from, m, and how
 # far in front of it their frontier points lie, m.
 UNINSPECTED_SPACING = 0.1

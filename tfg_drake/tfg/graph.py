@@ -21,10 +21,12 @@ from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
+from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
+    GRAZE,
     SAME_FRONTIER,
     SIGHTED_LENGTH,
     UNINSPECTED_LIFT,
@@ -56,8 +58,6 @@ from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, 
 TRIED_DISTANCE = 0.5
 # From beyond this share of the sensor's range a small face may be missed though it is in view: no attempt at it.
 NEAR_SHARE = 0.5
-# What is looked at past one end of a surface, nearer to it than this, m, may be hidden: ends are known no better.
-GRAZE = 0.05
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
 
@@ -549,12 +549,11 @@ def _count_attempts(
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
         # looks into what lies behind.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
+        # As the planner expects, see `expected_frontiers`.
         aside = GRAZE / np.maximum(distance, 1e-9)[:, None] * np.stack([-towards[:, 1], towards[:, 0]], axis=1)
         straight, left, right = (
-            clearance(np.hstack([center + offset, points.p + offset]), placed.segments, 1e-6) > 0.0
-            for offset in (0.0 * aside, aside, -aside)
+            line_of_sight(placed.segments, center, points.p + offset) for offset in (0.0 * aside, aside, -aside)
         )
-        # Past one end: no attempt. Between two, through a slit: in vain again whenever it is tried.
         clear = straight & (left == right)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
         looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
