@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tfg_drake.geometry.visibility import cast_rays, line_of_sight
+from tfg_drake.geometry.visibility import cast_rays, line_of_sight, surely_visible
 
 SQUARE = np.array([[-1.0, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])
 
@@ -67,6 +67,13 @@ def test_a_point_on_a_surface_is_seen_from_either_side_of_it():
     assert line_of_sight(SQUARE, np.zeros(2), on_wall).tolist() == [True]
     assert line_of_sight(SQUARE, np.array([2.0, 0.0]), on_wall).tolist() == [True]
     assert line_of_sight(SQUARE, np.zeros(2), on_wall, 0.0).tolist() == [False]
+
+
+def test_what_is_seen_past_one_end_of_a_wall_by_too_little_does_not_count_but_through_a_slit_it_does():
+    upper, lower = [3.0, 0.06, 3.0, 2.0], [3.0, -0.06, 3.0, -2.0]
+    place, target = np.zeros(2), np.array([[3.3, 0.0], [2.9, 0.0]])
+    for walls, graze, seen in (([upper], 0.1, False), ([upper, lower], 0.1, True), ([upper], 0.05, True)):
+        assert surely_visible(np.array(walls), place, target, graze).tolist() == [seen, True]
 
 
 def test_line_of_sight_without_points_or_walls():

@@ -95,3 +95,15 @@ def line_of_sight(segments: FloatArray, p_from: FloatArray, p_to: FloatArray, to
                 visible[j] = False
                 break
     return visible
+
+
+def surely_visible(segments: FloatArray, p_from: FloatArray, p_to: FloatArray, graze: float) -> BoolArray:
+    """Which points p_to (n, 2) can be seen from p_from (2,), m, (n,), and not only just past one end of a segment: were
+    they this much (m) to either side, both or neither could.
+
+    segments: as in line_of_sight. What is seen through a slit between two ends counts.
+    """
+    d = p_to - p_from
+    aside = graze / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-9)[:, None] * np.stack([-d[:, 1], d[:, 0]], axis=1)
+    left, right = line_of_sight(segments, p_from, p_to + aside), line_of_sight(segments, p_from, p_to - aside)
+    return np.asarray(line_of_sight(segments, p_from, p_to) & (left == right))

@@ -172,7 +172,7 @@ def expected_tags(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor
 def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig) -> View:
     """Frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of tfg.frontiers.
 
-    Past one end of a surface it must look by more than GRAZE; through a slit between two it is tried.
+    Past one end of a surface it must look by more than GRAZE (see `tfg_drake.geometry.visibility.surely_visible`).
     """
     return View(
         *visible_targets(

@@ -21,7 +21,7 @@ from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
-from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
 from tfg_drake.tfg.frontier import (
@@ -549,12 +549,7 @@ def _count_attempts(
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
         # looks into what lies behind.
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
-        # As the planner expects, see `expected_frontiers`.
-        aside = GRAZE / np.maximum(distance, 1e-9)[:, None] * np.stack([-towards[:, 1], towards[:, 0]], axis=1)
-        straight, left, right = (
-            line_of_sight(placed.segments, center, points.p + offset) for offset in (0.0 * aside, aside, -aside)
-        )
-        clear = straight & (left == right)
+        clear = surely_visible(placed.segments, center, points.p, GRAZE)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
         looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
