@@ -36,7 +36,7 @@ def main() -> None:
         scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
         scenario.seed = seed
         stages, _, _ = stages_of(scenario, lambda stage, time: False)
-        field = Field(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+        field = Field(scenario.tags, scenario.odometry, scenario.explorer)
         stay = 2.0 * math.pi / scenario.explorer.turn_rate + OVERHEAD
         for stage in stages:
             nodes, exact = gain_field(stage, field, scenario.explorer)
