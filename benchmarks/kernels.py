@@ -159,7 +159,7 @@ def numpy_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
         K = np.concatenate([-G, np.zeros((len(rows), 2, 1))], axis=2)
         K[:, 1, 2] = -1.0 / noise[3]
         J = np.hstack([block_diag(*G), K.reshape(-1, 3)])
-        F = to_arrival(arrival.X_MD, point[0], point[1])
+        F = to_arrival(arrival.X_MD, point[None])[0]
         take = np.append(np.stack([2 * rows, 2 * rows + 1], axis=1).ravel(), np.arange(n, n + 3))
         S = known.covariance[np.ix_(take, take)]
         S[-3:] = F @ S[-3:]

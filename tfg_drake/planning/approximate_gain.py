@@ -36,11 +36,10 @@ def limit_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
     pose is taken to be independent of the landmarks.
     """
     out = np.zeros((len(points), 3))
-    eye3 = np.eye(3)
+    eye3, F = np.eye(3), to_arrival(arrival.X_MD, points)
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        F = to_arrival(arrival.X_MD, x, y)
-        S = F @ arrival.departure_given_map @ F.T + arrival.odometry[c]  # Pi^-1
+        S = F[c] @ arrival.departure_given_map @ F[c].T + arrival.odometry[c]  # Pi^-1
         rows, _, K, C = known_terms(x, y, c, known, noise)
         log_map = 0.0
         B_known = np.zeros((3, 3))

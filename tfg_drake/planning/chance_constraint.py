@@ -72,8 +72,8 @@ def localised_deviation(
                 square[k] = (targets[rows[k], 0] - x) ** 2 + (targets[rows[k], 1] - y) ** 2
             rows = rows[np.argsort(square)[:LOCALISATION_TAGS]]
         m = len(rows)
-        B = np.zeros((3, 3))  # information on the pose
-        H = np.empty((m, 3, 2))  # K^T G: what an error of each landmark does to it
+        H = np.empty((m, 3, 2))  # K^T G: what an error of each landmark does to the information on the pose
+        b_xx, b_xy, b_yy, b_xt, b_yt, b_tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(m):
             dx, dy = targets[rows[k], 0] - x, targets[rows[k], 1] - y
             r = max(math.sqrt(dx * dx + dy * dy), 0.05)
@@ -84,30 +84,30 @@ def localised_deviation(
             xy = w_range * ux * uy - w_bearing * ux * uy / (r * r)
             yy = w_range * uy * uy + w_bearing * ux * ux / (r * r)
             hx, hy = -w_bearing * uy / r, w_bearing * ux / r
-            B[0, 0] += xx
-            B[0, 1] += xy
-            B[1, 1] += yy
-            B[0, 2] += hx
-            B[1, 2] += hy
-            B[2, 2] += w_bearing
+            b_xx, b_xy, b_yy = b_xx + xx, b_xy + xy, b_yy + yy
+            b_xt, b_yt, b_tt = b_xt + hx, b_yt + hy, b_tt + w_bearing
             H[k, 0, 0], H[k, 0, 1], H[k, 1, 1] = xx, xy, yy
             H[k, 1, 0] = xy
             H[k, 2, 0], H[k, 2, 1] = hx, hy
-        B[1, 0], B[2, 0], B[2, 1] = B[0, 1], B[0, 2], B[1, 2]
-        if np.linalg.det(B) <= 0.0:
+        # The heading eliminated.
+        tx, ty = b_xt / b_tt, b_yt / b_tt
+        b_xx, b_xy, b_yy = b_xx - tx * b_xt, b_xy - tx * b_yt, b_yy - ty * b_yt
+        det = b_xx * b_yy - b_xy * b_xy
+        if det <= 0.0:
             continue
-        P = np.linalg.inv(B)
+        p_xx, p_xy, p_yy = b_yy / det, -b_xy / det, b_xx / det
         if not uncertain:
-            out[i] = math.sqrt(_largest(P[0, 0], P[0, 1], P[1, 1]))
+            out[i] = math.sqrt(_largest(p_xx, p_xy, p_yy))
             continue
 
         # The robot's error is M dL + noise: it takes part in those of the landmarks it goes by. N = S M^T.
         M = np.empty((m, 2, 2))
         for k in range(m):
-            for q in range(2):
-                for j in range(2):
-                    M[k, q, j] = P[q, 0] * H[k, 0, j] + P[q, 1] * H[k, 1, j] + P[q, 2] * H[k, 2, j]
-        xx, xy, yy = P[0, 0], P[0, 1], P[1, 1]
+            for j in range(2):
+                h_x, h_y = H[k, 0, j] - tx * H[k, 2, j], H[k, 1, j] - ty * H[k, 2, j]
+                M[k, 0, j] = p_xx * h_x + p_xy * h_y
+                M[k, 1, j] = p_xy * h_x + p_yy * h_y
+        xx, xy, yy = p_xx, p_xy, p_yy
         for k in range(m):
             n00, n01, n10, n11 = _shared(covariance, rows[k], rows, M)
             xx += M[k, 0, 0] * n00 + M[k, 0, 1] * n10
@@ -124,7 +124,7 @@ def localised_deviation(
             b = xy - n01 - n10 + covariance[2 * s, 2 * s + 1]
             c = yy - 2.0 * n11 + covariance[2 * s + 1, 2 * s + 1]
             worst = max(worst, _largest(a, b, c))
-        out[i] = math.sqrt(worst if worst > 0.0 else _largest(P[0, 0], P[0, 1], P[1, 1]))
+        out[i] = math.sqrt(worst if worst > 0.0 else _largest(p_xx, p_xy, p_yy))
     return out
 
 

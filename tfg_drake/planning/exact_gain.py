@@ -168,63 +168,69 @@ def solved_by_cholesky(C: FloatArray, W: FloatArray) -> float:
 
 
 @njit(cache=True)
-def to_arrival(X_MD: FloatArray, x: float, y: float) -> FloatArray:
-    """F (3, 3): what an error of the departure pose X_MD, (x, y) in M and theta, makes at an arrival at (x, y)."""
-    F = np.eye(3)
-    F[0, 2], F[1, 2] = -(y - X_MD[1]), x - X_MD[0]
+def to_arrival(X_MD: FloatArray, points: FloatArray) -> FloatArray:
+    """F (c, 3, 3): what an error of the departure pose X_MD, (x, y) in M and theta, makes at an arrival at each point
+    (c, 2), m in M."""
+    F = np.zeros((len(points), 3, 3))
+    for i in range(3):
+        F[:, i, i] = 1.0
+    F[:, 0, 2], F[:, 1, 2] = X_MD[1] - points[:, 1], points[:, 0] - X_MD[0]
     return F
 
 
 @njit(cache=True)
-def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
-    """Exploitation, exploration and price of the pose, (c, 3), nats, of a turn at each point (c, 2), m in M.
-
-    noise: as in _whitened.
+def _terms(
+    points: FloatArray, F: FloatArray, known: Known, new: New, noise: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of each candidate: log|C| and log|D| (c, 2); T (c, 6, 6) = W^T C^-1 W, W = [G S_Lx, K], by known landmarks; and
+    (c, 3, 3, 3) K^T K by known, K^T K and K^T D^-1 K by new ones. F: (c, 3, 3). C, G, K, D: `known_terms`, `new_terms`.
     """
-    out = np.zeros((len(points), 3))
+    logs, T, B = np.zeros((len(points), 2)), np.zeros((len(points), 6, 6)), np.zeros((len(points), 3, 3, 3))
     pose, covariance = 2 * len(known.p_ML), known.covariance
-    eye3 = np.eye(3)
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        F = to_arrival(arrival.X_MD, x, y)
-        S_xx = F @ covariance[pose:, pose:].copy() @ F.T + arrival.odometry[c]
-        S_x_given_L = F @ arrival.departure_given_map @ F.T + arrival.odometry[c]
-
         rows, G, K, C = known_terms(x, y, c, known, noise)
-        W = np.empty((2 * len(rows), 6))  # [G S_Lx, K]
+        W = np.empty((2 * len(rows), 6))
         for i in range(len(rows)):
             a = 2 * rows[i]
             for q in range(2):
-                s = G[i, q, 0] * covariance[a, pose:] + G[i, q, 1] * covariance[a + 1, pose:]
-                W[2 * i + q, 0] = s[0] + F[0, 2] * s[2]
-                W[2 * i + q, 1] = s[1] + F[1, 2] * s[2]
-                W[2 * i + q, 2] = s[2]
+                for k in range(3):
+                    W[2 * i + q, k] = G[i, q, 0] * covariance[a, pose + k] + G[i, q, 1] * covariance[a + 1, pose + k]
+        W[:, 0] += F[c, 0, 2] * W[:, 2]
+        W[:, 1] += F[c, 1, 2] * W[:, 2]
         W[:, 3:] = K
-
-        # I + J S J^T = C + W M W^T: one factorisation serves the known and the unknown pose.
-        log_map = 0.0
-        T = np.zeros((6, 6))
-        B_known = np.zeros((3, 3))
         if len(rows) > 0:
-            B_known = K.T.copy() @ K
-            log_map = solved_by_cholesky(C, W)
-            T = W.T.copy() @ W
-        M = np.zeros((6, 6))
-        M[:3, 3:] = eye3
-        M[3:, :3] = eye3
-        M[3:, 3:] = S_xx
-        inner = np.eye(6) + T @ M
-        log_known = log_map + math.log(np.linalg.det(inner))
-        N = np.zeros((6, 3))
-        N[:3] = eye3
-        N[3:] = S_xx
-        S_x_given_z = S_xx - N.T.copy() @ np.linalg.solve(inner, T @ N)
+            B[c, 0] = K.T.copy() @ K
+            logs[c, 0] = solved_by_cholesky(C, W)
+            T[c] = W.T.copy() @ W
+        logs[c, 1], B[c, 1], B[c, 2] = new_terms(x, y, c, new, noise)
+    return logs, T, B
 
-        log_new, B_new, B_new_given_prior = new_terms(x, y, c, new, noise)
-        price_known = math.log(np.linalg.det(eye3 + S_x_given_L @ B_known))
-        price_all = math.log(np.linalg.det(eye3 + S_x_given_L @ (B_known + B_new)))
-        log_localised = math.log(np.linalg.det(eye3 + S_x_given_z @ B_new_given_prior))
-        out[c, 0] = 0.5 * (log_known - price_known)
-        out[c, 1] = 0.5 * (log_new + log_localised - price_all + price_known)
-        out[c, 2] = 0.5 * (log_map + log_new) - out[c, 0] - out[c, 1]
-    return out
+
+def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
+    """Exploitation, exploration and price of the pose, (c, 3), nats, of a turn at each point (c, 2), m in M.
+
+    noise: as in _whitened. One factorisation serves the known and the unknown pose, as I + J S J^T = C + W M W^T with
+    M = [[0, I], [I, S_xx]] by an error of the map and one of the pose.
+    """
+    F = to_arrival(arrival.X_MD, points)
+    log, T, B = _terms(points, F, known, new, noise)
+    F_T = F.transpose(0, 2, 1)
+    S_xx = F @ known.covariance[-3:, -3:] @ F_T + arrival.odometry
+    S_x_given_L = F @ arrival.departure_given_map @ F_T + arrival.odometry
+    N = np.concatenate([np.broadcast_to(np.eye(3), S_xx.shape), S_xx], axis=1)  # the last three columns of M
+    inner = np.eye(6) + np.concatenate([T[:, :, 3:], T @ N], axis=2)  # I + T M
+    S_x_given_z = S_xx - N.transpose(0, 2, 1) @ np.linalg.solve(inner, T @ N)
+
+    log_known = log[:, 0] + _log_det(inner)
+    price_known = _log_det(np.eye(3) + S_x_given_L @ B[:, 0])
+    price_all = _log_det(np.eye(3) + S_x_given_L @ (B[:, 0] + B[:, 1]))
+    log_localised = _log_det(np.eye(3) + S_x_given_z @ B[:, 2])
+    exploitation = 0.5 * (log_known - price_known)
+    exploration = 0.5 * (log[:, 1] + log_localised - price_all + price_known)
+    return np.stack([exploitation, exploration, 0.5 * log.sum(axis=1) - exploitation - exploration], axis=1)
+
+
+def _log_det(A: FloatArray) -> FloatArray:
+    """log|A|, (c,), of matrices (c, k, k)."""
+    return np.asarray(np.linalg.slogdet(A)[1])

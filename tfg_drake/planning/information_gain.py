@@ -140,6 +140,6 @@ def information_gain(
     else:
         Q = odometry_covariance(estimate.X_MD, points, distance, time, odometry)
         arrival = Arrival(estimate.X_MD, departure_given_landmarks(estimate), Q)
-        kernel = {"exact": exact_gain, "limit": limit_gain}[explorer.gain]
-        out = kernel(points, arrival, known, new, noise)
+        gain = exact_gain if explorer.gain == "exact" else limit_gain
+        out = gain(points, arrival, known, new, noise)
     return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])

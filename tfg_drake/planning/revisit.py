@@ -98,7 +98,7 @@ def error_removed(
     R[:, np.arange(m), :, np.arange(m)] = np.eye(2)
     tag = np.nonzero(sees)
     R[tag[0], tag[1], :, tag[1]] = to_position @ to_position.transpose(0, 2, 1)
-    AF = A @ np.array([to_arrival(X_MD, x, y) for x, y in points]).reshape(c, 3, 3)
+    AF = A @ to_arrival(X_MD, points)
     rows = np.stack([2 * seen, 2 * seen + 1], axis=2).reshape(c, 2 * m)
     in_view = np.repeat(sees, 2, axis=1)[:, :, None]
     both, both_in_view = rows[:, :, None] * len(covariance) + rows[:, None], in_view & in_view.transpose(0, 2, 1)

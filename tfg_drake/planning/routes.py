@@ -211,12 +211,11 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
     fits = _fitting(state, robot, FAIR_DEVIATION, planner.collision_probability) | state.edges.travelled
     beyond = _joined(state, fits, reachable) & ~reachable
     if beyond.any():
-        a, b = state.edges.nodes[fits].T
+        a, b = state.edges.nodes[fits & beyond[state.edges.nodes].any(axis=1)].T
         length = np.hypot(*(state.points[a] - state.points[b]).T)
         graph = csr_matrix((length, (a, b)), shape=(len(entry), len(entry)))
-        sources = dijkstra(
-            graph, directed=False, indices=np.flatnonzero(reachable), min_only=True, return_predecessors=True
-        )[2]
+        doors = np.intersect1d(np.append(a, b), np.flatnonzero(reachable))
+        sources = dijkstra(graph, directed=False, indices=doors, min_only=True, return_predecessors=True)[2]
         entry[beyond] = sources[beyond]
     return entry
 
