@@ -34,3 +34,11 @@ def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:
     rows = [line.split() for line in run("chance_constraint.py", *arguments).splitlines()[1:]]
     assert [(row[0], float(row[1])) for row in rows] == [("point", 0.1), ("point", 0.01), ("path", 0.1), ("path", 0.01)]
     assert all(int(row[2]) >= 2 and int(row[3]) > 50 for row in rows)
+
+
+def test_gains_compares_every_formula_with_the_exact_one(run) -> None:
+    lines = run("gains.py", "paper", "--seeds", "1", "--set", "explorer.budget_time=100").splitlines()
+    assert int(lines[0].split()[0]) >= 2
+    limit, paper, authors = (line.split() for line in lines[2:])
+    assert [limit[0], paper[0], authors[0]] == ["limit", "paper", "authors"]
+    assert abs(float(limit[1])) < abs(float(paper[1]))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
+from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import replace
 from tfg_drake.planning.expected_view import View, local_view, visible_targets
 from tfg_drake.slam.goal_graph import empty_map
@@ -41,6 +42,22 @@ def test_agrees_with_shapely(graze):
         expected.append(np.flatnonzero(seen).tolist())
     assert sum(map(len, expected)) > 50
     assert view(points, targets, normals, segments, range_max=5.0, graze=graze) == expected
+
+
+def test_the_planner_expects_the_looks_that_the_map_counts_as_attempts():
+    rng = np.random.default_rng(2)
+    start, grazed = rng.uniform(-6, 6, (15, 2)), 0
+    segments = np.hstack([start, start + rng.normal(0, 2.0, (15, 2))])
+    for place in rng.uniform(-6, 6, (40, 2)):
+        targets = rng.uniform(-6, 6, (60, 2))
+        d = place - targets
+        looks = surely_visible(segments, place, targets, 0.1)
+        normals = d / np.hypot(*d.T)[:, None]
+        assert view([place], targets, normals, segments, range_max=20.0, tolerance=0.0, graze=0.1) == [
+            np.flatnonzero(looks).tolist()
+        ]
+        grazed += len(view([place], targets, normals, segments, range_max=20.0, tolerance=0.0)[0]) - looks.sum()
+    assert grazed > 20
 
 
 def test_what_is_seen_past_one_end_of_a_wall_by_too_little_does_not_count_but_through_a_slit_it_does():
