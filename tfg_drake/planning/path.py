@@ -29,6 +29,8 @@ NO_RISK = 1e-4
 LOOK_AHEAD = 2.0
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
 MAPPED_WITHIN = 0.08
+# The follower strays this far from a path, m: what is nearer to it than the outline and this, the robot may touch.
+STRAYS = 0.01
 # Returns this far off still belong to the obstacle that blocks the path, m.
 OBSTACLE_REACH = 1.0
 # Neighbouring returns nearer to each other than this are of one obstacle: the robot does not fit between them, m.
@@ -179,13 +181,13 @@ def path_is_free(
     """Whether the next two metres of a path (k, 2), m in M, are open to a disc of this radius (m) at pose X_MB (3,).
 
     Two returns of the scan that no mapped surface (segments (m, 4)) explains, nearer to the path than the radius and
-    2 cm, block it; so do returns of mapped surfaces, where the disc would touch them: a surface may go on a little
-    beyond its end in the map. bold: only where it would touch by 2 cm does anything block it.
+    2 cm, block it; so do returns of mapped surfaces, where the disc may touch them: a surface may go on a little beyond
+    its end in the map. bold: only where it would touch by 2 cm does anything block it.
     """
     ahead = _ahead(points, X_MB)
     hits = _returns(scan, X_MB)
     distance = point_distance(hits, ahead)
-    if int((distance < (radius - 0.02 if bold else radius)).sum()) >= 2:
+    if int((distance < radius + (-0.02 if bold else STRAYS)).sum()) >= 2:
         return False
     close = distance < radius + 0.02
     if bold or close.sum() < 2:
@@ -199,12 +201,12 @@ def unmapped_obstacles(
     """What blocks a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
 
     The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains, or that
-    it would touch, neighbours too close for the robot to pass between them joined to a surface.
+    it may touch, neighbours too close for the robot to pass between them joined to a surface.
     """
     hits = _returns(scan, X_MB)
     distance = point_distance(hits, _ahead(points, X_MB))
     unmapped = point_distance(hits, segments) > MAPPED_WITHIN
-    hits = hits[(distance < radius + OBSTACLE_REACH) & (unmapped | (distance < radius))]
+    hits = hits[(distance < radius + OBSTACLE_REACH) & (unmapped | (distance < radius + STRAYS))]
     if len(hits) == 0:
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])
