@@ -29,7 +29,8 @@ NO_RISK = 1e-4
 LOOK_AHEAD = 2.0
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
 MAPPED_WITHIN = 0.08
-# The follower strays this far from a path, m: what is nearer to it than the outline and this, the robot may touch.
+# The follower strays this far from a path, m, at full speed (99 % of its commands, benchmarks/tracking.py): what is
+# nearer to it than the outline and this, the robot may touch.
 STRAYS = 0.01
 # Returns this far off still belong to the obstacle that blocks the path, m.
 OBSTACLE_REACH = 1.0
