@@ -5,6 +5,7 @@ from scipy.stats import norm
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.chance_constraint import (
+    TRACKING_DEVIATION,
     collision_probability,
     localised_deviation,
     predicted_deviation,
@@ -127,6 +128,32 @@ def test_required_clearance_keeps_the_collision_probability_between_two_surfaces
     assert 2 * norm.cdf((0.18 - need) / sigma) == pytest.approx([0.01, 0.01])
     assert collision_probability(need, 0.18, sigma) == pytest.approx([0.01, 0.01])
     assert collision_probability(np.array([0.1]), 0.18, np.array([0.03])) == [1.0]
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.06, 0.2])
+def test_what_odometry_adds_while_the_frames_come_counts_where_it_is_more_than_the_tracking(noise):
+    p_ML = np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0]])
+    estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, covariance=np.zeros((3, 3)))
+    tfg, place = replace(empty_tfg(), facing=-p_ML / 3.0), np.zeros((1, 2))
+    sensor, odometry, speed = TagSensorConfig(), OdometryConfig(distance_noise=noise), 0.4
+    (sigma,), _ = predicted_deviation(place, estimate, tfg, sensor, odometry, speed)
+    frames = sensor.detection_probability * sensor.rate * sensor.field_of_view / (2 * np.pi)
+    (standing,) = localised_deviation(
+        place,
+        np.array([0, 4]),
+        np.arange(4),
+        p_ML,
+        sensor.range_noise,
+        sensor.range_noise_per_metre,
+        sensor.bearing_noise,
+        frames,
+        np.zeros((0, 0)),
+        np.array([0, 4]),
+        np.arange(4),
+    )
+    Q = odometry_covariance(np.zeros(3), np.array([[speed, 0.0]]), np.array([speed]), np.ones(1), odometry)[0]
+    assert sigma**2 - standing**2 == pytest.approx(max(TRACKING_DEVIATION**2, Q[0, 0], Q[1, 1]))
+    assert (max(Q[0, 0], Q[1, 1]) > TRACKING_DEVIATION**2) == (noise > 0.02)
 
 
 def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the_nearest_place_that_sees_some():

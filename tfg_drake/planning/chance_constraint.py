@@ -29,7 +29,8 @@ LOCALISATION_RANGE = 5.0
 LOCALISATION_TAGS = 10
 # The pose is what this much time of frames makes it, s.
 LOCALISATION_TIME = 1.0
-# Deviation of the robot from its path and of a surface from the landmarks it is anchored to, m.
+# Deviation of the robot from its path, of a surface from the landmarks it is anchored to, and of what wheels and gyro
+# add between the frames, m: more where they add more.
 TRACKING_DEVIATION = 0.02
 # Surfaces that a robot at a point might touch are carried by landmarks this near, m, that face it with nothing between:
 # those in the room behind a wall may have drifted far from its front, and do not matter to who drives along that.
@@ -160,7 +161,8 @@ def predicted_deviation(
     """Deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
 
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
-    field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
+    field of view covers), and of the map there where enough of its landmarks are known jointly. The robot drives on
+    meanwhile: what its odometry adds in that second bounds what the filter has not yet taken out. Elsewhere that of the
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
     `speed` (m/s). before: (n,) m, what it was when enough landmarks there were last known jointly, inf where they never
     were: far from the robot it stays that, nothing has changed there since. Returns also which (n,) are so known, now
@@ -194,13 +196,19 @@ def predicted_deviation(
         anchors = np.vstack([points[localised], estimate.X_MD[None, :2]])
         at_anchor = np.append(sigma[localised], 0.0)
         d, nearest = cKDTree(anchors).query(points[~localised])
-        time = d / speed
-        along = odometry.distance_noise**2 * d + (odometry.distance_scale * d) ** 2
-        across = d**2 * (odometry.gyro_noise**2 * time / 3 + (odometry.gyro_bias * time) ** 2 / 4)
-        sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + np.maximum(along, across))
-    sigma = np.sqrt(sigma**2 + TRACKING_DEVIATION**2)
+        sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + _drift(d, odometry, speed))
+    on_the_way = np.maximum(TRACKING_DEVIATION**2, _drift(np.array(speed * LOCALISATION_TIME), odometry, speed))
+    sigma = np.sqrt(sigma**2 + on_the_way)
     remembered = ~joint & (near.count >= 2) & (local.count < near.count) & np.isfinite(before)
     return np.where(remembered, before, sigma), joint | remembered
+
+
+def _drift(length: FloatArray, odometry: OdometryConfig, speed: float) -> FloatArray:
+    """Variance, m^2, that odometry adds over straight ways of these lengths, m, in the worse direction."""
+    time = length / speed
+    along = odometry.distance_noise**2 * length + (odometry.distance_scale * length) ** 2
+    across = length**2 * (odometry.gyro_noise**2 * time / 3 + (odometry.gyro_bias * time) ** 2 / 4)
+    return np.asarray(np.maximum(along, across))
 
 
 def required_clearance(radius: float, sigma: FloatArray, collision_probability: float) -> FloatArray:
