@@ -6,12 +6,14 @@ from tfg_drake.planning.mission_end import given_up_open, why_end
 from tfg_drake.tfg.graph import empty_map
 
 
-def best(value, worth):
-    return pick(np.asarray(value, dtype=float), np.asarray(worth, dtype=bool))
+def best(value, worth, time=None):
+    time = np.arange(len(value)) if time is None else np.array(time)
+    return pick(np.asarray(value, dtype=float), np.asarray(worth, dtype=bool), time)
 
 
-def test_the_most_value_wins_and_the_first_of_equals():
+def test_the_most_value_wins_and_the_soonest_reached_of_equals():
     assert best([3, 2, 4, 4], [1, 1, 1, 1]) == 2
+    assert best([3, 4, 4, 4], [1, 1, 1, 0], time=[1, 9, 2, 1]) == 2
 
 
 def test_only_what_is_worth_going_to_is_picked():
@@ -30,6 +32,7 @@ def test_places_that_see_enough_known_tags_are_preferred_where_there_are_any():
 def test_a_place_that_the_rule_does_not_want_is_picked_only_where_no_other_is_left():
     assert best([-np.inf, -5], [1, 1]) == 1
     assert best([-np.inf, -5], [1, 0]) == 0
+    assert best([-5, -np.inf], [0, 1]) == 1
 
 
 def end(candidates=True, barred=0.0, given_up=0.0, frontier=0.0, cut_off=False):

@@ -77,6 +77,13 @@ def test_a_tour_begins_with_what_is_near_though_only_the_robot_is_joined_to_it()
     np.testing.assert_array_equal(value, [-2.5, -10.0, -16.0])
 
 
+@pytest.mark.parametrize("gain", [[0.0, 0.0, 0.0], [-30.0, -20.0, -10.0]])
+def test_where_no_place_promises_anything_a_tour_clears_the_frontier_all_the_same(gain):
+    value, _ = tour_of([40.0, -2.0, 1.0], gain, np.eye(3))
+    np.testing.assert_array_equal(np.argsort(-value), [1, 2, 0])
+    assert np.isfinite(value).all()
+
+
 def test_of_two_places_that_see_the_same_a_tour_visits_one():
     value, _ = tour_of([1.0, 1.5, 9.0], [30.0, 20.0, 20.0], [[1, 0], [1, 0], [0, 1]])
     assert np.isfinite(value).tolist() == [True, False, True]

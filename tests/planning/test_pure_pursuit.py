@@ -24,7 +24,7 @@ DT = 1 / 32
 
 def drive(points, X_MB, seconds=120.0):
     """The poses of a unicycle with the base's limits that follows a path, and the time it took."""
-    X, v, w, progress, turning, poses, speeds = np.array(X_MB, float), 0.0, 0.0, 0.0, True, [], []
+    X, v, w, progress, turning, poses, speeds = np.array(X_MB, float), 0.0, 0.0, 0.0, False, [], []
     for step in range(round(seconds / DT)):
         command = follow(points, X, v, progress, turning, ROBOT)
         progress, turning = command.progress, command.turning
@@ -85,11 +85,13 @@ def test_returns_to_a_path_beside_it():
     assert deviation(poses[poses[:, 0] > 2.0], points).max() < 0.03
 
 
-def test_short_paths_end():
-    for length in (0.02, 0.1, 0.3):
-        points = np.array([[0.0, 0.0], [length, 0.0]])
-        poses, _, _ = drive(points, [0.0, 0.0, 2.0])
-        assert np.linalg.norm(poses[-1, :2] - points[-1]) < 0.05
+@pytest.mark.parametrize("length", [0.02, 0.05, 0.09, 0.1, 0.12, 0.3])
+@pytest.mark.parametrize("heading", [0.0, 0.8, 1.5, 2.0, 3.0, math.pi])
+def test_short_paths_end_and_are_not_left(length, heading):
+    points = np.array([[0.0, 0.0], [length, 0.0]])
+    poses, _, _ = drive(points, [0.0, 0.0, heading])
+    assert np.linalg.norm(poses[-1, :2] - points[-1]) < 0.06
+    assert np.linalg.norm(poses[:, :2] - points[-1], axis=1).max() < length + 0.1
 
 
 def test_a_path_of_nothing_is_finished():

@@ -210,6 +210,16 @@ def test_where_nothing_was_ever_seen_the_mission_ends():
     assert goal.reason == "Neither a landmark nor a surface was seen from 5 goals: there is nothing to map."
 
 
+def test_where_nothing_was_ever_seen_the_robot_comes_home_all_the_same():
+    selector, X_MD = Selector(return_home=True), np.array([2.0, 0.0, 0.0])
+    estimate, tfg = (dataclasses.replace(message, stage=5) for message in (empty_map(), empty_tfg()))
+    estimate = dataclasses.replace(estimate, covariance=np.eye(3) * 1e-4, X_MA=np.zeros((5, 3)), X_MD=X_MD)
+    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(5), mission=MissionStatus("choose", 5, 0.0))
+    goal = selector.goal()
+    assert (goal.verdict, goal.node >= 0) == ("stuck", True)
+    np.testing.assert_array_equal(goal.p_MG, [0.0, 0.0])
+
+
 def test_no_goal_is_chosen_where_the_robot_has_turned_before():
     _, tfg = half_known_room()
     first = Selector()

@@ -70,7 +70,8 @@ def choose(
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
-        return replace(empty_choice(), stage=estimate.stage, verdict="stuck", reason=reason)
+        node, p_MG = _named(roadmap, _home(estimate, roadmap, parameters.explorer))
+        return replace(empty_choice(), stage=estimate.stage, node=node, p_MG=p_MG, verdict="stuck", reason=reason)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
     stay = time_at_goal(parameters.sensor, explorer)
@@ -93,7 +94,7 @@ def choose(
         value = np.random.default_rng((parameters.seed, estimate.stage)).random(len(candidates.nodes))
         # It goes all the way there: what it comes to is no candidate any more.
         value[candidates.names == previous.node] = 1.0
-    best = pick(value, open_to)
+    best = pick(value, open_to, candidates.time)
     if explorer.goal == "tour" and best >= 0 and len(estimate.local) < len(estimate.ids):
         # Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour,
         # must not turn the robot round before it is done with what is nearer.
@@ -111,12 +112,12 @@ def choose(
     else:
         node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
-    if verdict != "goal" and explorer.return_home:
-        node = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
-    p_MG = roadmap.points[node] if node >= 0 else np.zeros(2)
+    if verdict != "goal":
+        node = _home(estimate, roadmap, explorer)
+    name, p_MG = _named(roadmap, node)
     return GoalChoice(
         stage=estimate.stage,
-        node=int(roadmap.names(np.array([node]))[0]) if node >= 0 else -1,
+        node=name,
         p_MG=p_MG,
         candidates=candidates.names,
         exploitation=gains.exploitation,
@@ -133,6 +134,18 @@ def choose(
     )
 
 
+def _home(estimate: MapEstimate, roadmap: Roadmap, explorer: ExplorerConfig) -> int:
+    """The node to end the mission at, -1 for where the robot stands."""
+    return way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2]) if explorer.return_home else -1
+
+
+def _named(roadmap: Roadmap, node: int) -> tuple[int, FloatArray]:
+    """A node's name and place (2,), m in M; -1 and the origin for none."""
+    if node < 0:
+        return -1, np.zeros(2)
+    return int(roadmap.names(np.array([node]))[0]), roadmap.points[node]
+
+
 def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     """The choice where no place sees enough live frontier, but the map can grow more accurate; none where it cannot.
 
@@ -143,7 +156,7 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, time_all_round(sensor, explorer))
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     value = worth_revisiting(nodes, now) * budget.affords(roadmap, nodes)
-    best = pick(value, value > 1.0)
+    best = pick(value, value > 1.0, roadmap.travel_time[nodes])
     if best < 0:
         return None
     asked, node = nodes[[best]], int(nodes[best])
@@ -187,7 +200,7 @@ def _last(
     if everything:
         looked = looked_again(barred, roadmap, estimate.X_MD[:2], looked)
         back = worth_of_looking(barred, roadmap, budget.stay, stop_gain, looked)
-    again = pick(back, (back > 0.0) & budget.affords(roadmap, barred.entry))
+    again = pick(back, (back > 0.0) & budget.affords(roadmap, barred.entry), roadmap.travel_time[barred.entry])
     if again >= 0:
         reason = f"{barred.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
         return int(barred.entry[again]), "goal", reason, looked
@@ -278,7 +291,9 @@ def preferred(open_to: BoolArray, tags: IntArray, least_tags: int) -> BoolArray:
     return sees_enough if sees_enough.any() else open_to
 
 
-def pick(value: FloatArray, worth: BoolArray) -> int:
-    """The candidate (c,) of most value, the first of equals, among those worth going to (c,); -1 if none is."""
-    among = worth & (value > -np.inf) if (worth & (value > -np.inf)).any() else worth
-    return int(np.argmax(np.where(among, value, -np.inf))) if among.any() else -1
+def pick(value: FloatArray, worth: BoolArray, time: FloatArray) -> int:
+    """The candidate (c,) of most value, of equals the soonest reached (c,), s, among those worth going to (c,); -1 if
+    none is."""
+    most = value[worth].max(initial=-np.inf)
+    equals = worth & (value == most)
+    return int(np.argmin(np.where(equals, time, np.inf))) if equals.any() else -1

@@ -56,16 +56,18 @@ def tour(
     last: exploring goes on from there, and what is nearer now would have to be come back for. The place of the first
     is then the one that lies best on the way to the second, among those that see as good as all it was chosen for.
     frontier: (c, f) m that each candidate sees of each frontier point. least: m, less than this is not worth a goal.
-    nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides.
+    nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides; where no place that sees
+    enough promises anything, as by an approximation with few tags in view, the metres of frontier do.
     """
     left = np.ones(frontier.shape[1], dtype=np.bool_)
     seen = frontier.sum(axis=1)
+    promise = gain if (gain[seen >= least] > 0.0).any() else seen
     chosen: list[int] = []
     looked_at: list[BoolArray] = []
     while len(chosen) < TOUR_GOALS:
         new = frontier @ left
-        rate = np.where(new >= least, gain * new / np.maximum(seen, 1e-9) / (time + stay), -np.inf)
-        if not len(rate) or rate.max() <= 0.0:
+        rate = np.where(new >= least, promise * new / np.maximum(seen, 1e-9) / (time + stay), -np.inf)
+        if rate.max(initial=-np.inf) <= 0.0:
             break
         chosen.append(int(np.argmax(rate)))
         looked_at.append(left & (frontier[chosen[-1]] > 0.0))

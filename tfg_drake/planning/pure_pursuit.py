@@ -141,9 +141,10 @@ def follow(
     ahead = min(max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN), LOOK_AHEAD_MAX)
     px, py, _ = _at(points, progress + ahead)
     error = _wrap(math.atan2(py - y, px - x) - heading)
-    # So near the end a robot that drives must not turn round for a point beside it.
-    near_end = remaining < 0.5 * LOOK_AHEAD_MIN
-    if abs(error) > TURN_BELOW if turning else abs(error) > TURN_ABOVE and not near_end:
+    # So near the end a robot that drives must not turn for a point beside it, only for one behind it.
+    beside = speed > REST_SPEED and remaining < 0.5 * LOOK_AHEAD_MIN
+    turn_above = 0.5 * math.pi if beside else TURN_ABOVE
+    if abs(error) > (TURN_BELOW if turning else turn_above):
         return PathCommand(0.0, _turn_towards(error, robot), progress, True, False, remaining)
     curvature = 2.0 * math.sin(error) / max(math.hypot(px - x, py - y), 1e-3)
     limit = _speed_limit(
