@@ -8,9 +8,10 @@ from tfg_drake.planning.routes import routes
 from tfg_drake.tfg.graph import empty_map
 
 
-def diamond(narrow, *, only_narrow=False):
-    """Two ways from the robot at the origin to node 3: the shorter by node 1, with this clearance, m, or by node 2."""
-    points = np.array([[0.0, 0.0], [2.0, 0.5], [2.0, -1.0], [4.0, 0.0]])
+def diamond(narrow, *, only_narrow=False, aside=1.0):
+    """Two ways from the robot at the origin to node 3: the shorter by node 1, with this clearance, m, or by node 2, so
+    many metres aside."""
+    points = np.array([[0.0, 0.0], [2.0, 0.5], [2.0, -aside], [4.0, 0.0]])
     nodes = np.array([[0, 1], [1, 3], [0, 2], [2, 3]])
     all_of = np.ones(4, dtype=bool)
     usable = np.array([True, True, not only_narrow, not only_narrow])
@@ -35,6 +36,19 @@ def test_a_robot_sets_off_with_room_to_either_side_of_its_way(gap, reached):
     alone = replace(empty_roadmap(), ids=np.arange(1), points=np.array([[2.0, 0.0]]), sigma=np.zeros(1))
     corner = replace(empty_map(), segments=np.array([[1.0, gap, 1.0, 3.0]]))
     assert np.isfinite(routes(alone, corner, np.zeros(3), ROBOT, PLANNER).cost[0]) == reached
+
+
+@pytest.mark.parametrize(("aside", "before"), [(1.0, 2), (15.0, 2), (40.0, 2)])
+def test_what_is_too_risky_by_the_short_way_is_reached_by_the_long_one(aside, before):
+    sure = replace(PLANNER, risk="path", collision_probability=0.01)
+    state = replace(diamond(0.36, aside=aside), sigma=np.full(4, 0.06))
+    ways = routes(state, empty_map(), np.zeros(3), ROBOT, sure)
+    assert ways.predecessor[3] == before
+    assert ways.cost[3] < np.inf
+    # The short way itself is open to who needs not be so sure, and where there is no other it is not taken.
+    assert routes(state, empty_map(), np.zeros(3), ROBOT, PLANNER).predecessor[3] == (2 if aside < 2.0 else 1)
+    alone = replace(diamond(0.36, aside=aside, only_narrow=True), sigma=np.full(4, 0.06))
+    assert routes(alone, empty_map(), np.zeros(3), ROBOT, sure).predecessor[3] == -1
 
 
 def test_a_way_takes_longer_where_the_robot_must_turn():

@@ -31,8 +31,8 @@ from tfg_drake.planning.roadmap import (
 FAIR_DEVIATION = 0.05
 # The robot strays from its path anew after this length, m.
 INDEPENDENT = 0.5
-# Detour, m, that spares the whole risk a path may take.
-RISK_LENGTH = 20.0
+# Detour, m, that spares the whole risk a path may take; and where the way to a place is too risky still, any detour.
+RISK_LENGTHS = (20.0, 2000.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +60,8 @@ def routes(
     """Cheapest ways from the robot's pose X_MB (3,) to every node.
 
     An edge costs length * (1 + 2 max(0, 1 - d)^2), d its clearance in metres. With planner.risk "path" an edge's risk
-    costs too, and what cannot be reached within planner.collision_probability counts as unreachable; of ways that are
-    open though too narrow it is not asked. obstacles: (b, 4) segments met at this stage that the map does not hold, m
+    costs too, more of it where that reaches more nodes, and what is not reached within planner.collision_probability
+    counts as unreachable; of ways that are open though too narrow it is not asked. obstacles: (b, 4) segments met at this stage that the map does not hold, m
     in M. A robot that stands too near a surface may still leave, as long as it comes no nearer.
     """
     n = len(state.points)
@@ -84,26 +84,46 @@ def routes(
     lengths = np.concatenate([length, length, links_length])
     gap = np.concatenate([has, has, links_has])
     weight = np.maximum(lengths, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
-    risk = np.zeros(len(weight))
+    ends = np.stack([source, target])
     if planner.risk == "path":
         sigma = state.sigma[[a, b]].max(axis=0)
         risk = _edge_risk(lengths, gap, np.concatenate([sigma, sigma, state.sigma[links]]), robot.radius)
         risk[np.concatenate([forced, forced, links_has < robot.radius + NODE_MARGIN])] = 0.0
-        weight += RISK_LENGTH * risk / planner.collision_probability
-    graph = csr_matrix((weight, (source, target)), shape=(n + 1, n + 1))
-    cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
-    predecessor = np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
-    cost = cost[:n]
+        cost, predecessor = _cheapest_within(planner.collision_probability, risk, ends, weight, n)
+    else:
+        cost, predecessor = _cheapest(ends, weight, n)
     order = np.argsort(cost, kind="stable")
     stop = robot.max_speed / robot.max_acceleration
     length, time = _travel(state.points, X_MB, predecessor, order, robot.max_speed, robot.max_turn_rate, stop)
     time[np.isfinite(time)] += stop
-    if planner.risk == "path":
-        taken = csr_matrix((np.maximum(risk, 1e-300), (source, target)), shape=(n + 1, n + 1))
-        too_risky = _risk_to(predecessor, order, taken) > planner.collision_probability
-        cost[too_risky] = length[too_risky] = time[too_risky] = np.inf
-        predecessor[too_risky] = -1
     return Routes(cost, predecessor, length, time)
+
+
+def _cheapest(ends: IntArray, weight: FloatArray, n: int) -> tuple[FloatArray, IntArray]:
+    """Cost and predecessor (n,) on the cheapest ways from the robot, node n, by edges from ends[0] to ends[1] (2, e)."""
+    graph = csr_matrix((weight, tuple(ends)), shape=(n + 1, n + 1))
+    cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
+    return cost[:n], np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
+
+
+def _cheapest_within(
+    probability: float, risk: FloatArray, ends: IntArray, weight: FloatArray, n: int
+) -> tuple[FloatArray, IntArray]:
+    """As _cheapest, by ways whose edges' risks (e,) add up to this probability at most, inf and -1 where none is found.
+
+    A tree of ways weighs all risks alike, so the one that reaches most is taken, of equals the one of least detour.
+    """
+    edge_risk = csr_matrix((np.maximum(risk, 1e-300), tuple(ends)), shape=(n + 1, n + 1))
+    most = -1
+    for detour in RISK_LENGTHS:
+        cost, predecessor = _cheapest(ends, weight + detour * risk / probability, n)
+        kept = np.isfinite(cost)
+        kept &= _risk_to(predecessor, np.argsort(cost, kind="stable"), edge_risk) <= probability
+        if kept.sum() > most:
+            most, found = int(kept.sum()), (np.where(kept, cost, np.inf), np.where(kept, predecessor, -1))
+        if most == np.isfinite(cost).sum():
+            break
+    return found
 
 
 def _risk_to(predecessor: IntArray, order: IntArray, edge_risk: csr_matrix) -> FloatArray:
