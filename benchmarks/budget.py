@@ -38,6 +38,9 @@ def main() -> None:
     with ThreadPoolExecutor(options.jobs) as pool:
         for done in as_completed([pool.submit(run_seed, arguments, seed, out) for seed in range(options.seeds)]):
             run = done.result()
+            if "sim_time_s" not in run:
+                print(f"{run['seed']:>4}{run['outcome']:>12}  {run['reason']}", flush=True)
+                continue
             truth = np.loadtxt(out / f"seed-{run['seed']}" / "truth.tum")
             away = float(np.hypot(*(truth[-1, 1:3] - truth[0, 1:3])))
             within = run["sim_time_s"] <= (options.time or np.inf) and run["distance_m"] <= (options.distance or np.inf)

@@ -324,7 +324,8 @@ class GoalChoice:
     at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
     chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
     looked_again: (t,) names of nodes before narrow passages that the robot has gone back to, before the mission ends.
-    explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
+    longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget. explored: s,
+    since when nothing has been left to explore: goals are looked round at for accuracy alone.
     """
 
     stage: int
@@ -343,6 +344,7 @@ class GoalChoice:
     look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     looked_again: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     explored: float = math.inf
+    longest_way: float = math.inf
 
 
 @message

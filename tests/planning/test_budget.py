@@ -23,6 +23,7 @@ def test_without_a_budget_everything_is_affordable():
     left = budget_left(ExplorerConfig(), 1e6, 1e6, 7.0)
     assert left.affords(roadmap([1e5]), np.array([0])).all()
     assert left.latest_arrival(roadmap([1.0]), 0) == math.inf
+    assert left.longest_way(roadmap([1.0]), 0) == math.inf
 
 
 def test_a_goal_must_fit_into_the_time_left_with_the_way_home():
@@ -39,6 +40,8 @@ def test_a_goal_must_fit_into_the_distance_left():
     reach = (30.0 - RESERVE_DISTANCE) / MARGIN
     assert left.affords(roadmap([reach - 0.1, reach + 0.1]), np.arange(2)).tolist() == [True, False]
     assert left.affords(roadmap([8.0, 8.0], [8.0, 20.0]), np.arange(2)).tolist() == [True, False]
+    assert left.longest_way(roadmap([8.0], [8.0]), 0) == pytest.approx(30.0 - 8.0 * MARGIN - RESERVE_DISTANCE)
+    assert left.longest_way(roadmap([8.0]), 0) == pytest.approx(30.0 - RESERVE_DISTANCE)
     assert str(left) == "30 m"
 
 
@@ -53,8 +56,6 @@ def test_the_way_home_leads_to_the_node_there_unless_the_robot_is_home_or_cannot
 
 
 def test_a_robot_is_home_at_the_node_nearest_to_where_it_began():
-    from tests.planning.test_budget import roadmap
-
     began = np.array([-0.6, 0.0])
     assert way_home(roadmap([0, 1, 2]), began, np.array([0.0, 0.0])) == -1
     assert way_home(roadmap([0, 1, 2]), began, np.array([1.0, 0.0])) == 0

@@ -4,7 +4,6 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import (
-    GoalChoice,
     GoalObservation,
     LaserScan,
     MapEstimate,
@@ -103,8 +102,8 @@ class Planner:
 
 def choice(roadmap, place, stage=1):
     node = int(np.argmin(np.hypot(*(roadmap.points - place).T))) if place is not None else 10**6
-    base = vars(empty_choice()) | {"stage": stage, "node": node}
-    return GoalChoice(**base)
+    p_MG = roadmap.points[node] if place is not None else np.zeros(2)
+    return replace(empty_choice(), stage=stage, node=node, p_MG=p_MG)
 
 
 def test_waits_for_the_first_map():
@@ -226,6 +225,21 @@ def test_an_unreachable_goal_gives_an_empty_path_with_a_new_id():
     planner.run()
     assert planner.output("path").id == 1
     assert len(planner.output("path").points) == 0
+
+
+def test_a_way_longer_than_the_budget_allows_is_not_taken():
+    planner = Planner()
+    planner.observed()
+    # It has driven half a metre since the goal was chosen.
+    planner.set(pose=replace(pose(1), X_MB=np.array([0.5, 0.0, 0.0])))
+    planner.run()
+    goal = choice(planner.output("roadmap"), (3, 0))
+    whole = 0.5 + np.hypot(*(goal.p_MG - [0.5, 0.0]))
+    for replans, (longest, planned) in enumerate(((whole + 0.05, True), (whole - 0.05, False))):
+        planner.set(goal=replace(goal, longest_way=longest), mission=MissionStatus("plan", 1, 0.0, replans=replans))
+        planner.run()
+        assert planner.output("path").id == replans + 1
+        assert (len(planner.output("path").points) > 0) == planned
 
 
 def test_two_runs_are_equal_to_the_bit():

@@ -42,6 +42,11 @@ class Budget:
         home = float(roadmap.home_time[node]) if len(roadmap.home_time) else 0.0
         return self.end - MARGIN * home - self.stay - RESERVE_TIME if self.limited else math.inf
 
+    def longest_way(self, roadmap: Roadmap, node: int) -> float:
+        """How long the way to a node may be at the most, m, for the robot to come home from there."""
+        home = float(roadmap.home_length[node]) if len(roadmap.home_length) else 0.0
+        return self.distance - MARGIN * home - RESERVE_DISTANCE
+
     @property
     def limited(self) -> bool:
         """Whether there is a budget at all."""

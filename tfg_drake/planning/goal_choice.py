@@ -128,6 +128,7 @@ def choose(
         verdict=verdict,
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
+        longest_way=budget.longest_way(roadmap, node) if verdict == "goal" else math.inf,
         look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
         looked_again=looked,
         explored=explored,
@@ -175,6 +176,7 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
         verdict="goal",
         reason="All is explored, but the map grows more accurate yet: it looks round once more.",
         latest_arrival=budget.latest_arrival(roadmap, node),
+        longest_way=budget.longest_way(roadmap, node),
         looked_again=previous.looked_again,
         explored=min(previous.explored, estimate.stamp),
     )

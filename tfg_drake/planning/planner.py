@@ -264,6 +264,8 @@ def _plan(
     obstacles = obstacles_in_map(state, estimate)
     node = int(np.searchsorted(nodes.ids, goal.node))
     points = plan_path(nodes, tfg, X_MB, node, parameters.robot, parameters.planner, obstacles, speed)
+    if _length(state.driven, X_MB[:2]) + np.hypot(*np.diff(points, axis=0).T).sum() > goal.longest_way:
+        points = np.zeros((0, 2))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
     return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
 

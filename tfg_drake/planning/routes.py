@@ -61,8 +61,9 @@ def routes(
 
     An edge costs length * (1 + 2 max(0, 1 - d)^2), d its clearance in metres. With planner.risk "path" an edge's risk
     costs too, more of it where that reaches more nodes, and what is not reached within planner.collision_probability
-    counts as unreachable; of ways that are open though too narrow it is not asked. obstacles: (b, 4) segments met at this stage that the map does not hold, m
-    in M. A robot that stands too near a surface may still leave, as long as it comes no nearer.
+    counts as unreachable; of ways that are open though too narrow it is not asked. obstacles: (b, 4) segments met at
+    this stage that the map does not hold, m in M. A robot that stands too near a surface may still leave, as long as it
+    comes no nearer.
     """
     n = len(state.points)
     if n == 0:
@@ -100,7 +101,8 @@ def routes(
 
 
 def _cheapest(ends: IntArray, weight: FloatArray, n: int) -> tuple[FloatArray, IntArray]:
-    """Cost and predecessor (n,) on the cheapest ways from the robot, node n, by edges from ends[0] to ends[1] (2, e)."""
+    """Cost and predecessor (n,) on the cheapest ways from the robot, node n, by edges from ends[0] to ends[1], (2, e),
+    of this weight (e,)."""
     graph = csr_matrix((weight, tuple(ends)), shape=(n + 1, n + 1))
     cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
     return cost[:n], np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
