@@ -324,8 +324,8 @@ class GoalChoice:
     at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
     chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
     looked_again: (t,) names of nodes before narrow passages that the robot has gone back to, before the mission ends.
-    longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget. explored: s,
-    since when nothing has been left to explore: goals are looked round at for accuracy alone.
+    longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget.
+    explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
     """
 
     stage: int
