@@ -6,8 +6,10 @@ At every stage of a mission the standard deviations of the map's joint Gaussian 
 --inflate, the roadmap is checked anew, and --paths paths to nodes drawn at random are planned and rolled out. A row a
 probability asked for and what it is asked of (planner.risk): paths, their points, the largest share of rollouts that
 collide at any one of them, how many points have a 95 % (Wilson) interval wholly above what was asked; mean and largest
-share that collide somewhere on the path; and how much of the roadmap could be reached at all. Points on ways that stay
-open though too narrow, because the robot has driven them and nothing else leads home, are left out and counted: kept.
+share that collide somewhere on the path; how much of the roadmap could be reached at all, and to how many of the nodes
+drawn there was no path all the same. Points with too little room that the robot has no choice about are left out and
+counted: kept. They lie beside edges that stay open, as the robot has driven them and nothing else leads home, or where
+it sets off from a place with too little room.
 """
 
 from __future__ import annotations
@@ -25,17 +27,13 @@ from scipy.stats import binomtest
 from tfg_drake.config import RISKS, OdometryConfig, PlannerConfig, TagSensorConfig
 from tfg_drake.diagrams.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
-from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner
-from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
 from tfg_drake.planning.monte_carlo import collisions
-from tfg_drake.planning.path import plan_path
+from tfg_drake.planning.path import plan_path, too_narrow, without_choice
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState, extend
 from tfg_drake.planning.routes import roadmap_message, routes
 
-# The deviation is predicted at the nodes, not at every point between them, m.
-SLACK = 0.02
 Stage = tuple[MapEstimate, TfgMap, RoadmapState]
 
 
@@ -82,12 +80,12 @@ def main() -> None:
     scenario.seed = options.seed
     stages = stages_of(scenario, options.max_time)
     sensor, odometry = inflated(scenario, options.inflate)
-    print("risk   asked   paths  points  kept  worst point  points above   path mean  path most  reachable")
+    print("risk   asked   paths  points  kept  worst point  points above   path mean  path most  reachable  no path")
     for risk, probability in itertools.product(RISKS, options.probability):
         config = PlannerConfig(probability, risk)
         parameters = RoadmapParameters(scenario.robot, sensor, odometry, scenario.explorer, config, scenario.seed)
         rng = np.random.default_rng(0)
-        counts, kept, whole, reach = [], 0, [], []
+        counts, kept, without, whole, reach = [], 0, 0, [], []
         for estimate, tfg, nodes in stages:
             loose = replace(estimate, covariance=options.inflate**2 * estimate.covariance)
             again = extend(nodes, tfg, loose, parameters)
@@ -98,17 +96,15 @@ def main() -> None:
             )
             there = np.flatnonzero(np.isfinite(ways.cost))
             for node in rng.choice(there, min(options.paths, len(there)), replace=False):
-                path = plan_path(again, tfg, loose.X_MD, int(node), scenario.robot, config)
+                path = plan_path(again, loose, tfg, loose.X_MD, int(node), parameters)
                 if len(path) < 2:
+                    without += np.hypot(*(again.points[node] - loose.X_MD[:2])) > 1e-6
                     continue
                 hits = collisions(path, loose, tfg, scenario.robot, sensor, odometry, rng, options.rollouts)
-                sigma, _ = predicted_deviation(path, loose, tfg, sensor, odometry, scenario.robot.max_speed)
-                need = required_clearance(scenario.robot.radius, sigma, probability)
-                open_anyway = clearance(np.hstack([path, path]), tfg.segments, 1.0) < np.minimum(need, 1.0) - SLACK
-                kept += int(open_anyway.sum())
-                counts.extend(hits[:, ~open_anyway].sum(axis=0).tolist())
-                if not open_anyway.any():
-                    whole.append(float(hits.any(axis=1).mean()))
+                left_out = without_choice(path, too_narrow(path, loose, tfg, parameters), again, parameters)
+                kept += int(left_out.sum())
+                counts.extend(hits[:, ~left_out].sum(axis=0).tolist())
+                whole.append(float(hits[:, ~left_out].any(axis=1).mean()))
         above = sum(
             binomtest(count, options.rollouts).proportion_ci(method="wilson").low > probability
             for count in counts
@@ -116,7 +112,7 @@ def main() -> None:
         )
         print(
             f"{risk:<7}{probability:<8g}{len(whole):>5}{len(counts):>8}{kept:>6}{max(counts) / options.rollouts:>13.4f}"
-            f"{above:>14}{np.mean(whole):>12.4f}{max(whole):>11.4f}{np.mean(reach):>11.3f}",
+            f"{above:>14}{np.mean(whole):>12.4f}{max(whole):>11.4f}{np.mean(reach):>11.3f}{without:>9}",
             flush=True,
         )
 

@@ -7,6 +7,7 @@ from tfg_drake.messages import replace
 from tfg_drake.planning.chance_constraint import (
     TRACKING_DEVIATION,
     collision_probability,
+    deviation_along,
     localised_deviation,
     predicted_deviation,
     required_clearance,
@@ -154,6 +155,24 @@ def test_what_odometry_adds_while_the_frames_come_counts_where_it_is_more_than_t
     Q = odometry_covariance(np.zeros(3), np.array([[speed, 0.0]]), np.array([speed]), np.ones(1), odometry)[0]
     assert sigma**2 - standing**2 == pytest.approx(max(TRACKING_DEVIATION**2, Q[0, 0], Q[1, 1]))
     assert (max(Q[0, 0], Q[1, 1]) > TRACKING_DEVIATION**2) == (noise > 0.02)
+
+
+def test_past_a_place_where_little_is_in_view_a_robot_goes_on_by_what_it_knew():
+    p_ML = np.array([[3.0, 0.2], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0], [12.0, 0.0], [12.1, 0.0]])
+    estimate = replace(empty_map(), ids=np.arange(6), p_ML=p_ML, covariance=np.zeros((3, 3)))
+    tfg = replace(empty_tfg(), facing=np.tile([-1.0, 0.0], (6, 1)))
+    path = np.stack([np.linspace(0.0, 11.0, 111), np.zeros(111)], axis=1)
+    rest = estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5
+    at_each, _ = predicted_deviation(path, *rest)
+    along = deviation_along(path, *rest)
+    brute = np.empty(111)
+    for k in range(111):
+        since = path[k, 0] - path[: k + 1, 0]
+        Q = odometry_covariance(np.zeros(3), np.stack([since, 0 * since], axis=1), since, since / 0.5, OdometryConfig())
+        brute[k] = np.sqrt((at_each[: k + 1] ** 2 + np.maximum(Q[:, 0, 0], Q[:, 1, 1])).min())
+    np.testing.assert_allclose(along, brute, rtol=1e-12)
+    assert (along < at_each - 0.01).any()
+    assert (along == at_each).any()
 
 
 def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the_nearest_place_that_sees_some():

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 import shapely
 from scipy.spatial import cKDTree
+from scipy.stats import norm
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap, replace
+from tfg_drake.planning import path as path_module
 from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     CHORD,
@@ -23,7 +25,7 @@ from tfg_drake.planning.roadmap import (
     in_free_space,
     passages,
 )
-from tfg_drake.planning.routes import roadmap_message, routes
+from tfg_drake.planning.routes import node_path, roadmap_message, routes
 from tfg_drake.slam.goal_graph import empty_map
 
 ROBOT = RobotConfig()
@@ -106,10 +108,11 @@ def test_does_not_find_a_door_too_narrow():
 
 def test_edges_keep_their_clearance_and_stay_in_the_free_space():
     state, _, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
-    lines = shapely.linestrings(state.points[state.edges.nodes[state.edges.usable]])
+    nodes = state.edges.nodes[state.edges.usable]
+    lines = shapely.linestrings(state.points[nodes])
     walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
     distance = shapely.distance(lines, walls)
-    np.testing.assert_array_less(ROBOT.radius + 0.02, distance)
+    np.testing.assert_array_less(ROBOT.radius + norm.isf(0.005) * state.sigma[nodes].max(axis=1), distance + 1e-9)
     free = shapely.union_all([shapely.Polygon(v) for v in np.split(tfg.star_vertices, tfg.star_offsets[1:-1])])
     assert shapely.covers(free.buffer(0.3), lines).all()
 
@@ -294,7 +297,7 @@ def test_a_robot_too_near_a_wall_is_not_trapped():
 def test_path_goes_through_the_door_with_room_to_spare():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     node = nearest(state, (-5, -1))
-    path = plan_path(state, tfg, estimate.X_MD, node, ROBOT, PLANNER)
+    path = plan_path(state, estimate, tfg, estimate.X_MD, node, PARAMETERS)
     np.testing.assert_allclose(path[[0, -1]], [estimate.X_MD[:2], state.points[node]], atol=1e-9)
     step = np.hypot(*np.diff(path, axis=0).T)
     assert 0.05 < step.min() <= step.max() < 0.11
@@ -307,9 +310,11 @@ def test_path_goes_through_the_door_with_room_to_spare():
 
 
 def test_the_path_of_a_robot_that_drives_on_turns_off_where_it_could_stop():
-    state, _, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     X_MB, node = np.array([-4.0, 0.5, np.pi]), nearest(state, (-4, -1.5))
-    first = {speed: plan_path(state, tfg, X_MB, node, ROBOT, PLANNER, speed=speed)[:4] - X_MB[:2] for speed in (0, 0.5)}
+    first = {
+        speed: plan_path(state, estimate, tfg, X_MB, node, PARAMETERS, speed=speed)[:4] - X_MB[:2] for speed in (0, 0.5)
+    }
     stop = 0.5 * (1 / 16 + 0.25 / ROBOT.max_acceleration)
     assert np.abs(first[0][:, 0]).max() < 0.15
     assert first[0.5][:, 0].min() < -0.5 * stop
@@ -317,15 +322,54 @@ def test_the_path_of_a_robot_that_drives_on_turns_off_where_it_could_stop():
     # There is no room ahead, or the goal is nearer than that.
     for place, heading, goal in (((-5.7, 0.5), np.pi, (-4, -1.5)), ((-4.0, 0.5), 0.0, (-4, 0.6))):
         X_MB, node = np.array([*place, heading]), nearest(state, goal)
-        paths = [plan_path(state, tfg, X_MB, node, ROBOT, PLANNER, speed=speed) for speed in (0.0, 0.5)]
+        paths = [plan_path(state, estimate, tfg, X_MB, node, PARAMETERS, speed=speed) for speed in (0.0, 0.5)]
         np.testing.assert_array_equal(*paths)
+
+
+def test_a_path_leads_round_what_is_too_narrow_between_the_nodes(monkeypatch):
+    """Two doors; in the nearer the robot would know its place badly, which none of the roadmap's nodes is near to."""
+    doors = [[0, -2, 0, -1.4], [0, -0.6, 0, 0.6], [0, 1.4, 0, 2]]
+    walls = np.vstack([two_rooms()[np.abs(two_rooms()[:, [0, 2]]).min(axis=1) > 0.0], doors])
+    state, estimate, tfg = build(walls, [(-4, -1, 0), (3, -1, 1), (3, 1, 1)])
+    X_MB, node = np.array([-2.0, -1.0, 0.0]), nearest(state, (2, -1))
+
+    def path_with(*doubtful):
+        def deviation(path, *_):
+            return np.where([any(np.hypot(*(p - door)) < 0.3 for door in doubtful) for p in path], 0.5, 0.02)
+
+        monkeypatch.setattr(path_module, "deviation_along", deviation)
+        return plan_path(state, estimate, tfg, X_MB, node, PARAMETERS)
+
+    def crosses(path):
+        return float(np.interp(0.0, path[:, 0], path[:, 1]))
+
+    assert crosses(path_with()) == pytest.approx(-1.0, abs=0.3)
+    assert crosses(path_with((0.0, -1.0))) == pytest.approx(1.0, abs=0.3)
+    assert len(path_with((0.0, -1.0), (0.0, 1.0))) == 0
+
+
+def test_a_shortcut_that_is_too_narrow_gives_way_to_the_edges_that_are_not(monkeypatch):
+    state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
+    node = nearest(state, (-5, -1))
+    short = plan_path(state, estimate, tfg, estimate.X_MD, node, PARAMETERS)
+    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    way = resample(node_path(state, ways, estimate.X_MD, node), 0.1)
+    edges = shapely.LineString(way)
+    assert edges.length > shapely.LineString(short).length
+
+    def deviation(path, *_):
+        off = np.array([edges.distance(shapely.Point(p)) for p in path])
+        return np.where(off > 0.02, 2.0, 0.02)
+
+    monkeypatch.setattr(path_module, "deviation_along", deviation)
+    np.testing.assert_array_equal(plan_path(state, estimate, tfg, estimate.X_MD, node, PARAMETERS), way)
 
 
 def test_no_path_to_where_no_edge_leads():
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
     cut_off = replace(state, edges=replace(state.edges, usable=np.zeros_like(state.edges.usable)))
-    assert len(plan_path(cut_off, tfg, estimate.X_MD, nearest(state, (-0.6, -1)), ROBOT, PLANNER)) == 0
-    assert len(plan_path(empty_roadmap(), tfg, estimate.X_MD, 0, ROBOT, PLANNER)) == 0
+    assert len(plan_path(cut_off, estimate, tfg, estimate.X_MD, nearest(state, (-0.6, -1)), PARAMETERS)) == 0
+    assert len(plan_path(empty_roadmap(), estimate, tfg, estimate.X_MD, 0, PARAMETERS)) == 0
 
 
 def test_shortcuts_and_rounding_lose_no_clearance():
@@ -347,10 +391,10 @@ def scan_of(segments, X_MB):
 
 @pytest.mark.parametrize(("offset", "free"), [(0.0, False), (0.15, False), (0.45, True)])
 def test_an_unmapped_box_on_the_path_blocks_it_and_is_planned_round(offset, free):
-    state, _, tfg = build(two_rooms(), [(-5, 0, 0)])
+    state, estimate, tfg = build(two_rooms(), [(-5, 0, 0)])
     node = nearest(state, (-1.2, 0))
     X_MB = np.array([-5.0, 0.0, 0.0])
-    path = plan_path(state, tfg, X_MB, node, ROBOT, PLANNER)
+    path = plan_path(state, estimate, tfg, X_MB, node, PARAMETERS)
     y = np.interp(-3.6, path[:, 0], path[:, 1]) + offset
     box = np.array([[-3.6, y - 0.15, -3.6, y + 0.15], [-3.6, y + 0.15, -3.3, y + 0.15]])
     X_MB = np.array([*path[0], np.arctan2(*(path[5] - path[0])[::-1])])
@@ -360,7 +404,7 @@ def test_an_unmapped_box_on_the_path_blocks_it_and_is_planned_round(offset, free
     if free:
         return
     obstacles = unmapped_obstacles(path, scan, X_MB, ROBOT.radius, tfg.segments)
-    around = plan_path(state, tfg, X_MB, node, ROBOT, PLANNER, obstacles)
+    around = plan_path(state, estimate, tfg, X_MB, node, PARAMETERS, obstacles)
     assert shapely.LineString(around).distance(shapely.LineString(box[0].reshape(2, 2))) > ROBOT.radius + 0.02
     assert path_is_free(around, scan, X_MB, ROBOT.radius, tfg.segments)
 

@@ -203,6 +203,26 @@ def predicted_deviation(
     return np.where(remembered, before, sigma), joint | remembered
 
 
+def deviation_along(
+    path: FloatArray,
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    sensor: TagSensorConfig,
+    odometry: OdometryConfig,
+    speed: float,
+) -> FloatArray:
+    """Deviation sigma (k,), m, at the points of a path (k, 2), m in M, for a robot that drives it from the first on.
+
+    That of `predicted_deviation`, but no more than it was at any point before and odometry has added since: past a
+    place with few landmarks in view the robot goes on by what it knew.
+    """
+    sigma, _ = predicted_deviation(path, estimate, tfg, sensor, odometry, speed)
+    s = np.append(0.0, np.cumsum(np.hypot(*np.diff(path, axis=0).T)))
+    since = s[:, None] - s
+    variance = sigma**2 + _drift(np.maximum(since, 0.0), odometry, speed)
+    return np.asarray(np.sqrt(np.where(since >= 0.0, variance, np.inf).min(axis=1)))
+
+
 def _drift(length: FloatArray, odometry: OdometryConfig, speed: float) -> FloatArray:
     """Variance, m^2, that odometry adds over straight ways of these lengths, m, in the worse direction."""
     time = length / speed

@@ -7,9 +7,9 @@ import numpy as np
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.geometry.se2 import compose, transform
-from tfg_drake.messages import FloatArray, LaserScan, TfgMap
-from tfg_drake.planning.chance_constraint import required_clearance
-from tfg_drake.planning.roadmap import COMFORT, RoadmapState, in_free_space
+from tfg_drake.messages import BoolArray, FloatArray, LaserScan, MapEstimate, TfgMap
+from tfg_drake.planning.chance_constraint import deviation_along, required_clearance
+from tfg_drake.planning.roadmap import COMFORT, RoadmapParameters, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, routes
 
 # A shortcut is as good as what it replaces with this clearance, m.
@@ -25,6 +25,10 @@ REACTION = 1 / 16
 PATH_STEP = 0.1
 # A collision as improbable as this is none.
 NO_RISK = 1e-4
+# Edges are checked by the deviation at their ends. Where that is more between them, a path may have this much less room
+# than is asked for, m; so many ways are tried where it is too narrow still.
+LACKING = 0.02
+WAYS_TRIED = 5
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
@@ -104,32 +108,66 @@ def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> Fl
 
 def plan_path(
     state: RoadmapState,
+    estimate: MapEstimate,
     tfg: TfgMap,
     X_MB: FloatArray,
     node: int,
-    robot: RobotConfig,
-    planner: PlannerConfig,
+    parameters: RoadmapParameters,
     obstacles: FloatArray | None = None,
     speed: float = 0.0,
 ) -> FloatArray:
     """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
 
+    The roadmap's edges keep the chance constraint by the deviation at their ends; the path keeps it, LACKING allowed,
+    at each of its points that there is a choice about, as it is smoothed, or else along the edges, or by another way.
     obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. speed: m/s at which the robot
     drives on meanwhile: the path goes straight ahead as far as it would take to stop, where there is room for that.
     """
-    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
-    X_MS = _where_it_stops(X_MB, speed, tfg, segments, robot)
+    robot, planner = parameters.robot, parameters.planner
+    obstacles = np.zeros((0, 4)) if obstacles is None else obstacles
+    X_MS = _where_it_stops(X_MB, speed, tfg, np.vstack([tfg.segments, obstacles]), robot)
     if node < len(state.points) and np.hypot(*(state.points[node] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
         X_MS = X_MB
-    ways = routes(state, tfg, X_MS, robot, planner, obstacles)
-    points = node_path(state, ways, X_MS, node)
-    if len(points) < 2 or np.hypot(*np.ptp(points, axis=0)) < 1e-6:
-        return np.zeros((0, 2))
-    enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
-    points = shortcut(points, tfg, segments, enough)
-    if X_MS is not X_MB:
-        points = np.vstack([X_MB[:2], points])
-    return resample(round_corners(points, segments, enough), PATH_STEP)
+    before = X_MB[None, :2] if X_MS is not X_MB else np.zeros((0, 2))
+    for _ in range(WAYS_TRIED):
+        segments = np.vstack([tfg.segments, obstacles])
+        ways = routes(state, tfg, X_MS, robot, planner, obstacles)
+        way = node_path(state, ways, X_MS, node)
+        if len(way) < 2 or np.hypot(*np.ptp(way, axis=0)) < 1e-6:
+            break
+        enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
+        smooth = round_corners(np.vstack([before, shortcut(way, tfg, segments, enough)]), segments, enough)
+        for points in (smooth, np.vstack([before, way])):
+            path = resample(points, PATH_STEP)
+            narrow = too_narrow(path, estimate, tfg, parameters)
+            narrow &= ~without_choice(path, narrow, state, parameters)
+            if not narrow.any():
+                return path
+        obstacles = np.vstack([obstacles, lines_between(path[narrow], path[narrow])])
+    return np.zeros((0, 2))
+
+
+def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> BoolArray:
+    """Which points (k,) of a path (k, 2), m in M, lack more than LACKING of the room that the chance constraint asks
+    for there."""
+    robot = parameters.robot
+    sigma = deviation_along(path, estimate, tfg, parameters.sensor, parameters.odometry, robot.max_speed)
+    need = required_clearance(robot.radius, sigma, parameters.planner.collision_probability) - LACKING
+    return np.asarray(clearance(lines_between(path, path), tfg.segments, float(need.max())) < need)
+
+
+def without_choice(
+    path: FloatArray, narrow: BoolArray, state: RoadmapState, parameters: RoadmapParameters
+) -> BoolArray:
+    """Which of the narrow points (k,) of a path (k, 2), m in M, the robot has no choice about.
+
+    They lie beside an edge that is open though too narrow, no farther than a rounded corner may lead, or are where the
+    robot sets off from a place with too little room.
+    """
+    edges, probability = state.edges, parameters.planner.collision_probability
+    need = required_clearance(parameters.robot.radius, state.sigma[edges.nodes].max(axis=1), probability)
+    forced = state.points[edges.nodes[edges.usable & (edges.clearance < need)]].reshape(-1, 4)
+    return narrow & ((point_distance(path, forced) < ROUNDING) | np.logical_and.accumulate(narrow))
 
 
 def _where_it_stops(

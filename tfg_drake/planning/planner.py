@@ -263,7 +263,7 @@ def _plan(
     X_MB, speed = (pose.X_MB, float(pose.speed[0])) if now else (estimate.X_MD, 0.0)
     obstacles = obstacles_in_map(state, estimate)
     node = int(np.searchsorted(nodes.ids, goal.node))
-    points = plan_path(nodes, tfg, X_MB, node, parameters.robot, parameters.planner, obstacles, speed)
+    points = plan_path(nodes, estimate, tfg, X_MB, node, parameters, obstacles, speed)
     if _length(state.driven, X_MB[:2]) + np.hypot(*np.diff(points, axis=0).T).sum() > goal.longest_way:
         points = np.zeros((0, 2))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
