@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 
 import numpy as np
 from scipy.stats import spearmanr
@@ -20,8 +19,8 @@ from scipy.stats import spearmanr
 from tfg_drake.config import GAINS
 from tfg_drake.diagrams.figures import stages_of
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
-from tfg_drake.paper_figures import Field, gain_field
-from tfg_drake.planning.candidates import OVERHEAD
+from tfg_drake.paper_figures import gain_field
+from tfg_drake.planning.candidates import GoalParameters, time_at_goal
 
 
 def main() -> None:
@@ -36,15 +35,16 @@ def main() -> None:
         scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
         scenario.seed = seed
         stages, _, _ = stages_of(scenario, lambda stage, time: False)
-        field = Field(scenario.tags, scenario.odometry, scenario.explorer)
-        stay = 2.0 * math.pi / scenario.explorer.turn_rate + OVERHEAD
+        parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+        stay = time_at_goal(scenario.tags, scenario.explorer)
         for stage in stages:
-            nodes, exact = gain_field(stage, field, scenario.explorer)
+            nodes, exact = gain_field(stage, parameters)
             if len(nodes) < 10:
                 continue
             rate = exact.gain / (stage.roadmap.travel_time[nodes] + stay)
             for name, found in rows.items():
-                _, gains = gain_field(stage, field, dataclasses.replace(scenario.explorer, gain=name))
+                explorer = dataclasses.replace(scenario.explorer, gain=name)
+                _, gains = gain_field(stage, dataclasses.replace(parameters, explorer=explorer))
                 off = gains.gain - exact.gain
                 best = int(np.argmax(gains.gain / (stage.roadmap.travel_time[nodes] + stay)))
                 found.append(

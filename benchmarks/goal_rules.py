@@ -56,6 +56,9 @@ def main() -> None:
             tasks = [pool.submit(run_seed, [*arguments, *settings], seed, folder) for seed in range(options.seeds)]
             runs = [task.result() for task in tasks]
             done = [run for run in runs if "sim_time_s" in run]
+            if not done:
+                print(f"{name:24}   0/{len(runs):<4} {runs[0]['reason']}", flush=True)
+                continue
             if name == BASELINE:
                 baseline = {run["seed"]: run["sim_time_s"] for run in done}
 

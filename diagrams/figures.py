@@ -18,7 +18,8 @@ from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, S
 from tfg_drake.diagrams.sweep import Task
 from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray
-from tfg_drake.paper_figures import Field, Stage, draw_gains, draw_growth, draw_priors, draw_tfg, write_figure
+from tfg_drake.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg, write_figure
+from tfg_drake.planning.candidates import GoalParameters
 
 # The stage whose gains are drawn, half-way: much is known, much is open.
 GAIN_STAGE = 60
@@ -68,11 +69,11 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
     with threadpool_limits(limits=1):
         stages, stamps, p_MB = stages_of(scenario, on_stage)
     chosen = stages[min(GAIN_STAGE, len(stages)) - 1]
-    field = Field(scenario.tags, scenario.odometry, scenario.explorer)
+    parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
     growth = [stages[round(k * (len(stages) - 1) / (GROWTH - 1))] for k in range(GROWTH)]
     figures = {
-        "information_gain": draw_gains(chosen, field),
-        "priors": draw_priors(chosen, field),
+        "information_gain": draw_gains(chosen, parameters),
+        "priors": draw_priors(chosen, parameters),
         "tfg": draw_tfg(chosen),
         "growth": draw_growth(growth, stamps, p_MB),
     }

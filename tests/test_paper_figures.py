@@ -5,10 +5,9 @@ import pytest
 from PIL import Image
 
 from tests.systems.test_info_gain_goal_selector import half_known_room, roadmap
-from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.paper_figures import (
     FORMATS,
-    Field,
     Stage,
     draw_gains,
     draw_growth,
@@ -17,28 +16,32 @@ from tfg_drake.paper_figures import (
     gain_field,
     write_figure,
 )
+from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.planner import with_frontiers
 
-FIELD = Field(TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+PARAMETERS = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
 
 
 @pytest.fixture
 def stage():
-    return Stage(*half_known_room(), roadmap(), empty_choice())
+    estimate, tfg = half_known_room()
+    return Stage(estimate, tfg, with_frontiers(roadmap(), estimate, tfg, PARAMETERS.sensor), empty_choice())
 
 
 def test_the_field_covers_what_the_robot_can_reach_and_follows_the_prior(stage):
-    nodes, gains = gain_field(stage, FIELD, FIELD.explorer)
+    nodes, gains = gain_field(stage, PARAMETERS)
     assert (stage.roadmap.points[nodes, 1] <= 1.0).all()
-    _, low = gain_field(stage, FIELD, dataclasses.replace(FIELD.explorer, prior_sigma=0.001))
+    narrow = dataclasses.replace(PARAMETERS.explorer, prior_sigma=0.001)
+    _, low = gain_field(stage, dataclasses.replace(PARAMETERS, explorer=narrow))
     np.testing.assert_allclose(low.exploitation, gains.exploitation)
     assert low.exploration.max() < 0.1 * gains.exploration.max()
 
 
 def drawn(stage):
     return {
-        "gains": draw_gains(stage, FIELD),
-        "priors": draw_priors(stage, FIELD),
+        "gains": draw_gains(stage, PARAMETERS),
+        "priors": draw_priors(stage, PARAMETERS),
         "tfg": draw_tfg(stage),
         "growth": draw_growth([stage, stage], np.arange(3.0), np.zeros((3, 2))),
     }

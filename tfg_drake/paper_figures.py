@@ -13,12 +13,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.figure import Figure
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.planning.candidates import apart_from_goals
-from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
-from tfg_drake.planning.information_gain import Gains, information_gain
+from tfg_drake.planning.candidates import GoalParameters, Situation, expected_gains, places
+from tfg_drake.planning.expected_view import expected_tags
+from tfg_drake.planning.information_gain import Gains
 
 # Standard deviations, m, of the prior of new landmarks: the paper's high, medium and low.
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.01}
@@ -39,39 +38,17 @@ class Stage:
     goal: GoalChoice
 
 
-@dataclasses.dataclass(frozen=True)
-class Field:
-    """The parameters that an information gain depends on."""
-
-    sensor: TagSensorConfig
-    odometry: OdometryConfig
-    explorer: ExplorerConfig
-
-
-def gain_field(stage: Stage, field: Field, explorer: ExplorerConfig) -> tuple[IntArray, Gains]:
+def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gains]:
     """The nodes (c,) of the roadmap where the robot could turn, and what a turn at each is expected to gain."""
-    roadmap = stage.roadmap
-    nodes = np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, stage.tfg, stage.estimate.X_MD[:2]))
-    points = roadmap.points[nodes]
-    tags = expected_tags(points, stage.estimate, stage.tfg, field.sensor)
-    frontiers = expected_frontiers(points, stage.tfg, field.sensor)
-    return nodes, information_gain(
-        points,
-        roadmap.travel_length[nodes],
-        roadmap.travel_time[nodes],
-        tags,
-        frontiers,
-        stage.estimate,
-        stage.tfg,
-        field.sensor,
-        field.odometry,
-        explorer,
-    )
+    estimate, tfg, roadmap = stage.estimate, stage.tfg, stage.roadmap
+    nodes = places(roadmap, tfg, estimate.X_MD[:2])
+    tags = expected_tags(roadmap.points[nodes], estimate, tfg, parameters.sensor)
+    return nodes, expected_gains(nodes, tags, Situation(estimate, tfg, roadmap, parameters))
 
 
-def draw_gains(stage: Stage, field: Field) -> Figure:
+def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
     """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 3)."""
-    nodes, gains = gain_field(stage, field, field.explorer)
+    nodes, gains = gain_field(stage, parameters)
     figure, axes = _panels(stage.tfg, 1, 3)
     panels = (("Exploitation", gains.exploitation), ("Exploration", gains.exploration), ("Total", gains.gain))
     for axis, (title, values) in zip(axes, panels, strict=True):
@@ -81,12 +58,12 @@ def draw_gains(stage: Stage, field: Field) -> Figure:
     return figure
 
 
-def draw_priors(stage: Stage, field: Field) -> Figure:
+def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
     """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 4)."""
     figure, axes = _panels(stage.tfg, 1, len(PRIORS))
     for axis, (name, sigma) in zip(axes, PRIORS.items(), strict=True):
-        explorer = dataclasses.replace(field.explorer, prior_sigma=sigma)
-        nodes, gains = gain_field(stage, field, explorer)
+        explorer = dataclasses.replace(parameters.explorer, prior_sigma=sigma)
+        nodes, gains = gain_field(stage, dataclasses.replace(parameters, explorer=explorer))
         _draw_map(axis, stage)
         _draw_samples(figure, axis, stage.roadmap.points[nodes], gains.gain)
         axis.set_title(f"{name.capitalize()} prior: {sigma:g} m", fontsize=9)

@@ -15,7 +15,6 @@ from tfg_drake.tfg.frontier import (
     END_LENGTH,
     PUSH,
     find_frontiers,
-    frontier_length_total,
     open_frontiers,
     place_points,
     points_of,
@@ -58,7 +57,7 @@ def _pieces(segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def test_an_empty_graph_resolves_to_an_empty_map(two_rooms) -> None:
     assert empty_map().stage == 0
-    assert frontier_length_total(empty_map()) == 0.0
+    assert empty_map().frontier_length.sum() == 0.0
     two_rooms.observe(TOUR[0])
     with pytest.raises(ValueError, match="cannot take stage 1"):
         update(
@@ -182,7 +181,7 @@ def test_a_tag_found_later_splits_the_edge_it_lies_on(simulate) -> None:
 
 def test_frontiers_lie_at_the_unexplored_door(two_rooms) -> None:
     tfg = two_rooms.observe(TOUR[0])
-    assert frontier_length_total(tfg) > 0.0
+    assert tfg.frontier_length.sum() > 0.0
     in_next_room = tfg.frontiers[:, 0] > 6.0
     assert in_next_room.sum() > 5
     assert (tfg.frontiers[~in_next_room, 0] > 5.5).all()
@@ -210,7 +209,7 @@ def test_surface_seen_at_grazing_incidence_stays_a_frontier(simulate) -> None:
     world = simulate([[0.0, 0.0, 9.0, 0.0], [9.0, 0.0, 9.0, 1.2], [9.0, 1.2, 0.0, 1.2], [0.0, 1.2, 0.0, 0.0]])
     tfg = world.observe(np.array([0.6, 0.6, 0.0]))
     assert (tfg.frontiers[:, 0] > 2.0).all()
-    assert frontier_length_total(tfg) > 6.0
+    assert tfg.frontier_length.sum() > 6.0
     # In front of the sides, looking away from them; the last metre or two may be too slanted to be a surface at all.
     for y, side in ((0.3, 1.0), (0.9, -1.0)):
         ahead = (np.abs(tfg.frontiers[:, 1] - y) < 0.05) & (tfg.frontier_normal[:, 1] * side > 0.9)
@@ -236,7 +235,7 @@ def test_the_sides_of_a_narrow_alley_can_be_inspected_from_its_middle(simulate) 
     sensor = TagSensorConfig()
     world = simulate([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 0.5], [4.0, 0.5, 0.0, 0.5], [0.0, 0.5, 0.0, 0.0]])
     tfg = world.observe(np.array([0.3, 0.25, 0.0]))
-    assert frontier_length_total(tfg) > 2.0
+    assert tfg.frontier_length.sum() > 2.0
     middle = np.stack([np.arange(0.3, 3.8, 0.1), np.full(35, 0.25)], axis=1)
     assert set(expected_frontiers(middle, tfg, sensor).index) == set(range(len(tfg.frontiers)))
     for x in (1.1, 1.9, 2.7, 3.5):

@@ -22,6 +22,7 @@ from scipy.special import ndtr, ndtri
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, View, local_view, visible_targets
+from tfg_drake.planning.information_gain import straight_drift
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
 # so many.
@@ -225,9 +226,7 @@ def deviation_along(
 
 def _drift(length: FloatArray, odometry: OdometryConfig, speed: float) -> FloatArray:
     """Variance, m^2, that odometry adds over straight ways of these lengths, m, in the worse direction."""
-    time = length / speed
-    along = odometry.distance_noise**2 * length + (odometry.distance_scale * length) ** 2
-    across = length**2 * (odometry.gyro_noise**2 * time / 3 + (odometry.gyro_bias * time) ** 2 / 4)
+    along, across, _, _ = straight_drift(length, length / speed, odometry)
     return np.asarray(np.maximum(along, across))
 
 

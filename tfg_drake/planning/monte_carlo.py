@@ -19,6 +19,7 @@ from tfg_drake.geometry.distance import segment_distance
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
+from tfg_drake.planning.exact_gain import whitened
 from tfg_drake.planning.expected_view import expected_tags, local_view
 
 # Surfaces farther from a point of the path than this are not looked at, m.
@@ -139,14 +140,8 @@ def _jacobians(
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Whitened Jacobians (2m, 3) by the pose and (2m, 2m) by the landmarks seen at d (m, 2), and those's columns."""
     m = len(rows)
-    r = np.maximum(np.hypot(*d.T), 0.05)
-    u = d / r[:, None]
-    sigma = np.stack([sensor.range_noise + sensor.range_noise_per_metre * r, np.full(m, sensor.bearing_noise)], axis=1)
-    G = (
-        np.stack([u, np.stack([-u[:, 1], u[:, 0]], axis=1) / r[:, None]], axis=1)
-        / sigma[:, :, None]
-        * math.sqrt(frames)
-    )
+    noise = np.array([sensor.range_noise, sensor.range_noise_per_metre, 0.0, sensor.bearing_noise])
+    G = whitened(d, noise / math.sqrt(frames))
     H_x, H_L = np.zeros((2 * m, 3)), np.zeros((2 * m, 2 * m))
     H_x[:, :2] = -G.reshape(-1, 2)
     H_x[1::2, 2] = -math.sqrt(frames) / sensor.bearing_noise

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.distance import clearance, enter
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, TfgMap, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 from tfg_drake.tfg.drift import DRIFT_SIGMAS
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import covered, joined, pack, sample, segments_of
@@ -142,10 +142,10 @@ def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tu
     shadow = known & ~links & ~both_free & (length >= least_gap)
     # Behind the nearer surface, whichever end it is at: to the right of the edge, which runs counter-clockwise.
     right = np.stack([span[:, 1], -span[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
-    p, normal, share = _along(ends[shadow], following[shadow], right[shadow])
+    p, normal, length = _along(ends[shadow], following[shadow], right[shadow])
 
     starts, stops = _runs(both_free & known)
-    arc_p, arc_normal, arc_share = [p], [normal], [share]
+    arc_p, arc_normal, arc_length = [p], [normal], [length]
     for a, b in zip(starts, stops, strict=True):
         first = angles[a % len(angles)]
         sweep = (b - a) * 2.0 * np.pi / len(angles)
@@ -154,21 +154,22 @@ def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tu
         outwards = np.stack([np.cos(theta), np.sin(theta)], axis=1)
         arc_p.append((panorama.range_max + PUSH) * outwards)
         arc_normal.append(-outwards)
-        arc_share.append(np.full(count, sweep * panorama.range_max / count))
+        arc_length.append(np.full(count, sweep * panorama.range_max / count))
     # On the border of what was never looked at, on that side of it: what is free there may go on.
     seen = ~np.isnan(ranges)
     for sign in (1, -1):
         last = np.flatnonzero(seen & np.roll(~seen, -sign))
         beyond = sign * np.stack([-ends[last, 1], ends[last, 0]], axis=1) / np.maximum(reach[last], 1e-9)[:, None]
-        p, normal, share = _along(np.zeros_like(ends[last]), ends[last], beyond)
+        p, normal, length = _along(np.zeros_like(ends[last]), ends[last], beyond)
         arc_p.append(p)
         arc_normal.append(normal)
-        arc_share.append(share)
-    return np.concatenate(arc_p), np.concatenate(arc_normal), np.concatenate(arc_share)
+        arc_length.append(length)
+    return np.concatenate(arc_p), np.concatenate(arc_normal), np.concatenate(arc_length)
 
 
 def _along(start: FloatArray, stop: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points every SPACING along edges (e, 2) to (e, 2), pushed by PUSH in each edge's direction (e, 2)."""
+    """Points (n, 2) every SPACING along edges from start to stop (e, 2), m, pushed by PUSH in each edge's direction
+    (e, 2); normals (n, 2) against that, and the length (n,), m, that each stands for."""
     length = np.hypot(*(stop - start).T)
     count = np.maximum(1, np.round(length / SPACING).astype(np.int64))
     edge = np.repeat(np.arange(len(count)), count)
@@ -329,8 +330,3 @@ def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
         return np.ones(len(p), dtype=bool)
     square = np.sum((p[:, None] - others[None]) ** 2, axis=2)
     return np.asarray((square > distance * distance).all(axis=1))
-
-
-def frontier_length_total(tfg: TfgMap) -> float:
-    """Length of all live frontiers, m."""
-    return float(tfg.frontier_length.sum())
