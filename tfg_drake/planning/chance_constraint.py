@@ -3,11 +3,12 @@
 The paper asks for Pr(x in edge) < delta, which is zero for any line. Here the robot is a disc of radius r, and what
 counts is its position relative to the surface: a path must keep
 
-    d >= r + Phi^-1(1 - delta / 2) sigma
+    d >= r + Phi^-1(1 - delta / 2) sigma,   sigma^2 = sigma_L^2 + max(TRACKING_DEVIATION, sigma_O)^2
 
-from every surface: in a door and in a corner two of them are as near. sigma is the predicted deviation of the robot
-relative to the landmarks that carry the surfaces nearby, across any direction. Its absolute uncertainty far from the
-start does not close a door: the door moves with it.
+from every surface: in a door and in a corner two of them are as near. sigma_L is the predicted deviation of the robot
+relative to the landmarks that carry the surfaces nearby, across any direction, as it is recognised in a second of
+frames, and sigma_O what odometry adds in that second. Its absolute uncertainty far from the start does not close a
+door: the door moves with it.
 """
 
 from __future__ import annotations
@@ -30,8 +31,7 @@ LOCALISATION_RANGE = 5.0
 LOCALISATION_TAGS = 10
 # The pose is what this much time of frames makes it, s.
 LOCALISATION_TIME = 1.0
-# Deviation of the robot from its path, of a surface from the landmarks it is anchored to, and of what wheels and gyro
-# add between the frames, m: more where they add more.
+# Deviation of the robot from its path and of a surface from the landmarks it is anchored to, m.
 TRACKING_DEVIATION = 0.02
 # Surfaces that a robot at a point might touch are carried by landmarks this near, m, that face it with nothing between:
 # those in the room behind a wall may have drifted far from its front, and do not matter to who drives along that.
@@ -162,12 +162,13 @@ def predicted_deviation(
     """Deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
 
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
-    field of view covers), and of the map there where enough of its landmarks are known jointly. The robot drives on
-    meanwhile: what its odometry adds in that second bounds what the filter has not yet taken out. Elsewhere that of the
+    field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
-    `speed` (m/s). before: (n,) m, what it was when enough landmarks there were last known jointly, inf where they never
-    were: far from the robot it stays that, nothing has changed there since. Returns also which (n,) are so known, now
-    or then.
+    `speed` (m/s). The robot drives on while the frames come: everywhere TRACKING_DEVIATION is added or what odometry
+    adds in that second, which bounds what the filter has not yet taken out, if that is more (by rollouts at one and at
+    three times the usual noise the greater of both is enough). before: (n,) m, what it was when enough landmarks there
+    were last known jointly, inf where they never were: far from the robot it stays that, nothing has changed there
+    since. Returns also which (n,) are so known, now or then.
     """
 
     def in_view(reach: float, max_incidence: float) -> View:
