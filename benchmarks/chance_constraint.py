@@ -6,10 +6,10 @@ At every stage of a mission the standard deviations of the map's joint Gaussian 
 --inflate, the roadmap is checked anew, and --paths paths to nodes drawn at random are planned and rolled out. A row a
 probability asked for and what it is asked of (planner.risk): paths, their points, the largest share of rollouts that
 collide at any one of them, how many points have a 95 % (Wilson) interval wholly above what was asked; mean and largest
-share that collide somewhere on the path; how much of the roadmap could be reached at all, and to how many of the nodes
-drawn there was no path all the same. Points with too little room that the robot has no choice about are left out and
-counted: kept. They lie beside edges that stay open, as the robot has driven them and nothing else leads home, or where
-it sets off from a place with too little room.
+share that collide somewhere on the path; and how much of the roadmap could be reached at all. Points with too little
+room beside edges that stay open all the same, as the robot has driven them and nothing else leads home, or where it
+sets off from a place with too little room, are left out and counted: kept. Others with too little room by what is
+predicted there, between nodes that have enough, are counted and not left out: narrow.
 """
 
 from __future__ import annotations
@@ -80,12 +80,12 @@ def main() -> None:
     scenario.seed = options.seed
     stages = stages_of(scenario, options.max_time)
     sensor, odometry = inflated(scenario, options.inflate)
-    print("risk   asked   paths  points  kept  worst point  points above   path mean  path most  reachable  no path")
+    print("risk   asked   paths  points  kept  narrow  worst point  points above   path mean  path most  reachable")
     for risk, probability in itertools.product(RISKS, options.probability):
         config = PlannerConfig(probability, risk)
         parameters = RoadmapParameters(scenario.robot, sensor, odometry, scenario.explorer, config, scenario.seed)
         rng = np.random.default_rng(0)
-        counts, kept, without, whole, reach = [], 0, 0, [], []
+        counts, kept, narrow, whole, reach = [], 0, 0, [], []
         for estimate, tfg, nodes in stages:
             loose = replace(estimate, covariance=options.inflate**2 * estimate.covariance)
             again = extend(nodes, tfg, loose, parameters)
@@ -98,11 +98,12 @@ def main() -> None:
             for node in rng.choice(there, min(options.paths, len(there)), replace=False):
                 path = plan_path(again, loose, tfg, loose.X_MD, int(node), parameters)
                 if len(path) < 2:
-                    without += np.hypot(*(again.points[node] - loose.X_MD[:2])) > 1e-6
                     continue
                 hits = collisions(path, loose, tfg, scenario.robot, sensor, odometry, rng, options.rollouts)
-                left_out = without_choice(path, too_narrow(path, loose, tfg, parameters), again, parameters)
+                lacking = too_narrow(path, loose, tfg, parameters)
+                left_out = without_choice(path, lacking, again, parameters)
                 kept += int(left_out.sum())
+                narrow += int((lacking & ~left_out).sum())
                 counts.extend(hits[:, ~left_out].sum(axis=0).tolist())
                 whole.append(float(hits[:, ~left_out].any(axis=1).mean()))
         above = sum(
@@ -111,8 +112,8 @@ def main() -> None:
             if count > probability * options.rollouts
         )
         print(
-            f"{risk:<7}{probability:<8g}{len(whole):>5}{len(counts):>8}{kept:>6}{max(counts) / options.rollouts:>13.4f}"
-            f"{above:>14}{np.mean(whole):>12.4f}{max(whole):>11.4f}{np.mean(reach):>11.3f}{without:>9}",
+            f"{risk:<7}{probability:<8g}{len(whole):>5}{len(counts):>8}{kept:>6}{narrow:>8}"
+            f"{max(counts) / options.rollouts:>13.4f}{above:>14}{np.mean(whole):>12.4f}{max(whole):>11.4f}{np.mean(reach):>11.3f}",
             flush=True,
         )
 

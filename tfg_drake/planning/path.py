@@ -118,10 +118,11 @@ def plan_path(
 ) -> FloatArray:
     """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
 
-    The roadmap's edges keep the chance constraint by the deviation at their ends; the path keeps it, LACKING allowed,
-    at each of its points that there is a choice about, as it is smoothed, or else along the edges, or by another way.
-    obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. speed: m/s at which the robot
-    drives on meanwhile: the path goes straight ahead as far as it would take to stop, where there is room for that.
+    The roadmap's edges keep the chance constraint by the deviation at their ends. The path keeps it at each of its
+    points, LACKING allowed, as it is smoothed, or else along the edges, or by another way; where none does, the first
+    is taken: that more is predicted between two nodes than at either is mostly too much. obstacles: (b, 4) segments met
+    at this stage that the map does not hold, m in M. speed: m/s at which the robot drives on meanwhile: the path goes
+    straight ahead as far as it would take to stop, where there is room for that.
     """
     robot, planner = parameters.robot, parameters.planner
     obstacles = np.zeros((0, 4)) if obstacles is None else obstacles
@@ -129,6 +130,7 @@ def plan_path(
     if node < len(state.points) and np.hypot(*(state.points[node] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
         X_MS = X_MB
     before = X_MB[None, :2] if X_MS is not X_MB else np.zeros((0, 2))
+    paths: list[FloatArray] = []
     for _ in range(WAYS_TRIED):
         segments = np.vstack([tfg.segments, obstacles])
         ways = routes(state, tfg, X_MS, robot, planner, obstacles)
@@ -138,13 +140,14 @@ def plan_path(
         enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
         smooth = round_corners(np.vstack([before, shortcut(way, tfg, segments, enough)]), segments, enough)
         for points in (smooth, np.vstack([before, way])):
-            path = resample(points, PATH_STEP)
-            narrow = too_narrow(path, estimate, tfg, parameters)
-            narrow &= ~without_choice(path, narrow, state, parameters)
+            paths.append(resample(points, PATH_STEP))
+            narrow = too_narrow(paths[-1], estimate, tfg, parameters)
+            narrow &= ~without_choice(paths[-1], narrow, state, parameters)
             if not narrow.any():
-                return path
-        obstacles = np.vstack([obstacles, lines_between(path[narrow], path[narrow])])
-    return np.zeros((0, 2))
+                return paths[-1]
+        places = paths[-1][narrow]
+        obstacles = np.vstack([obstacles, lines_between(places, places)])
+    return paths[0] if paths else np.zeros((0, 2))
 
 
 def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> BoolArray:
