@@ -113,7 +113,8 @@ def main() -> None:
         )
         print(
             f"{risk:<7}{probability:<8g}{len(whole):>5}{len(counts):>8}{kept:>6}{narrow:>8}"
-            f"{max(counts) / options.rollouts:>13.4f}{above:>14}{np.mean(whole):>12.4f}{max(whole):>11.4f}{np.mean(reach):>11.3f}",
+            f"{max(counts) / options.rollouts:>13.4f}{above:>14}"
+            f"{np.mean(whole):>12.4f}{max(whole):>11.4f}{np.mean(reach):>11.3f}",
             flush=True,
         )
 
