@@ -74,6 +74,7 @@ def main() -> None:
     parser.add_argument("--rollouts", type=int, default=10_000)
     parser.add_argument("--paths", type=int, default=3)
     parser.add_argument("--probability", type=float, nargs="+", default=[0.1, 0.01])
+    parser.add_argument("--risk", nargs="+", choices=RISKS, default=RISKS)
     parser.add_argument("--set", action="append", default=[], dest="settings")
     options = parser.parse_args()
     scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
@@ -81,7 +82,7 @@ def main() -> None:
     stages = stages_of(scenario, options.max_time)
     sensor, odometry = inflated(scenario, options.inflate)
     print("risk   asked   paths  points  kept  narrow  worst point  points above   path mean  path most  reachable")
-    for risk, probability in itertools.product(RISKS, options.probability):
+    for risk, probability in itertools.product(options.risk, options.probability):
         config = PlannerConfig(probability, risk)
         parameters = RoadmapParameters(scenario.robot, sensor, odometry, scenario.explorer, config, scenario.seed)
         rng = np.random.default_rng(0)

@@ -157,22 +157,47 @@ def test_what_odometry_adds_while_the_frames_come_counts_where_it_is_more_than_t
     assert (max(Q[0, 0], Q[1, 1]) > TRACKING_DEVIATION**2) == (noise > 0.02)
 
 
-def test_past_a_place_where_little_is_in_view_a_robot_goes_on_by_what_it_knew():
-    p_ML = np.array([[3.0, 0.2], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0], [12.0, 0.0], [12.1, 0.0]])
-    estimate = replace(empty_map(), ids=np.arange(6), p_ML=p_ML, covariance=np.zeros((3, 3)))
-    tfg = replace(empty_tfg(), facing=np.tile([-1.0, 0.0], (6, 1)))
-    path = np.stack([np.linspace(0.0, 11.0, 111), np.zeros(111)], axis=1)
-    rest = estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5
+@pytest.mark.parametrize("turned", [0.0, np.pi])
+def test_a_robot_goes_on_by_what_it_knew_where_it_has_too_little_in_view_ahead(turned):
+    """Landmarks ahead of the start and beyond the end of a straight path, whichever way it runs; between them none."""
+    p_ML = np.array([[3.0, 0.5], [3.0, -0.5], [5.0, 1.0], [13.0, 1.0], [13.0, -1.0]])
+    R = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
+    estimate = replace(empty_map(), ids=np.arange(5), p_ML=p_ML @ R.T, covariance=np.zeros((3, 3)))
+    tfg = replace(empty_tfg(), facing=np.tile(R @ [-1.0, 0.0], (5, 1)))
+    path = np.stack([np.linspace(0.0, 11.0, 111), np.zeros(111)], axis=1) @ R.T
+    sensor, odometry = TagSensorConfig(range=6.0), OdometryConfig()
+    rest = estimate, tfg, sensor, odometry, 0.5
     at_each, _ = predicted_deviation(path, *rest)
-    along = deviation_along(path, *rest)
     brute = np.empty(111)
+    x = path @ R[:, 0]
     for k in range(111):
-        since = path[k, 0] - path[: k + 1, 0]
-        Q = odometry_covariance(np.zeros(3), np.stack([since, 0 * since], axis=1), since, since / 0.5, OdometryConfig())
-        brute[k] = np.sqrt((at_each[: k + 1] ** 2 + np.maximum(Q[:, 0, 0], Q[:, 1, 1])).min())
-    np.testing.assert_allclose(along, brute, rtol=1e-12)
+        best = np.inf
+        for j in range(k + 1):
+            d = p_ML - [x[j], 0.0]
+            r, incidence = np.hypot(*d.T), np.arctan2(np.abs(d[:, 1]), d[:, 0])
+            seen = (r < 6.0) & (incidence < sensor.max_incidence) & (incidence < 0.5 * sensor.field_of_view)
+            if j == 0 or seen.sum() >= 2:
+                way = np.array([x[k] - x[j]])
+                Q = odometry_covariance(np.zeros(3), np.stack([way, 0 * way], axis=1), way, way / 0.5, odometry)[0]
+                best = min(best, at_each[j] ** 2 + max(Q[0, 0], Q[1, 1]))
+        brute[k] = np.sqrt(best)
+    along = deviation_along(path, *rest)
+    np.testing.assert_allclose(along, brute, rtol=1e-9)
     assert (along < at_each - 0.01).any()
     assert (along == at_each).any()
+
+
+def test_a_robot_is_not_sure_of_its_place_by_what_is_behind_it():
+    p_ML = np.array([[-1.0, 1.0], [-1.0, -1.0], [-2.0, 0.0]])
+    estimate = replace(empty_map(), ids=np.arange(3), p_ML=p_ML, covariance=np.zeros((3, 3)))
+    tfg = replace(empty_tfg(), facing=np.tile([1.0, 0.0], (3, 1)))
+    path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
+    rest = estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5
+    at_each, _ = predicted_deviation(path, *rest)
+    drift = 0.02**2 * path[:, 0] + (0.015 * path[:, 0]) ** 2
+    np.testing.assert_allclose(deviation_along(path, *rest) ** 2, at_each[0] ** 2 + drift, rtol=1e-9)
+    # The way back to them it is.
+    np.testing.assert_allclose(deviation_along(path[::-1], *rest)[-1], at_each[0], rtol=1e-9)
 
 
 def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the_nearest_place_that_sees_some():

@@ -21,8 +21,9 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
-from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, View, local_view, visible_targets
+from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, View, expected_tags, local_view, visible_targets
 from tfg_drake.planning.information_gain import straight_drift
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
@@ -215,13 +216,22 @@ def deviation_along(
 ) -> FloatArray:
     """Deviation sigma (k,), m, at the points of a path (k, 2), m in M, for a robot that drives it from the first on.
 
-    That of `predicted_deviation`, but no more than it was at any point before and odometry has added since: past a
-    place with few landmarks in view the robot goes on by what it knew.
+    That of `predicted_deviation` at its start and wherever the robot, facing along the path, has two landmarks in view;
+    but no more than it was at any such point before and odometry has added since. So a robot that drives away from all
+    landmarks is not sure of its place by those behind it, and past a place with few of them it goes on by what it knew.
     """
     sigma, _ = predicted_deviation(path, estimate, tfg, sensor, odometry, speed)
-    s = np.append(0.0, np.cumsum(np.hypot(*np.diff(path, axis=0).T)))
-    since = s[:, None] - s
-    variance = sigma**2 + _drift(np.maximum(since, 0.0), odometry, speed)
+    step = np.diff(path, axis=0)
+    heading = np.arctan2(*np.vstack([step[:1], step]).T[::-1])
+    view = expected_tags(path, estimate, tfg, sensor)
+    point = np.repeat(np.arange(len(path)), view.count)
+    d = estimate.p_ML[view.index] - path[point]
+    ahead = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - heading[point])) < 0.5 * sensor.field_of_view
+    in_view = np.bincount(point[ahead], minlength=len(path))
+    known = np.flatnonzero((in_view >= 2) | (np.arange(len(path)) == 0))
+    s = np.append(0.0, np.cumsum(np.hypot(*step.T)))
+    since = s[:, None] - s[known]
+    variance = sigma[known] ** 2 + _drift(np.maximum(since, 0.0), odometry, speed)
     return np.asarray(np.sqrt(np.where(since >= 0.0, variance, np.inf).min(axis=1)))
 
 
