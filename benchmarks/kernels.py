@@ -29,7 +29,8 @@ from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, to_arrival
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, visible_targets
-from tfg_drake.planning.information_gain import odometry_covariance, sightings_of_turn, turn_noise
+from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
+from tfg_drake.planning.odometry_drift import odometry_covariance
 from tfg_drake.planning.roadmap import COMFORT
 
 EDGES, PLACES, CANDIDATES, STARS = 4000, 400, 100, 30

@@ -8,10 +8,10 @@ from tfg_drake.messages import replace
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
 from tfg_drake.planning.information_gain import (
     departure_given_landmarks,
-    odometry_covariance,
     sightings_of_turn,
     turn_noise,
 )
+from tfg_drake.planning.odometry_drift import odometry_covariance
 from tfg_drake.slam.goal_graph import empty_map
 
 
@@ -130,23 +130,6 @@ def test_fractions_of_a_landmark_interpolate():
     ]
     assert gains[0] == pytest.approx(0.0, abs=1e-9)
     assert gains == sorted(gains)
-
-
-def test_odometry_covariance_is_that_of_simulated_dead_reckoning():
-    rng = np.random.default_rng(0)
-    config = OdometryConfig()
-    runs, steps, distance, time = 4000, 200, 5.0, 10.0
-    heading = np.cumsum(rng.normal(0, config.gyro_noise * np.sqrt(time / steps), (runs, steps)), axis=1)
-    heading += rng.normal(0, config.gyro_bias, (runs, 1)) * np.linspace(0, time, steps)
-    step = distance / steps * (1 + rng.normal(0, config.distance_scale, (runs, 1)))
-    step = step + rng.normal(0, config.distance_noise * np.sqrt(distance / steps), (runs, steps))
-    ends = np.stack([np.sum(step, axis=1), np.sum(step * heading, axis=1), heading[:, -1]], axis=1)
-    X_MD, point = np.array([1.0, 2.0, 0.3]), np.array([[1.0, 7.0]])
-    Q = odometry_covariance(X_MD, point, np.array([distance]), np.array([time]), config)[0]
-    forward = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    scale = np.sqrt(np.diag(Q))
-    np.testing.assert_allclose(forward @ np.cov(ends.T) @ forward.T / np.outer(scale, scale),
-                               Q / np.outer(scale, scale), atol=0.08)  # fmt: skip
 
 
 def test_a_departure_given_the_landmarks_is_as_certain_as_what_it_does_not_share_with_them():

@@ -27,7 +27,7 @@ from tfg_drake.grid.frontier_goal import Access, TriedPlaces, find_access, flat_
 from tfg_drake.grid.path import Ways, find_ways, in_cells
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, IntArray, PoseEstimate
 from tfg_drake.planning.candidates import OVERHEAD
-from tfg_drake.planning.information_gain import odometry_covariance
+from tfg_drake.planning.odometry_drift import odometry_covariance
 
 # One frontier candidate for every square of this side, and known places at this distance from each other, m.
 FRONTIER_SPREAD = 1.0

@@ -24,7 +24,7 @@ from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, View, expected_tags, local_view, visible_targets
-from tfg_drake.planning.information_gain import straight_drift
+from tfg_drake.planning.odometry_drift import straight_drift
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
 # so many.

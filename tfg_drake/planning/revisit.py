@@ -13,7 +13,8 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
 from tfg_drake.planning.expected_view import View, expected_tags
-from tfg_drake.planning.information_gain import odometry_covariance, sightings_of_turn, turn_noise
+from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
+from tfg_drake.planning.odometry_drift import odometry_covariance
 
 # Places that are asked, about as many at most: tags are seen from so far away that more tell little more.
 PLACES = 100
