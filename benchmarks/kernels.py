@@ -117,7 +117,7 @@ def seen_with(
 def kernel_seen(points: FloatArray, targets: FloatArray, normals: FloatArray, walls: FloatArray) -> FloatArray:
     """visible_targets, as seen_with gives it."""
     offsets, index = visible_targets(
-        points, targets, normals, walls, SENSOR.range, SENSOR.max_incidence, SURFACE_TOLERANCE
+        points, targets, normals, walls, SENSOR.range, SENSOR.max_incidence, SURFACE_TOLERANCE, 0.0
     )
     return np.stack([np.repeat(np.arange(len(points)), np.diff(offsets)), index], axis=1)
 
@@ -180,7 +180,9 @@ def kernel_gain(*arguments: Any) -> FloatArray:
 def gain_problem(rng: np.random.Generator, p_ML: FloatArray, normals: FloatArray, walls: FloatArray) -> tuple[Any, ...]:
     """Arguments of exact_gain: candidates that see what they would, landmarks and pose known jointly to centimetres."""
     points = rng.uniform([15.0, 1.0], [33.0, 21.0], (CANDIDATES, 2))
-    offsets, rows = visible_targets(points, p_ML, normals, walls, SENSOR.range, SENSOR.max_incidence, SURFACE_TOLERANCE)
+    offsets, rows = visible_targets(
+        points, p_ML, normals, walls, SENSOR.range, SENSOR.max_incidence, SURFACE_TOLERANCE, 0.0
+    )
     n = 2 * len(p_ML)
     root = rng.normal(0.0, 0.05 / np.sqrt(n), (n + 3, n + 3))
     S = root @ root.T + 1e-6 * np.eye(n + 3)

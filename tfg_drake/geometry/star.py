@@ -13,20 +13,30 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # The sine of the angle below which one looks along a surface and not at its front.
 ALONG = 0.5
+# So many edges of a star are passed over together where no ray from the point can cross them.
+RUN = 8
+# How far beyond an edge's ends rounding may place a crossing, m.
+ROUNDING = 1e-9
 
 
 @njit(cache=True)
 def _inside(x: float, y: float, vertices: FloatArray, start: int, stop: int) -> bool:
     """Even-odd rule for one point and the polygon vertices[start:stop]."""
-    inside = False
-    previous = stop - 1
+    return _odd_crossings(x, y, vertices, stop - 1, start, stop)
+
+
+@njit(cache=True)
+def _odd_crossings(x: float, y: float, vertices: FloatArray, before: int, start: int, stop: int) -> bool:
+    """Whether a ray from (x, y) along the x axis crosses an odd number of the edges from one to the next of the
+    vertices before, start, start + 1, ..., stop - 1."""
+    odd = False
+    xj, yj = vertices[before, 0], vertices[before, 1]
     for i in range(start, stop):
         xi, yi = vertices[i, 0], vertices[i, 1]
-        xj, yj = vertices[previous, 0], vertices[previous, 1]
         if (yi > y) != (yj > y) and x < xi + (y - yi) / (yj - yi) * (xj - xi):
-            inside = not inside
-        previous = i
-    return inside
+            odd = not odd
+        xj, yj = xi, yi
+    return odd
 
 
 @njit(cache=True)
@@ -58,6 +68,27 @@ def _may_hold(box: FloatArray, x: float, y: float) -> bool:
 
 
 @njit(cache=True)
+def _runs_of_edges(star_offsets: IntArray, star_vertices: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Where the runs of RUN edges of each star begin, offsets (k + 1,), and for each (r, 3) the lowest, the highest and
+    the rightmost of its edges' ends: y, y, x, m. A star's first edge leads from its last vertex to its first."""
+    offsets = np.zeros(len(star_offsets), dtype=np.int64)
+    for j in range(len(star_offsets) - 1):
+        offsets[j + 1] = offsets[j] + (star_offsets[j + 1] - star_offsets[j] + RUN - 1) // RUN
+    reach = np.empty((offsets[-1], 3))
+    for j in range(len(star_offsets) - 1):
+        previous = star_offsets[j + 1] - 1
+        for r in range(offsets[j], offsets[j + 1]):
+            low, high, right = star_vertices[previous, 1], star_vertices[previous, 1], star_vertices[previous, 0]
+            first = star_offsets[j] + (r - offsets[j]) * RUN
+            for i in range(first, min(first + RUN, star_offsets[j + 1])):
+                low, high = min(low, star_vertices[i, 1]), max(high, star_vertices[i, 1])
+                right = max(right, star_vertices[i, 0])
+                previous = i
+            reach[r, 0], reach[r, 1], reach[r, 2] = low, high, right + ROUNDING
+    return offsets, reach
+
+
+@njit(cache=True)
 def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
     """Which points (n, 2) lie inside at least one star polygon, (n,).
 
@@ -67,12 +98,23 @@ def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatA
     boxes = _boxes(star_offsets, star_vertices)
     grid = segment_grid(boxes)
     near = np.empty(len(grid[4]), dtype=np.int64)
+    runs, reach = _runs_of_edges(star_offsets, star_vertices)
     result = np.zeros(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
         for k in range(rows_in_box(grid, x, x, y, y, near)):
             j = near[k]
-            if _may_hold(boxes[j], x, y) and _inside(x, y, star_vertices, star_offsets[j], star_offsets[j + 1]):
+            if not _may_hold(boxes[j], x, y):
+                continue
+            # As _inside, a run of edges at a time: most lie below the point, above it or to its left.
+            inside = False
+            for r in range(runs[j], runs[j + 1]):
+                if reach[r, 0] > y or reach[r, 1] <= y or reach[r, 2] < x:
+                    continue
+                first = star_offsets[j] + (r - runs[j]) * RUN
+                before = first - 1 if r > runs[j] else star_offsets[j + 1] - 1
+                inside ^= _odd_crossings(x, y, star_vertices, before, first, min(first + RUN, star_offsets[j + 1]))
+            if inside:
                 result[i] = True
                 break
     return result

@@ -174,7 +174,7 @@ def predicted_deviation(
 
     def in_view(reach: float, max_incidence: float) -> View:
         targets = estimate.p_ML, tfg.facing, tfg.segments
-        return View(*visible_targets(points, *targets, reach, max_incidence, SURFACE_TOLERANCE))
+        return View(*visible_targets(points, *targets, reach, max_incidence, SURFACE_TOLERANCE, 0.0))
 
     near = in_view(min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence)
     touchable = local_view(in_view(SURFACE_REACH, 0.5 * math.pi), estimate)

@@ -81,7 +81,7 @@ def visible_targets(
     range_max: float,
     max_incidence: float,
     tolerance: float,
-    graze: float = 0.0,
+    graze: float,
 ) -> tuple[IntArray, IntArray]:
     """Targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
 
@@ -164,7 +164,7 @@ def expected_tags(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor
     """
     return View(
         *visible_targets(
-            points, estimate.p_ML, tfg.facing, tfg.segments, sensor.range, sensor.max_incidence, SURFACE_TOLERANCE
+            points, estimate.p_ML, tfg.facing, tfg.segments, sensor.range, sensor.max_incidence, SURFACE_TOLERANCE, 0.0
         )
     )
 

@@ -8,6 +8,7 @@ the robot sees now and what it mapped when it was last here.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from scipy.spatial import cKDTree
 
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate
@@ -58,17 +59,30 @@ def drift_between(points: FloatArray, normals: FloatArray, estimate: MapEstimate
     points: (n, 2) and unit normals (n, 2) in M. Zero where fewer than two landmarks are near that are known jointly,
     MOST_DRIFT at most.
     """
-    result = np.zeros(len(points))
-    if len(estimate.local) < 2 or not len(points):
-        return result
-    near = cKDTree(estimate.p_ML[estimate.local]).query_ball_point(points, NEIGHBOURHOOD)
-    for i, rows in enumerate(near):
-        if len(rows) < 2:
-            continue
-        x, y = 2 * np.array(rows), 2 * np.array(rows) + 1
-        u, v = normals[i]
-        P = estimate.covariance
-        along = u * u * P[np.ix_(x, x)] + v * v * P[np.ix_(y, y)] + u * v * (P[np.ix_(x, y)] + P[np.ix_(y, x)])
-        variance = np.diag(along)
-        result[i] = np.sqrt(max(float(np.max(variance[:, None] + variance[None, :] - along - along.T)), 0.0))
-    return np.minimum(result, MOST_DRIFT)
+    variance = _worst_pair(points, normals, estimate.p_ML[estimate.local], estimate.covariance)
+    return np.asarray(np.minimum(np.sqrt(variance), MOST_DRIFT))
+
+
+@njit(cache=True)
+def _worst_pair(points: FloatArray, normals: FloatArray, p_ML: FloatArray, covariance: FloatArray) -> FloatArray:
+    """The largest variance (n,), m^2, of how far apart two of the landmarks p_ML (l, 2) within NEIGHBOURHOOD of each of
+    the points (n, 2) are along its normal (n, 2), by their covariance, row by row."""
+    worst = np.zeros(len(points))
+    near, along = np.empty(len(p_ML), dtype=np.int64), np.empty(len(p_ML))
+    for i in range(len(points)):
+        u, v = normals[i, 0], normals[i, 1]
+        count = 0
+        for k in range(len(p_ML)):
+            dx, dy = p_ML[k, 0] - points[i, 0], p_ML[k, 1] - points[i, 1]
+            if dx * dx + dy * dy > NEIGHBOURHOOD * NEIGHBOURHOOD:
+                continue
+            x, y = 2 * k, 2 * k + 1
+            near[count] = k
+            along[count] = u * u * covariance[x, x] + v * v * covariance[y, y] + 2.0 * u * v * covariance[x, y]
+            for other in range(count):
+                a, b = 2 * near[other], 2 * near[other] + 1
+                shared = u * u * covariance[x, a] + v * v * covariance[y, b]
+                shared += u * v * (covariance[x, b] + covariance[y, a])
+                worst[i] = max(worst[i], along[count] + along[other] - 2.0 * shared)
+            count += 1
+    return worst
