@@ -466,14 +466,25 @@ def _checked(
     has, need = edges.clearance.copy(), edges.required.copy()
     free, usable = edges.free | edges.travelled, edges.usable.copy()
     nodes = edges.nodes[asked]
-    probability = max(parameters.planner.collision_probability, accepted)
-    need[asked] = required_clearance(parameters.robot.radius, np.maximum(*sigma[nodes.T]), probability)
+    need[asked] = room_needed(parameters.robot, parameters.planner, np.maximum(*sigma[nodes.T]), accepted)
     lines = points[nodes].reshape(-1, 4)
     has[asked] = clearance(lines, tfg.segments, max(COMFORT, float(need[asked].max(initial=0.0))))
     ask = ~free[asked] & (has[asked] >= parameters.robot.radius)
     free[asked[ask]] = in_free_space(lines[ask], tfg)
     usable[asked] = free[asked] & (has[asked] >= need[asked])
     return replace(edges, clearance=has, required=need, free=free, usable=usable)
+
+
+def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, accepted: float) -> FloatArray:
+    """Clearance (e,), m, that a way needs by its deviation sigma (e,), m, where this probability of a collision is
+    accepted: as the planner's own asks, or less, but always room to stand.
+
+    A wall may go on a few centimetres beyond its end in the map, and a robot that has squeezed into a room without
+    landmarks will know its place worse when it comes out.
+    """
+    own = required_clearance(robot.radius, sigma, planner.collision_probability)
+    least = np.maximum(required_clearance(robot.radius, sigma, accepted), robot.radius + NODE_MARGIN)
+    return np.asarray(np.minimum(own, least) if accepted > planner.collision_probability else own)
 
 
 def _with_needed(edges: Edges, asked: IntArray, least: float, home: int, here: int, count: int) -> Edges:

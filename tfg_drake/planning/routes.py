@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, segment_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
-from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability, required_clearance
+from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability
 from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
 from tfg_drake.planning.roadmap import (
     COMFORT,
@@ -24,6 +24,7 @@ from tfg_drake.planning.roadmap import (
     RoadmapState,
     components,
     in_free_space,
+    room_needed,
 )
 
 # The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
@@ -209,10 +210,12 @@ def _connect(
     return near[chosen].astype(np.int64), has[chosen]
 
 
-def _fitting(state: RoadmapState, robot: RobotConfig, deviation: float, probability: float) -> BoolArray:
+def _fitting(
+    state: RoadmapState, robot: RobotConfig, planner: PlannerConfig, deviation: float, accepted: float
+) -> BoolArray:
     """Edges (e,) with room for a robot that strays from its path, relative to the map, by this deviation (m), where
-    this probability of a collision is accepted."""
-    need = required_clearance(robot.radius, np.array(deviation), probability)
+    this probability of a collision is accepted, if that is more than the planner's."""
+    need = room_needed(robot, planner, np.array(deviation), accepted)
     return np.asarray(state.edges.usable | (state.edges.free & (state.edges.clearance >= need)))
 
 
@@ -230,7 +233,7 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
     reachable = np.isfinite(ways.cost)
     entry = np.where(reachable, np.arange(len(reachable)), -1)
     # The robot came by that, whatever was found when it was last near.
-    fits = _fitting(state, robot, FAIR_DEVIATION, planner.collision_probability) | state.edges.travelled
+    fits = _fitting(state, robot, planner, FAIR_DEVIATION, 0.0) | state.edges.travelled
     beyond = _joined(state, fits, reachable) & ~reachable
     if beyond.any():
         a, b = state.edges.nodes[fits & beyond[state.edges.nodes].any(axis=1)].T
@@ -255,8 +258,7 @@ def roadmap_message(
     driven: m, so far. home: the routes from where the robot began, where it must come back.
     """
     # Whatever the least careful stage would try.
-    boldest = max(planner.collision_probability, *(accepted for _, accepted in EFFORTS))
-    fits = _fitting(state, robot, TRACKING_DEVIATION, boldest)
+    fits = _fitting(state, robot, planner, TRACKING_DEVIATION, max(accepted for _, accepted in EFFORTS))
     return Roadmap(
         stage=state.stage,
         points=state.points,
