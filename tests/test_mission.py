@@ -202,6 +202,14 @@ def test_no_glance_near_the_goal_nor_where_there_shall_be_none():
     assert step(status, inputs(15.0, glance_period=2.0, follower=driving(15.0, path_id=6))) is status
 
 
+def test_a_robot_that_pushes_against_something_does_not_glance_but_takes_another_path():
+    status = following(10.0)
+    pushing = {"bumper": True, "glance_period": 2.0}
+    assert step(status, inputs(12.0, follower=driving(12.0), **pushing)) is status
+    status = step(status, inputs(12.1, follower=driving(12.1), **pushing))
+    assert (status.phase, status.replans) == ("plan", 1)
+
+
 def test_what_is_in_the_way_ends_a_glance_and_stops_the_robot():
     status = step(following(10.0), inputs(12.0, glance_period=2.0, follower=driving(12.0)))
     status = step(status, inputs(12.1, path_status=PathStatus(7, False), follower=driving(12.1)))

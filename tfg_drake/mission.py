@@ -160,7 +160,10 @@ def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
 
 def _glance_due(status: MissionStatus, inputs: MissionInputs) -> bool:
     follower = inputs.follower
-    if not inputs.glance_period or status.changes >= MAX_CHANGES or follower.path_id != status.path_id:
+    # A glance begins the bumper's patience anew: a robot that pushes against something would glance and push for ever.
+    if inputs.bumper or status.changes >= MAX_CHANGES:
+        return False
+    if not inputs.glance_period or follower.path_id != status.path_id:
         return False
     if follower.left > LAST_GLANCE:
         return inputs.time - status.since >= inputs.glance_period

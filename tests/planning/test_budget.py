@@ -45,6 +45,18 @@ def test_a_goal_must_fit_into_the_distance_left():
     assert str(left) == "30 m"
 
 
+def test_while_no_way_leads_home_the_budget_is_for_finding_one():
+    left = budget_left(ExplorerConfig(budget_time=100.0, budget_distance=90.0), 0.0, 0.0, 7.0)
+    shut = roadmap([10.0, 30.0, 90.0], [np.inf, np.inf, 1.0], reachable=[1, 1, 0])
+    assert left.affords(shut, np.arange(3)).tolist() == [True, True, False]
+    assert left.latest_arrival(shut, 0) == pytest.approx(100.0 - 7.0 - RESERVE_TIME)
+    assert left.longest_way(shut, 0) == pytest.approx(90.0 - RESERVE_DISTANCE)
+    ajar = roadmap([10.0, 30.0, 90.0], [np.inf, 40.0, 1.0], reachable=[1, 1, 0])
+    assert left.affords(ajar, np.arange(3)).tolist() == [False, False, False]
+    unlimited = budget_left(ExplorerConfig(), 0.0, 0.0, 7.0)
+    assert (unlimited.latest_arrival(shut, 0), unlimited.longest_way(shut, 0)) == (math.inf, math.inf)
+
+
 def test_both_limits_are_named():
     assert str(budget_left(ExplorerConfig(budget_time=90, budget_distance=50.0), 30.0, 20.0, 7.0)) == "60 s and 30 m"
 

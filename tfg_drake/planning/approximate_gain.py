@@ -68,13 +68,13 @@ def paper_gain(points: FloatArray, known: Known, new: New, noise: FloatArray) ->
     out = np.zeros((len(points), 3))
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        seen = new.offsets[c + 1] - new.offsets[c]
+        expected = new.rows[new.offsets[c] : new.offsets[c + 1]]
         log_new, B_new, _ = new_terms(x, y, c, new, noise)
         rows, _, K, C = known_terms(x, y, c, known, noise)
         B = B_new.copy()
         if len(rows) > 0:
             B += K.T.copy() @ K
-        if len(rows) + seen < 2 or np.linalg.det(B) <= 0.0:
+        if len(rows) + np.count_nonzero(new.number[expected]) < 2 or np.linalg.det(B) <= 0.0:
             continue
         log_map = 0.0
         B_given_map = B_new

@@ -32,20 +32,22 @@ class Budget:
         """Whether the robot could go to each of the nodes (c,) of the roadmap, observe, and come home if it must."""
         if not self.limited:
             return np.ones(len(nodes), dtype=np.bool_)
-        time = roadmap.travel_time[nodes] + (roadmap.home_time[nodes] if len(roadmap.home_time) else 0.0)
-        length = roadmap.travel_length[nodes] + (roadmap.home_length[nodes] if len(roadmap.home_length) else 0.0)
+        home_time, home_length = _home(roadmap)
+        time, length = roadmap.travel_time[nodes] + home_time[nodes], roadmap.travel_length[nodes] + home_length[nodes]
         in_time = MARGIN * time + self.stay + RESERVE_TIME <= self.time
         return np.asarray(in_time & (MARGIN * length + RESERVE_DISTANCE <= self.distance))
 
     def latest_arrival(self, roadmap: Roadmap, node: int) -> float:
         """When the robot must be at a node at the latest, s, to observe there and be home in time."""
-        home = float(roadmap.home_time[node]) if len(roadmap.home_time) else 0.0
-        return self.end - MARGIN * home - self.stay - RESERVE_TIME if self.limited else math.inf
+        if not self.limited:
+            return math.inf
+        return self.end - MARGIN * float(_home(roadmap)[0][node]) - self.stay - RESERVE_TIME
 
     def longest_way(self, roadmap: Roadmap, node: int) -> float:
         """How long the way to a node may be at the most, m, for the robot to come home from there."""
-        home = float(roadmap.home_length[node]) if len(roadmap.home_length) else 0.0
-        return self.distance - MARGIN * home - RESERVE_DISTANCE
+        if not self.limited:
+            return math.inf
+        return self.distance - MARGIN * float(_home(roadmap)[1][node]) - RESERVE_DISTANCE
 
     @property
     def limited(self) -> bool:
@@ -56,6 +58,17 @@ class Budget:
         limits = ((max(self.time, 0.0), "s"), (max(self.distance, 0.0), "m"))
         parts = [f"{left:.0f} {unit}" for left, unit in limits if left < math.inf]
         return " and ".join(parts)
+
+
+def _home(roadmap: Roadmap) -> tuple[FloatArray, FloatArray]:
+    """Time, s, and length, m, of the way home from each node, both (n,).
+
+    Nothing where the robot need not come home, nor while no way leads there from any place that it can reach: then what
+    is left is for finding one.
+    """
+    if len(roadmap.home_time) and np.isfinite(roadmap.home_time[roadmap.reachable]).any():
+        return roadmap.home_time, roadmap.home_length
+    return np.zeros(len(roadmap.points)), np.zeros(len(roadmap.points))
 
 
 def budget_left(explorer: ExplorerConfig, stamp: float, driven: float, stay: float) -> Budget:

@@ -191,7 +191,8 @@ def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: Flo
 
 
 def _best(gains: Gains, time: FloatArray) -> IntArray:
-    """The rows, ascending, of the EXACT candidates of most gain per time (c,), s, and of as many of most gain."""
+    """The rows, ascending, of the EXACT candidates of most gain per time (c,), s, and of as many of most gain were the
+    arrival pose known."""
     return np.union1d(np.argsort(-gains.gain / time)[:EXACT], np.argsort(-gains.gain - gains.pose_price)[:EXACT])
 
 

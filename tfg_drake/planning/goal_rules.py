@@ -47,8 +47,8 @@ def tour(
     roadmap: Roadmap,
     speed: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Minus the time (c,), s, of arrival at each goal of a short tour, -inf for the others: the tour's first is best.
-    And what that goal is there to look at, (f,) of the frontier points.
+    """Minus the time (c,), s, until each goal of a short tour is done with, -inf for the others: the tour's first is
+    best. And what that goal is there to look at, (f,) of the frontier points.
 
     The tour's goals look through all that is open near the robot: one after the other, the candidate that adds most
     gain (c,), nats, by what it sees of the frontier that those before do not, over the time (c,), s, of going there

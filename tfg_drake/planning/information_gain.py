@@ -34,7 +34,8 @@ class Gains:
     """Expected gains of c candidates, all (c,), nats.
 
     exploitation: what the known landmarks alone would bring. exploration: what the new ones add. pose_price: how much
-    more both would bring were the arrival pose known. gain: exploitation + exploration, the price paid.
+    more both would bring were the arrival pose known in M; that of the whole map counts then, too, so it grows with how
+    far map and robot have drifted together. gain: exploitation + exploration, the price paid.
     """
 
     exploitation: FloatArray

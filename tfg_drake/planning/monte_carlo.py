@@ -173,7 +173,7 @@ def _moved_ends(segments: FloatArray, ids: IntArray, estimate: MapEstimate) -> _
     along = p_ML[two] - p_ML[one]
     square = np.maximum((along**2).sum(axis=2), 1e-12)
     share = np.clip(((ends - p_ML[one]) * along).sum(axis=2) / square, 0.0, 1.0)
-    return _Ends(np.broadcast_to(one, share.shape), np.broadcast_to(two, share.shape), share)
+    return _Ends(one, two, share)
 
 
 def _touches(

@@ -34,7 +34,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     value = np.zeros(len(nodes))
     if len(estimate.local) < len(estimate.ids) or not len(estimate.ids):
         return value
-    # The same places at every stage: names are given once and for all.
+    # Mostly the same places at every stage: names are given once and for all.
     asked = np.flatnonzero(roadmap.names(nodes) % (1 + len(nodes) // PLACES) == 0)
     nodes = nodes[asked]
     sensor, explorer = parameters.sensor, parameters.explorer

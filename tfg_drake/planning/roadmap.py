@@ -1,8 +1,8 @@
 """A probabilistic roadmap that persists from stage to stage and moves with the map (the paper's Sec. V).
 
 Every node keeps its place in the frame of a goal's arrival pose, so it moves when a loop closes; every stage checks
-all edges against the surfaces as they are now. What the robot has travelled stays in the roadmap: a narrow door once
-passed is not lost again to bad luck in sampling.
+the edges near the robot against the surfaces as they are now. What the robot has travelled stays in the roadmap: a
+narrow door once passed is not lost again to bad luck in sampling.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ def routes(
     costs too, more of it where that reaches more nodes, and what is not reached within planner.collision_probability
     counts as unreachable; of ways that are open though too narrow it is not asked. obstacles: (b, 4) segments met at
     this stage that the map does not hold, m in M. A robot that stands too near a surface may still leave, as long as it
-    comes no nearer.
+    hardly comes nearer.
     """
     n = len(state.points)
     if n == 0:
