@@ -6,12 +6,20 @@ import shapely
 from scipy.spatial import cKDTree
 from scipy.stats import norm
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import (
+    NODE_MARGIN,
+    ExplorerConfig,
+    OdometryConfig,
+    PlannerConfig,
+    RobotConfig,
+    TagSensorConfig,
+)
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap, replace
 from tfg_drake.planning import path as path_module
+from tfg_drake.planning.chance_constraint import required_clearance
 from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     CHORD,
@@ -24,6 +32,7 @@ from tfg_drake.planning.roadmap import (
     extend,
     in_free_space,
     passages,
+    room_needed,
 )
 from tfg_drake.planning.routes import node_path, roadmap_message, routes
 from tfg_drake.slam.goal_graph import empty_map
@@ -188,6 +197,23 @@ def test_where_only_the_last_effort_would_go_counts_as_a_place_where_the_robot_f
         behind = message.points[:, 0] > 0.3
         seen.append([bool(which[behind].any()) for which in (message.reachable, message.enterable)])
     assert seen == [[False, True], [True, True]]
+
+
+def test_no_effort_squeezes_the_robot_through_what_is_hardly_wider_than_itself():
+    """By the probability alone the last effort would: 2 cm to either side, more than a sure robot strays."""
+    estimate, tfg = known(two_rooms(0.45), [(-4, 0, 0)])
+    assert required_clearance(ROBOT.radius, np.array(0.0225), EFFORTS[-1][1]) < 0.225 < ROBOT.radius + NODE_MARGIN
+    state = extend(empty_roadmap(), tfg, estimate, PARAMETERS, effort=len(EFFORTS) - 1)
+    message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), ROBOT, PLANNER)
+    assert not (message.reachable | message.enterable)[message.points[:, 0] > 0.3].any()
+
+
+def test_a_planner_that_asks_for_less_room_than_to_stand_gets_it_at_every_effort():
+    bold = PlannerConfig(collision_probability=0.15)
+    sigma = np.array([0.02, 0.1])
+    own = required_clearance(ROBOT.radius, sigma, 0.15)
+    assert room_needed(ROBOT, bold, sigma, 0.0).tolist() == own.tolist()
+    assert room_needed(ROBOT, bold, sigma, 0.2).tolist() == [own[0], required_clearance(ROBOT.radius, sigma, 0.2)[1]]
 
 
 def test_harder_tries_put_nodes_in_a_passage_though_others_are_near():

@@ -1,11 +1,15 @@
 """Relative uncertainty of what was mapped, against samples of the joint Gaussian."""
 
+import itertools
+
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.slam.goal_graph import empty_map
-from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, drift_from_robot, known_jointly
+from tfg_drake.tfg.drift import MOST_DRIFT, NEIGHBOURHOOD, drift_between, drift_from_robot, known_jointly
 
 
 def _estimate(p_ML: np.ndarray, X_MD: np.ndarray, covariance: np.ndarray) -> MapEstimate:
@@ -45,6 +49,22 @@ def test_drift_between_is_the_worst_pairs_along_the_normal_and_bounded() -> None
     wide = _estimate(p_ML, np.zeros(3), 100.0 * covariance)
     assert drift_between(points, normals, wide)[0] == MOST_DRIFT
     assert drift_between(np.array([[30.0, 0.0], [60.0, 0.0]]), normals, estimate).tolist() == [0.0, 0.0]
+
+
+@given(st.integers(0, 10_000))
+def test_drift_between_agrees_with_every_pair_asked_by_itself(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p_ML, points, angle = rng.uniform(-3.0, 3.0, (8, 2)), rng.uniform(-3.0, 3.0, (5, 2)), rng.uniform(-4.0, 4.0, 5)
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    root = 0.03 * rng.standard_normal((19, 19))
+    estimate = _estimate(p_ML, np.zeros(3), root @ root.T)
+    expected = np.zeros(5)
+    for i in range(5):
+        for j, k in itertools.combinations(np.flatnonzero(np.hypot(*(p_ML - points[i]).T) <= NEIGHBOURHOOD), 2):
+            apart = np.zeros(19)
+            apart[2 * j : 2 * j + 2], apart[2 * k : 2 * k + 2] = normals[i], -normals[i]
+            expected[i] = max(expected[i], np.sqrt(apart @ estimate.covariance @ apart))
+    np.testing.assert_allclose(drift_between(points, normals, estimate), np.minimum(expected, MOST_DRIFT), atol=1e-9)
 
 
 def test_of_a_large_map_only_the_neighbourhood_speaks() -> None:
