@@ -2,8 +2,9 @@
 
     python benchmarks/planning_time.py paper --seeds 5
 
-CPU milliseconds a stage: the TFG's update, the roadmap's, the choice of a goal, the latter two together (planning) and
-all three; median, 99th percentile and largest over all stages of the missions. Then the share of stages at which
+CPU milliseconds a stage: the TFG's update, the roadmap's, the choice of a goal, the path there with every replanning;
+the latter three together (planning) and all four; median, 99th percentile and largest over all stages of the missions.
+Then the share of stages at which
 judging every candidate, and every place for a second look, by all its tags, not only the best of those screened, leads
 to the same goal. Alone on the machine, or it measures the neighbours too.
 """
@@ -26,14 +27,23 @@ from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenari
 from tfg_drake.planning import candidates, goal_choice, planner, revisit
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 
+# What tells the stage among the arguments of each part.
+PARTS: dict[str, Callable[..., int]] = {
+    "tfg": lambda _, estimate, *others: estimate.stage,
+    "roadmap": lambda _, working, *others: working.stage,
+    "goal": lambda estimate, *others: estimate.stage,
+    "path": lambda *arguments: arguments[6].stage,
+}
 
-def timed(function: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:
-    """The function, each call's CPU milliseconds noted."""
+
+def timed(function: Callable[..., Any], part: str, spent: dict[str, dict[int, float]]) -> Callable[..., Any]:
+    """The function, each call's CPU milliseconds added to its part's of the stage."""
 
     def inner(*arguments: Any, **options: Any) -> Any:
         begin = time.thread_time()
         result = function(*arguments, **options)
-        spent.append(1e3 * (time.thread_time() - begin))
+        stage = PARTS[part](*arguments)
+        spent[part][stage] = spent[part].get(stage, 0.0) + 1e3 * (time.thread_time() - begin)
         return result
 
     return inner
@@ -47,9 +57,10 @@ def main() -> None:
     parser.add_argument("--max-time", type=float, default=3600.0)
     parser.add_argument("--set", action="append", default=[], dest="settings")
     options = parser.parse_args()
-    parts: dict[str, list[float]] = {"tfg": [], "roadmap": [], "goal": []}
+    spent: dict[str, dict[int, float]] = {part: {} for part in PARTS}
+    stages: list[list[float]] = []
     same: list[bool] = []
-    choose = timed(goal_choice.choose, parts["goal"])
+    choose = timed(goal_choice.choose, "goal", spent)
 
     def compared(*arguments: Any, **named: Any) -> Any:
         choice = choose(*arguments, **named)
@@ -59,8 +70,9 @@ def main() -> None:
         return choice
 
     with (
-        mock.patch.object(tfg_builder, "update", timed(tfg_builder.update, parts["tfg"])),
-        mock.patch.object(planner, "grow", timed(planner.grow, parts["roadmap"])),
+        mock.patch.object(tfg_builder, "update", timed(tfg_builder.update, "tfg", spent)),
+        mock.patch.object(planner, "grow", timed(planner.grow, "roadmap", spent)),
+        mock.patch.object(planner, "_plan", timed(planner._plan, "path", spent)),
         mock.patch.object(info_gain_goal_selector, "choose", compared),
     ):
         for seed in range(-1, options.seeds):
@@ -70,14 +82,17 @@ def main() -> None:
             if done.summary["outcome"] == "fault":
                 sys.exit(done.summary["reason"])
             if seed < 0:  # It compiled the kernels.
-                for spent in parts.values():
-                    spent.clear()
                 same.clear()
-    planning = np.add(parts["roadmap"], parts["goal"]).tolist()
-    rows = {**parts, "planning": planning, "all": np.add(parts["tfg"], planning).tolist()}
+            else:
+                stages += [[spent[part].get(stage, 0.0) for part in PARTS] for stage in spent["goal"]]
+            for part in spent.values():
+                part.clear()
+    each = np.array(stages)
+    columns = {part: each[:, i] for i, part in enumerate(PARTS)}
+    columns |= {"planning": each[:, 1:].sum(axis=1), "all": each.sum(axis=1)}
     print(f"{len(same)} stages    median       p99   largest")
-    for name, spent in rows.items():
-        print(f"{name:10}{np.median(spent):>12.1f}{np.percentile(spent, 99):>10.1f}{max(spent):>10.1f}")
+    for name, ms in columns.items():
+        print(f"{name:10}{np.median(ms):>12.1f}{np.percentile(ms, 99):>10.1f}{ms.max():>10.1f}")
     print(f"same goal without screening: {np.mean(same):.3f}")
 
 

@@ -84,7 +84,8 @@ def arc(X_OB0: FloatArray, X_OB1: FloatArray) -> FloatArray:
 class DeadReckoning:
     """Odometry as the estimator uses it: what the gyro says while no wheel turns is left out.
 
-    stamp: s. clock: s, the time in which errors accrue: that of the robot's motion and a little of the rest. X_OB: (3,)
+    stamp: s. clock: s since the first message, the time in which errors accrue: that of the robot's motion and a
+    little of the rest. X_OB: (3,)
     and V_B: (2,) as in Odometry.
     """
 
@@ -95,8 +96,11 @@ class DeadReckoning:
 
 
 def first_reckoning(odometry: Odometry) -> DeadReckoning:
-    """Dead reckoning from the first odometry message on."""
-    return DeadReckoning(stamp=odometry.stamp, clock=odometry.stamp, X_OB=odometry.X_OB, V_B=odometry.V_B)
+    """Dead reckoning from the first odometry message on.
+
+    Its clock begins at 0: beside the seconds since 1970 a moment of rest would be lost in rounding.
+    """
+    return DeadReckoning(stamp=odometry.stamp, clock=0.0, X_OB=odometry.X_OB, V_B=odometry.V_B)
 
 
 def reckon(last: DeadReckoning, before: Odometry, after: Odometry) -> DeadReckoning:
