@@ -122,7 +122,8 @@ def explore(
             if value is not None:
                 setattr(loaded.hardware, link, value)
     if out is not None:
-        explore_command.check_kept(out, replayed)
+        read = [Path(file) for file in (scenario, world) if file is not None and Path(file).is_file()]
+        explore_command.check_kept(out, replayed, read)
         _make_writable(out)
     explorer = _find_method(method, loaded)
     if robot == "sim" and not loaded.world.tags:
@@ -238,6 +239,7 @@ def slam(
 ) -> None:
     """Run the estimator alone on a recorded data set."""
     if out is not None:
+        explore_command.check_kept(out)
         _make_writable(out)
     _announce_compilation()
 

@@ -98,5 +98,5 @@ def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
         counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "no run"
         time, position = (spread(sample(runs, method, measure.read)).mean.value for measure in (TIME, POSITION))
         means = f"; time {time:.0f} s, position error {position:.3f} m" if math.isfinite(time + position) else ""
-        lines.append(f"{method:<14}{counts}{means}")
+        lines.append(f"{method:<13} {counts}{means}")
     return lines

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,11 +50,15 @@ def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any],
         bad_input("--realtime-rate: a real robot's time is real; leave it out")
 
 
-def check_kept(out: Path, replayed: str | None) -> None:
-    """Raises BadInput where a run in the folder would be lost that nothing brings back."""
+def check_kept(out: Path, replayed: str | None = None, inputs: Sequence[Path] = ()) -> None:
+    """Raises BadInput where a run in the folder would be lost that nothing brings back, or what somebody wrote: one of
+    the files that are read lies there, and no run."""
     from tfg_drake.config import ROBOTS
     from tfg_drake.port_recording import recorded_robot
 
+    for file in inputs:
+        if file.parent.resolve() == out.resolve() and not (out / "stages.jsonl").exists():
+            bad_input(f"--out {out}: holds {file.name}, which is read, and a run writes files of its own; name another")
     if replayed is not None and out.resolve() == Path(replayed).resolve():
         bad_input(f"--out {out}: holds the run that is replayed; name another folder")
     robot = recorded_robot(out)

@@ -9,6 +9,7 @@ import dataclasses
 import difflib
 import importlib.resources
 import math
+import sys
 import typing
 from pathlib import Path
 
@@ -328,6 +329,8 @@ def _Parse(text: str, source: str) -> object:
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark is not None else "somewhere"
         problem = getattr(error, "problem", None) or "not readable"
         raise ScenarioError(f"{source}: {place}: broken YAML: {' '.join(str(problem).split())}") from None
+    except ValueError as error:  # What looks like a date or a number and is none.
+        raise ScenarioError(f"{source}: broken YAML: {error}") from None
 
 
 def _Types(schema: typing.Any) -> dict[str, typing.Any]:
@@ -401,8 +404,9 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
             number = None
     if isinstance(number, bool) or not isinstance(number, int if schema is int else int | float):
         raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
-    if not math.isfinite(number):
-        raise ScenarioError(f"{source}: {place}: must be finite, is {number}")
+    if not abs(number) <= sys.float_info.max:
+        found = number if isinstance(number, float) else "too large"
+        raise ScenarioError(f"{source}: {place}: must be finite, is {found}")
     if schema is int and not 0 <= number <= _MOST:
         raise ScenarioError(f"{source}: {place}: must be between 0 and {_MOST}, is {number}")
     general = _General(place)

@@ -4,6 +4,7 @@ import numpy as np
 from PIL import Image
 
 from tfg_drake.figure import draw_map, draw_run
+from tfg_drake.messages import GridMap
 from tfg_drake.world.world import World
 
 WORLD = World(
@@ -23,6 +24,12 @@ def test_draws_a_run_that_has_not_begun(tmp_path):
     # The missed tags are red.
     pixels = np.asarray(image.convert("RGB")).astype(int)
     assert np.any((pixels[..., 0] > 180) & (pixels[..., 1] < 70) & (pixels[..., 2] < 70))
+
+
+def test_draws_a_grid_that_holds_no_scan_yet(tmp_path):
+    nothing, grid = np.zeros((0, 3)), GridMap(0, 0.0, 0.05, np.zeros(2), np.zeros((0, 0), dtype=np.float32))
+    draw_run(tmp_path / "f.png", "no scan", WORLD, None, None, grid, nothing, nothing, np.ones(2, dtype=bool))
+    assert (tmp_path / "f.png").exists()
 
 
 def test_the_same_run_gives_the_same_file(tmp_path):

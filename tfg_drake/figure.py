@@ -57,6 +57,7 @@ def draw_run(
     Raises:
         OSError: the file cannot be written.
     """
+    grid = grid if grid is not None and grid.probability.size else None  # Nothing is mapped before the first scan.
     X_WM = world.start if world is not None else np.zeros(3)
     shown = [X_WB_true[:, :2], X_WM[None, :2]]
     if world is not None:

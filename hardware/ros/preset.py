@@ -136,7 +136,7 @@ def load_preset(name_or_path: str | Path) -> Preset:
         raise PresetError(f"{name_or_path}: no such file or preset; name a YAML file or one of {names}")
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise PresetError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     try:
         preset: Preset = _read(tree, Preset, "")

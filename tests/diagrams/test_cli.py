@@ -68,6 +68,11 @@ def test_other_bad_input_too(call, arguments, beginning):
     assert err.count("\n") == 1
 
 
+def test_what_is_read_is_not_written_over(call, room, tmp_path):
+    problem = "holds room.yaml, which is read, and a run writes files of its own; name another"
+    assert call("explore", room, "--out", str(tmp_path)) == (2, "", f"tfg-drake: --out {tmp_path}: {problem}\n")
+
+
 def test_bad_input_leaves_no_folder_behind(call, tmp_path):
     call("explore", "nowhere", "--out", str(tmp_path / "run"))
     assert not (tmp_path / "run").exists()

@@ -115,6 +115,8 @@ def test_world_and_config_are_inverse():
         ("disturbances: [{duration: 0}]", "disturbances[0].duration: must be greater than 0, is 0"),
         ("drive: [[1, 2, 3]]", "drive[0]: expected 2 numbers [x, y], found 3"),
         ("robot: {radius: a}", "robot.radius: expected a number, found text ('a')"),
+        ("robot: {radius: 1" + 400 * "0" + "}", "robot.radius: must be finite, is too large"),
+        ("robot: {radius: 2001-13-45}", "broken YAML: month must be in 1..12"),
         ("robot: {radius: yes}", "robot.radius: expected a number, found a yes/no value (True)"),
         ("robot: {radius: .nan}", "robot.radius: must be finite, is nan"),
         ("robot: {radius: -.inf}", "robot.radius: must be finite, is -inf"),

@@ -252,6 +252,8 @@ def _read_yaml(file: Path) -> dict[str, Any]:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark is not None else ""
         raise DatasetError(f"{file}{where}: not YAML; mend it") from error
+    except ValueError as error:  # What looks like a date or a number and is none.
+        raise DatasetError(f"{file}: not YAML: {error}; mend it") from error
     if not isinstance(tree, dict):
         raise DatasetError(f"{file}: not as TagSLAM writes it: no keys in it")
     return tree

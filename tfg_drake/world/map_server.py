@@ -43,7 +43,7 @@ def load_map_server(path: Path) -> OccupancyMap:
     """Reads the map's .yaml, whose `image` (.pgm, .pgm.gz, .png) is relative to it; raises WorldError."""
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise WorldError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(tree, dict) or not isinstance(tree.get("image"), str):
         raise WorldError(f"{path}: image: missing; a map_server file names its image, for example image: map.pgm")
