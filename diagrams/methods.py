@@ -26,7 +26,7 @@ class MethodError(ValueError):
 @dataclasses.dataclass(frozen=True)
 class Method:
     """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
-    the scenario must have a drive.
+    the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home.
 
     The diagram's inputs are odometry, detections, scan, hazards (messages), pause, enable and stop (vectors of size 1);
     its outputs velocity_commanded, pose (PoseEstimate) and mission (MissionStatus), and, where it has them, map, tfg,
@@ -37,11 +37,17 @@ class Method:
     summary: str
     MakeExplorer: Callable[[Scenario], Diagram]
     needs_drive: bool = False
+    keeps_budget: bool = True
 
     def Check(self, scenario: Scenario) -> None:
         """Raises MethodError where the scenario lacks what the method needs."""
         if self.needs_drive and not scenario.drive:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
+        explorer = scenario.explorer
+        asked = {name: getattr(explorer, name) for name in ("budget_time", "budget_distance", "return_home")}
+        if not self.keeps_budget and any(asked.values()):
+            name = next(name for name, value in asked.items() if value)
+            raise MethodError(f"{self.name}: does not mind explorer.{name}; leave it out, or take another method: tfg")
 
 
 def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:
@@ -58,15 +64,25 @@ METHODS = {
             _TfgWith("argmax", "explorer.glance_period=0", "explorer.path_keyframe_period=0"),
         ),
         Method("tfg-nearest", "the nearest frontier on the TFG", _TfgWith("nearest_frontier")),
-        Method("grid-nearest", "the paper's baseline: GMapping and the nearest frontier", MakeGridExplorer),
+        Method(
+            "grid-nearest",
+            "the paper's baseline: GMapping and the nearest frontier",
+            MakeGridExplorer,
+            keeps_budget=False,
+        ),
         Method(
             "weighted",
             "weighted sum of grid entropy and pose uncertainty (the paper's eq. 1) on GMapping's map",
             lambda scenario: MakeGridExplorer(scenario, weighted=True),
+            keeps_budget=False,
         ),
         Method("random", "any place within reach, on the TFG", _TfgWith("random")),
         Method(
-            "scripted", "the scenario's drive, as a human operator would go, on the TFG", MakeScriptedExplorer, True
+            "scripted",
+            "the scenario's drive, as a human operator would go, on the TFG",
+            MakeScriptedExplorer,
+            needs_drive=True,
+            keeps_budget=False,
         ),
     )
 }

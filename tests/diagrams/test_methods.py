@@ -6,7 +6,7 @@ import pytest
 
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
-from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
+from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
 ROOT = Path(__file__).parents[2]
 
@@ -49,6 +49,17 @@ def test_what_is_no_method_is_refused_in_one_line(name, text, complaint, tmp_pat
     with pytest.raises(MethodError) as caught:
         FindMethod(name)
     assert str(caught.value) == complaint
+
+
+@pytest.mark.parametrize("setting", ["budget_time=60", "budget_distance=9", "return_home=true"])
+def test_what_a_method_does_not_mind_is_refused(setting):
+    scenario = ApplySettings(LoadScenario(FindScenario("house")), [f"explorer.{setting}"])
+    FindMethod("tfg-nearest").Check(scenario)
+    for name in ("grid-nearest", "weighted"):
+        with pytest.raises(MethodError) as caught:
+            FindMethod(name).Check(scenario)
+        key = setting.split("=")[0]
+        assert str(caught.value) == (f"{name}: does not mind explorer.{key}; leave it out, or take another method: tfg")
 
 
 def test_two_outputs_of_one_name_are_refused():

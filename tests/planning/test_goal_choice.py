@@ -1,8 +1,9 @@
 import numpy as np
 
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.goal_choice import pick, preferred
+from tfg_drake.planning.goal_choice import _homewards, pick, preferred
 from tfg_drake.planning.mission_end import given_up_open, why_end
+from tfg_drake.slam import goal_graph
 from tfg_drake.tfg.graph import empty_map
 
 
@@ -66,6 +67,28 @@ def test_a_robot_cut_off_from_its_start_is_stuck_while_there_is_a_frontier():
 
 def test_nowhere_to_go_is_stuck():
     assert end(candidates=False) == ("stuck", "The robot cannot reach any other place.")
+
+
+def homewards(reachable, entry, looked=()):
+    """What ends a complete mission at home, (0, 0), for a robot 2 m away on a line of nodes a metre apart."""
+    points, reachable = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array(reachable, dtype=bool)
+    names, no_edges = np.array([4, 7, 9]), np.zeros((0, 2), dtype=np.int64)
+    roadmap = Roadmap(1, points, no_edges, reachable, reachable, np.array(entry), *2 * [np.zeros(3)], ids=names)
+    estimate = replace(goal_graph.empty_map(), X_MA=np.zeros((1, 3)), X_MD=np.array([2.0, 0.0, 0.0]))
+    node, verdict, reason, after = _homewards(estimate, roadmap, "complete", "Done.", np.array(looked, dtype=int))
+    return node, verdict, reason, after.tolist()
+
+
+def test_a_mission_ends_at_home():
+    assert homewards([1, 1, 1], [0, 1, 2]) == (0, "complete", "Done.", [])
+
+
+def test_where_the_way_home_is_too_narrow_the_robot_looks_at_it_once_more_and_is_stuck_then():
+    again = "The way home is too narrow: it looks once more."
+    assert homewards([0, 1, 1], [1, 1, 2]) == (1, "goal", again, [7])
+    stuck = "Done. But the robot cannot get back to where it began."
+    assert homewards([0, 1, 1], [1, 1, 2], [7]) == (-1, "stuck", stuck, [7])
+    assert homewards([0, 1, 1], [-1, 1, 2]) == (-1, "stuck", stuck, [])
 
 
 NEED = 0.23

@@ -66,9 +66,14 @@ def _home(roadmap: Roadmap) -> tuple[FloatArray, FloatArray]:
     Nothing where the robot need not come home, nor while no way leads there from any place that it can reach: then what
     is left is for finding one.
     """
-    if len(roadmap.home_time) and np.isfinite(roadmap.home_time[roadmap.reachable]).any():
+    if leads_home(roadmap):
         return roadmap.home_time, roadmap.home_length
     return np.zeros(len(roadmap.points)), np.zeros(len(roadmap.points))
+
+
+def leads_home(roadmap: Roadmap) -> bool:
+    """Whether a way home is known from any place that the robot can reach."""
+    return len(roadmap.home_time) > 0 and bool(np.isfinite(roadmap.home_time[roadmap.reachable]).any())
 
 
 def budget_left(explorer: ExplorerConfig, stamp: float, driven: float, stay: float) -> Budget:
@@ -78,7 +83,7 @@ def budget_left(explorer: ExplorerConfig, stamp: float, driven: float, stay: flo
 
 
 def way_home(roadmap: Roadmap, p_MH: FloatArray, p_MB: FloatArray) -> int:
-    """The node at home (2,), m in M, or -1 where the robot (2,) is there already or cannot get there."""
+    """The node at home (2,), m in M, -1 where the robot (2,) is there already."""
     node = int(np.argmin(np.hypot(*(roadmap.points - p_MH).T)))
     there = np.hypot(*(p_MB - p_MH)) <= max(float(np.hypot(*(roadmap.points[node] - p_MH))), AT_HOME)
-    return -1 if there or not roadmap.reachable[node] else node
+    return -1 if there else node

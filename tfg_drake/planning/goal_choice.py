@@ -28,6 +28,7 @@ from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
 from tfg_drake.planning.revisit import worth_revisiting
 
+NO_NAMES = np.zeros(0, dtype=np.int64)
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
 
@@ -70,7 +71,8 @@ def choose(
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
-        node, p_MG = _named(roadmap, _home(estimate, roadmap, parameters.explorer))
+        home = _homewards(estimate, roadmap, "stuck", reason, NO_NAMES)[0] if parameters.explorer.return_home else -1
+        node, p_MG = _named(roadmap, home)
         return replace(empty_choice(), stage=estimate.stage, node=node, p_MG=p_MG, verdict="stuck", reason=reason)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
@@ -112,8 +114,8 @@ def choose(
     else:
         node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
-    if verdict != "goal":
-        node = _home(estimate, roadmap, explorer)
+    if verdict != "goal" and explorer.return_home:
+        node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
     name, p_MG = _named(roadmap, node)
     return GoalChoice(
         stage=estimate.stage,
@@ -135,9 +137,23 @@ def choose(
     )
 
 
-def _home(estimate: MapEstimate, roadmap: Roadmap, explorer: ExplorerConfig) -> int:
-    """The node to end the mission at, -1 for where the robot stands."""
-    return way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2]) if explorer.return_home else -1
+def _homewards(
+    estimate: MapEstimate, roadmap: Roadmap, verdict: str, reason: str, looked: IntArray
+) -> tuple[int, str, str, IntArray]:
+    """Where a mission that ends with this verdict for a reason ends, at home: the node there, -1 for where the robot
+    stands; verdict and reason; and the names (t,) as of `_last`.
+
+    Where the way is too narrow, the robot looks at it once more from as near as it gets; where that does not help, it
+    is stuck.
+    """
+    home = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
+    if home < 0 or roadmap.reachable[home]:
+        return home, verdict, reason, looked
+    before = int(roadmap.entry[home])
+    name = roadmap.names(np.array([before]))
+    if before >= 0 and not np.isin(name, looked).any():
+        return before, "goal", "The way home is too narrow: it looks once more.", np.union1d(looked, name)
+    return -1, "stuck", f"{reason} But the robot cannot get back to where it began.", looked
 
 
 def _named(roadmap: Roadmap, node: int) -> tuple[int, FloatArray]:

@@ -26,6 +26,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
+from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_goals, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
@@ -185,7 +186,9 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
         # Where less is left than is worth a visit, no sample could see enough.
         if in_reach or open_length < ENOUGH_FRONTIER or (effort > 0 and not beyond):
             break
-    if len(state.obstacles) and ((beyond and not in_reach) or _shut_in(roadmap, tfg, estimate)):
+    cut_off = parameters.explorer.return_home and not leads_home(roadmap)
+    ending = not in_reach and (beyond or cut_off)
+    if len(state.obstacles) and (ending or _shut_in(roadmap, tfg, estimate)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         roadmap = make_roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before, reach)
