@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.scenario import Scenario
 
+# Tags nearer to each other than this would lie on top of one another, m.
+LEAST_SPACING = 0.05
 EXIT_CODES = {"complete": 0, "budget": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
 
 # Set by Ctrl-C.
@@ -104,7 +106,7 @@ def explore(
     _check_positive("--max-time", max_time, "s")
     if not (math.isfinite(realtime_rate) and realtime_rate >= 0.0):
         _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
-    _check_positive("--tag-spacing", tag_spacing, "m")
+    _check_spacing(tag_spacing)
     if seed is not None and not 0 <= seed < 2**31:
         _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
     replayed = robot.removeprefix("replay:") if robot.startswith("replay:") else None
@@ -185,9 +187,12 @@ def compare(
 ) -> None:
     """Compare methods on the same seeds, and report; in the same DIR it goes on where it ended."""
     _check_positive("--max-time", max_time, "s")
-    _check_positive("--tag-spacing", tag_spacing, "m")
+    _check_spacing(tag_spacing)
     if seeds < 1:
         _bad_input(f"--seeds {seeds}: must be 1 or more")
+    for setting in settings or []:
+        if setting.split("=")[0].strip() == "seed":
+            _bad_input(f"--set {setting}: the seeds are 0 to one less than --seeds; leave it out")
     if jobs is not None and jobs < 1:
         _bad_input(f"--jobs {jobs}: must be 1 or more")
     if jobs is not None and ray is not None:
@@ -339,6 +344,12 @@ def _one_line(message: str) -> str:
 def _check_positive(option: str, value: float | None, unit: str) -> None:
     if value is not None and not (math.isfinite(value) and value > 0.0):
         _bad_input(f"{option} {value:g}: must be greater than 0 {unit}")
+
+
+def _check_spacing(tag_spacing: float | None) -> None:
+    _check_positive("--tag-spacing", tag_spacing, "m")
+    if tag_spacing is not None and tag_spacing < LEAST_SPACING:
+        _bad_input(f"--tag-spacing {tag_spacing:g}: must be {LEAST_SPACING:g} m at least; tags are no smaller")
 
 
 def _make_writable(folder: Path) -> None:

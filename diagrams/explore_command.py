@@ -52,13 +52,13 @@ def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any],
 
 def check_kept(out: Path, replayed: str | None = None, inputs: Sequence[Path] = ()) -> None:
     """Raises BadInput where a run in the folder would be lost that nothing brings back, or what somebody wrote: one of
-    the files that are read lies there, and no run."""
+    the files that are read has the name of the scenario that a run leaves, and is none."""
     from tfg_drake.config import ROBOTS
     from tfg_drake.port_recording import recorded_robot
 
     for file in inputs:
-        if file.parent.resolve() == out.resolve() and not (out / "stages.jsonl").exists():
-            bad_input(f"--out {out}: holds {file.name}, which is read, and a run writes files of its own; name another")
+        if file.resolve() == (out / "scenario.yaml").resolve() and not (out / "stages.jsonl").exists():
+            bad_input(f"--out {out}: its scenario.yaml, which is read, would be written over; name another folder")
     if replayed is not None and out.resolve() == Path(replayed).resolve():
         bad_input(f"--out {out}: holds the run that is replayed; name another folder")
     robot = recorded_robot(out)

@@ -66,7 +66,7 @@ def connect(address: str) -> Any:
     try:
         import ray
     except ImportError:
-        raise SweepError('--ray: Ray is not installed; pip install "tfg-drake[ray]"') from None
+        raise SweepError('--ray: Ray is not installed; pip install -e ".[ray]"') from None
     try:
         _knock(address)
         dashboard = False if address == "local" else None

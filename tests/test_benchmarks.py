@@ -25,8 +25,9 @@ def run(monkeypatch, capsys):
 def test_planning_time_sees_all_parts_of_a_stage(run) -> None:
     lines = run("planning_time.py", "paper", "--seeds", "1", "--max-time", "46").splitlines()
     assert int(lines[0].split()[0]) >= 2
-    assert [line.split()[0] for line in lines[1:6]] == ["tfg", "roadmap", "goal", "planning", "all"]
-    assert all(float(line.split()[1]) > 0.0 for line in lines[1:6])
+    parts = ["tfg", "roadmap", "goal", "path", "planning", "all"]
+    assert [line.split()[0] for line in lines[1:7]] == parts
+    assert all(float(line.split()[1]) > 0.0 for line in lines[1:7])
 
 
 def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:

@@ -30,7 +30,7 @@ def open_port(path: str) -> serial.Serial:
     try:
         import serial
     except ModuleNotFoundError:
-        raise DeviceError("the package pyserial is missing: pip install tfg_drake[kobuki]") from None
+        raise DeviceError("the package pyserial is missing: pip install -e '.[kobuki]'") from None
     try:
         return serial.Serial(path, BAUD_RATE, timeout=0.0, exclusive=True)
     except (OSError, termios.error) as error:

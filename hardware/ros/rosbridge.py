@@ -62,7 +62,7 @@ class RosbridgeGraph:
         try:
             import roslibpy
         except ImportError:
-            raise DeviceError("rosbridge: roslibpy is not installed: pip install 'tfg-drake[rosbridge]'") from None
+            raise DeviceError("rosbridge: roslibpy is not installed: pip install -e '.[rosbridge]'") from None
         self._roslibpy = roslibpy
         self._arrived: queue.SimpleQueue[tuple[Receive, Any, float]] = queue.SimpleQueue()
         self._ros = roslibpy.Ros(host, port, transport="asyncio")

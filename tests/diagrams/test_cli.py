@@ -33,6 +33,8 @@ def room(tmp_path):
         ("explore --max-time nan", "--max-time nan: must be greater than 0 s"),
         ("explore --realtime-rate -1", "--realtime-rate -1: must be 0 (no limit) or more"),
         ("explore --tag-spacing 0", "--tag-spacing 0: must be greater than 0 m"),
+        ("explore --tag-spacing 1e-4", "--tag-spacing 0.0001: must be 0.05 m at least; tags are no smaller"),
+        ("compare --set seed=5", "--set seed=5: the seeds are 0 to one less than --seeds; leave it out"),
         ("explore --seed -1", "--seed -1: must be between 0 and 2147483647"),
         ("explore --start 1,2", "--start 1,2: must be X,Y,YAW in metres and radians, such as 1.5,2,0"),
         ("explore --start a,b,c", "--start a,b,c: must be X,Y,YAW in metres and radians, such as 1.5,2,0"),
@@ -68,9 +70,12 @@ def test_other_bad_input_too(call, arguments, beginning):
     assert err.count("\n") == 1
 
 
-def test_what_is_read_is_not_written_over(call, room, tmp_path):
-    problem = "holds room.yaml, which is read, and a run writes files of its own; name another"
-    assert call("explore", room, "--out", str(tmp_path)) == (2, "", f"tfg-drake: --out {tmp_path}: {problem}\n")
+def test_what_is_read_is_not_written_over(call, tmp_path):
+    own = tmp_path / "scenario.yaml"
+    own.write_text(ROOM)
+    problem = "its scenario.yaml, which is read, would be written over; name another folder"
+    assert call("explore", str(own), "--out", str(tmp_path)) == (2, "", f"tfg-drake: --out {tmp_path}: {problem}\n")
+    assert own.read_text() == ROOM
 
 
 def test_bad_input_leaves_no_folder_behind(call, tmp_path):

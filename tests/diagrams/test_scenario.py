@@ -116,6 +116,8 @@ def test_world_and_config_are_inverse():
         ("drive: [[1, 2, 3]]", "drive[0]: expected 2 numbers [x, y], found 3"),
         ("robot: {radius: a}", "robot.radius: expected a number, found text ('a')"),
         ("robot: {radius: 1" + 400 * "0" + "}", "robot.radius: must be finite, is too large"),
+        ("tags: {rate: 1e9}", "tags.rate: must be at most 1000, is 1e+09"),
+        ("grid: {resolution: 5e-4}", "grid.resolution: must be at least 0.01, is 0.0005"),
         ("robot: {radius: 2001-13-45}", "broken YAML: month must be in 1..12"),
         ("robot: {radius: yes}", "robot.radius: expected a number, found a yes/no value (True)"),
         ("robot: {radius: .nan}", "robot.radius: must be finite, is nan"),

@@ -13,7 +13,7 @@ from tfg_drake.hardware.kobuki.serial_port import open_port
 
 def test_without_pyserial(monkeypatch, emulator):
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(DeviceError, match=re.escape("the package pyserial is missing: pip install tfg_drake[kobuki]")):
+    with pytest.raises(DeviceError, match=re.escape("the package pyserial is missing: pip install -e '.[kobuki]'")):
         open_port(emulator.device)
 
 
