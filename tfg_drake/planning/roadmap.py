@@ -26,7 +26,7 @@ from tfg_drake.config import (
     RobotConfig,
     TagSensorConfig,
 )
-from tfg_drake.geometry.distance import clearance, nearest_on_segment
+from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
@@ -45,6 +45,8 @@ OLDER_DARTS = 300
 FRONTIER_DARTS = 5
 # Gaps between surfaces up to this width get a node in the middle, m.
 PASSAGE_WIDTH = 1.5
+# Nothing is nearer to the middle of a gap than this share of its width, rounding and all.
+HALF_GAP = 0.475
 # The least margin of a way that the robot has driven before, m, unless it leads back to where it began: the robot came
 # by that, whatever the newest map says of it.
 TRAVELLED_MARGIN = 0.02
@@ -186,7 +188,8 @@ def thin(proposals: FloatArray, spacing: FloatArray, nodes: FloatArray) -> BoolA
 
 @njit(cache=True)
 def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
-    """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long."""
+    """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long with
+    nothing nearer to their middles than their two sides."""
     found = np.empty((64, 4))
     count = 0
     grid = segment_grid(segments)
@@ -195,12 +198,18 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
         x, y = ends[i, 0], ends[i, 1]
         stop = rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, near)
         near[:stop].sort()
+        between = 0
         for k in range(stop):
             j = near[k]
             if k > 0 and j == near[k - 1]:
                 continue
             qx, qy = nearest_on_segment(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3])
-            if not narrowest <= math.hypot(qx - x, qy - y) <= widest:
+            width = math.hypot(qx - x, qy - y)
+            if not narrowest <= width <= widest:
+                continue
+            # What stands in one gap stands in the next: look there first.
+            between = _nearer(0.5 * (x + qx), 0.5 * (y + qy), HALF_GAP * width, segments, near[:stop], between)
+            if between < stop:
                 continue
             if count == len(found):
                 grown = np.empty((2 * count, 4))
@@ -209,6 +218,18 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
             found[count, 0], found[count, 1], found[count, 2], found[count, 3] = x, y, qx, qy
             count += 1
     return found[:count].copy()
+
+
+@njit(cache=True)
+def _nearer(x: float, y: float, distance: float, segments: FloatArray, rows: IntArray, first: int) -> int:
+    """An entry of rows, looked for from the first on and round, whose segment is nearer to (x, y) than distance, m;
+    their number if there is none."""
+    for k in range(len(rows)):
+        at = (first + k) % len(rows)
+        x0, y0, x1, y1 = segments[rows[at], 0], segments[rows[at], 1], segments[rows[at], 2], segments[rows[at], 3]
+        if point_segment_distance(x, y, x0, y0, x1, y1) < distance:
+            return at
+    return len(rows)
 
 
 def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
@@ -222,14 +243,7 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
     if not len(gaps):
         return np.zeros((0, 2))
     middle, across = 0.5 * (gaps[:, :2] + gaps[:, 2:]), gaps[:, 2:] - gaps[:, :2]
-    width = np.hypot(*across.T)
-    # Most have an end near their middle; that is quick to see.
-    nearest, _ = cKDTree(ends).query(middle)
-    keep = np.flatnonzero(nearest >= 0.475 * width)
-    room = clearance(np.hstack([middle[keep]] * 2), segments, 0.5 * widest)
-    keep = keep[room >= 0.475 * width[keep]]
-    middle = middle[keep]
-    along = 0.5 * np.stack([-across[keep, 1], across[keep, 0]], axis=1) / width[keep, None]
+    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / np.hypot(*across.T)[:, None]
     return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
 
 
