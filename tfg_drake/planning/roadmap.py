@@ -8,6 +8,7 @@ narrow door once passed is not lost again to bad luck in sampling.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from typing import Any
@@ -247,6 +248,12 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
     return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
 
 
+@functools.lru_cache(maxsize=1)
+def _passages_of(tfg: TfgMap, narrowest: float) -> FloatArray:
+    """The passages of a map, looked for once however often a stage tries."""
+    return passages(tfg.segments, narrowest, PASSAGE_WIDTH)
+
+
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
     """Which edges (e, 4), m in M, lie in the free space seen from past goals, looked up every FREE_STEP, (e,)."""
     if len(edges) == 0:
@@ -280,7 +287,7 @@ def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int
 def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, density: int) -> tuple[FloatArray, FloatArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) each must keep."""
     need = radius + NODE_MARGIN
-    gaps = passages(tfg.segments, 2 * need, PASSAGE_WIDTH)
+    gaps = _passages_of(tfg, 2 * need)
     normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * density, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
