@@ -43,11 +43,10 @@ class Method:
         """Raises MethodError where the scenario lacks what the method needs."""
         if self.needs_drive and not scenario.drive:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
-        explorer = scenario.explorer
-        asked = {name: getattr(explorer, name) for name in ("budget_time", "budget_distance", "return_home")}
-        if not self.keeps_budget and any(asked.values()):
-            name = next(name for name, value in asked.items() if value)
-            raise MethodError(f"{self.name}: does not mind explorer.{name}; leave it out, or take another method: tfg")
+        limits = [key for key in ("budget_time", "budget_distance", "return_home") if getattr(scenario.explorer, key)]
+        if limits and not self.keeps_budget:
+            key = limits[0]
+            raise MethodError(f"{self.name}: does not mind explorer.{key}; leave it out, or take another method: tfg")
 
 
 def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:

@@ -28,7 +28,6 @@ from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
 from tfg_drake.planning.revisit import worth_revisiting
 
-NO_NAMES = np.zeros(0, dtype=np.int64)
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
 
@@ -71,9 +70,12 @@ def choose(
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
-        home = _homewards(estimate, roadmap, "stuck", reason, NO_NAMES)[0] if parameters.explorer.return_home else -1
-        node, p_MG = _named(roadmap, home)
-        return replace(empty_choice(), stage=estimate.stage, node=node, p_MG=p_MG, verdict="stuck", reason=reason)
+        node, verdict, looked = -1, "stuck", previous.looked_again
+        if parameters.explorer.return_home:
+            node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
+        name, p_MG = _named(roadmap, node)
+        ended = replace(empty_choice(), stage=estimate.stage, node=name, p_MG=p_MG)
+        return replace(ended, verdict=verdict, reason=reason, looked_again=looked)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
     stay = time_at_goal(parameters.sensor, explorer)
