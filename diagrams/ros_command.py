@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import signal
 import sys
@@ -28,11 +29,13 @@ def _commands() -> None:
 def emulate(
     scenario: Annotated[str, typer.Argument(help="Where it stands: a shipped scenario or a YAML file.")] = "house",
     seed: Annotated[int | None, typer.Option(metavar="N", help="Of its noise [default: the scenario's].")] = None,
+    network: Annotated[bool, typer.Option("--network", help="Join the whole network, not this machine only.")] = False,
 ) -> None:
     """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON, as it does
     for a line `report` on its standard input.
 
-    Its preset is `emulated`: tags come as plain detections, because apriltag_msgs is not in every ROS.
+    Its preset is `emulated`: tags come as plain detections, because apriltag_msgs is not in every ROS. It keeps to this
+    machine, because a real robot in the network would obey what is meant for it.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if seed is not None and seed < 0:
@@ -45,6 +48,8 @@ def emulate(
     from tfg_drake.hardware.ros.ros2_emulator import Ros2Emulator
 
     preset = load_preset("emulated")
+    if network:
+        preset = dataclasses.replace(preset, discovery="subnet")
     try:
         loaded = LoadScenario(scenario)
         robot = EmulatedTurtlebot(

@@ -98,7 +98,7 @@ PUBLISHED = {
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """One kind of robot."""
+    """One kind of robot. discovery: how far ROS 2 looks for it, one of DISCOVERY."""
 
     topics: Topics
     limits: Limits = dataclasses.field(default_factory=Limits)
@@ -106,6 +106,7 @@ class Preset:
     camera: Camera = dataclasses.field(default_factory=Camera)
     frames: Frames = dataclasses.field(default_factory=Frames)
     publish: Publish = dataclasses.field(default_factory=Publish)
+    discovery: str = "subnet"
 
 
 # The types that a topic may have, by its key in `topics`.
@@ -124,6 +125,8 @@ TYPES = {
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
 }
 QOS = ("sensor_data", "reliable")
+# In the whole network, as ROS 2 does by itself, or on this machine only.
+DISCOVERY = ("subnet", "localhost")
 _POSITIVE = ("limits.", "scanner.sigma", "camera.tag_size", "camera.corner_sigma")
 
 
@@ -141,6 +144,8 @@ def load_preset(name_or_path: str | Path) -> Preset:
     try:
         preset: Preset = _read(tree, Preset, "")
         _check(preset.topics)
+        if preset.discovery not in DISCOVERY:
+            raise PresetError(f"discovery: unknown range {preset.discovery}; known are {', '.join(DISCOVERY)}")
     except PresetError as error:
         raise PresetError(f"{path}: {error}") from None
     return preset

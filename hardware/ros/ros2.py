@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -44,8 +45,13 @@ class Ros2Graph:
 
     label = "ros2"
 
-    def __init__(self, name: str = "tfg_drake") -> None:
-        """Joins the graph as the node `name`; raises DeviceError without rclpy."""
+    def __init__(self, name: str = "tfg_drake", discovery: str = "subnet") -> None:
+        """Joins the graph as the node `name`; raises DeviceError without rclpy.
+
+        discovery: a preset's. "localhost" holds for this process, unless its environment says otherwise.
+        """
+        if discovery == "localhost":
+            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         try:
             import rclpy
             from rclpy.context import Context
@@ -127,7 +133,7 @@ class Ros2Driver(GraphBaseDriver):
         """Waits until odometry and scan arrive; raises DeviceError."""
         self.limits = preset.limits
         self._preset, self._intake = preset, Intake(preset)
-        self._graph = Ros2Graph()
+        self._graph = Ros2Graph(discovery=preset.discovery)
         self._announcer = Announcer(preset.publish, self._graph.publisher, self._intake.clock.robot)
         try:
             self._send = self._graph.publisher(preset.topics.command)

@@ -19,7 +19,7 @@ class Ros2Emulator:
         topics = preset.topics
         assert topics.detections is not None
         published = {"odometry": topics.odometry, "scan": topics.scan, "detections": topics.detections}
-        self._graph = Ros2Graph("turtlebot4")
+        self._graph = Ros2Graph("turtlebot4", preset.discovery)
         try:
             self._publishers = {key: self._graph.publisher(topic) for key, topic in published.items()}
             self._graph.subscribe(topics.command, lambda message, _: robot.drive(message))

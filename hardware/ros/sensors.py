@@ -52,7 +52,7 @@ class SensorConfig:
         if self.host is None:
             from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
-            return SensorDriver(Ros2Graph(), self.topics, self.preset)
+            return SensorDriver(Ros2Graph(discovery=self.preset.discovery), self.topics, self.preset)
         from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
 
         return SensorDriver(RosbridgeGraph(self.host, self.port), self.topics, self.preset)

@@ -56,7 +56,11 @@ def test_a_file_of_ones_own(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "value", "line"),
     [
-        (("speeed",), 1, "speeed: unknown key; the keys here are topics, limits, scanner, camera, frames, publish"),
+        (
+            ("speeed",),
+            1,
+            "speeed: unknown key; the keys here are topics, limits, scanner, camera, frames, publish, discovery",
+        ),
         (("publish",), {"map": 3}, "publish.map: expected text, found 3"),
         (("frames",), {"base": ""}, "frames.base: expected text, found ''"),
         (("limits", "speed"), "fast", "limits.speed: expected a number, found 'fast'"),
@@ -65,6 +69,7 @@ def test_a_file_of_ones_own(tmp_path):
         (("limits",), 3, "limits: expected the keys speed, turn_rate, acceleration, turn_acceleration, found 3"),
         (("topics", "odometry", "name"), 4, "topics.odometry.name: expected text, found 4"),
         (("topics", "hazards"), "none", "topics.hazards: expected a list, found 'none'"),
+        (("discovery",), "lan", "discovery: unknown range lan; known are subnet, localhost"),
         (("topics", "scan", "qos"), "best", "topics.scan: unknown qos best; known are sensor_data, reliable"),
         (
             ("topics", "command", "type"),
