@@ -26,7 +26,8 @@ from tfg_drake.systems.tfg_builder import TfgBuilder
 def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None) -> Diagram:
     """The explorer for a scenario's robot, sensors and method; of the scenario's world it reads nothing.
 
-    Input ports: odometry, detections, scan, hazards (messages), pause, enable, stop (vectors of size 1, optional).
+    Input ports: odometry, detections, scan, hazards (messages), pause, enable, stop, recall (vectors of size 1,
+    optional).
     Output ports: velocity_commanded (v in m/s, w in rad/s), and for whoever wants to look: pose, map, tfg, roadmap,
     goal, path, mission and the status of path and follower; working_map and working_roadmap are as much of map, tfg and
     roadmap as planning needs at a stage.

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 # How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
-# The vendor calls a battery below this low, V.
-LOW_BATTERY = 14.0
 
 kobuki_app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -72,20 +70,21 @@ def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
 
 def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
     """What a connected base says, as names and values."""
-    low = "; charge it" if state.battery < LOW_BATTERY and not state.charging else ""
+    from tfg_drake.hardware.remarks import where
+
+    low = "; charge it" if state.battery_level != "good" else ""
+    charger = f"{state.charger}, {'charging' if state.charging else 'full'}" if state.charger else "none"
     return [
         ("firmware", state.firmware),
         ("hardware", state.hardware),
         ("id", state.unique_id),
-        ("battery", f"{state.battery:.1f} V, {'charging' if state.charging else 'discharging'}{low}"),
-        ("bumper", _where(hazards.bumper)),
-        ("cliff", _where(hazards.cliff)),
-        ("wheel drop", _where(hazards.wheel_drop)),
+        ("battery", f"{state.battery:.1f} V{low}"),
+        ("charger", charger),
+        ("overcurrent", where(state.overcurrent)),
+        ("bumper", where(hazards.bumper)),
+        ("cliff", where(hazards.cliff)),
+        ("wheel drop", where(hazards.wheel_drop)),
     ]
-
-
-def _where(bits: int) -> str:
-    return ", ".join(name for bit, name in ((4, "left"), (2, "centre"), (1, "right")) if bits & bit) or "none"
 
 
 def _drive_ahead(device: Device) -> str:

@@ -15,6 +15,7 @@ from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.run import Mission
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
+from tfg_drake.hardware.battery_watch import BatteryWatch
 from tfg_drake.hardware.keyboard import Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
@@ -37,7 +38,7 @@ def OpenRobot(scenario: Scenario, meshcat: Meshcat | None) -> Iterator[tuple[Rob
         bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
         bounded.robot.max_acceleration = devices.limits.acceleration
         bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
-        operated = [keyboard.requests, RobotButtons(devices.base).requests]
+        operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
         if meshcat is not None:
             operated.append(MeshcatButtons(meshcat).requests)
         robot = Robot(

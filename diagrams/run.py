@@ -446,9 +446,10 @@ def MakeMissionDiagram(
     builder.Connect(explorer.GetOutputPort("velocity_commanded"), station.GetInputPort("base.velocity_commanded"))
 
     if robot.real:
-        operator = builder.AddNamedSystem("operator", Operator(robot.operated))
+        recalls = explorer.HasInputPort("recall")
+        operator = builder.AddNamedSystem("operator", Operator(robot.operated, recalls=recalls))
         builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
-        for name in ("pause", "stop"):
+        for name in ("pause", "stop", "recall"):
             if explorer.HasInputPort(name):
                 builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.device import BaseState, DeviceError
+from tfg_drake.hardware.remarks import Watch, watched
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
 from tfg_drake.systems.ports import (
@@ -34,17 +36,19 @@ _log = logging.getLogger("tfg_drake.hardware")
 @message
 class _BaseState:
     """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
-    waiting: what it waits for, "" for nothing. since: when it began to wait, s."""
+    waiting: what it waits for, "" for nothing. since: when it began to wait, s. watch: of what the operator is told."""
 
     hazards: Hazards
     tried: float = 0.0
     enabled: bool = False
     waiting: str = ""
     since: float = 0.0
+    watch: Watch = dataclasses.field(default_factory=Watch)
 
 
 class HardwareBase(LeafSystem):
-    """Sends velocities to a device, and says what it says, stamped in the station's time.
+    """Sends velocities to a device, and says what it says, stamped in the station's time; logs what the operator is to
+    know of base and sensors, see tfg_drake.hardware.remarks.
 
     .. pydrake_system::
 
@@ -113,12 +117,16 @@ class HardwareBase(LeafSystem):
     def _Drive(self, context: Context, state: State) -> EventStatus:
         before, time = state_message(context, self._state, _BaseState), context.get_time()
         now = self._Enabled(self._Waiting(before, context), context)
-        for hazards in self._device.take(Hazards, self._clock.host(time)):
-            now = replace(now, hazards=replace(hazards, stamp=self._clock.station(hazards.stamp, time)))
+        hazards = [now.hazards, *self._device.take(Hazards, self._clock.host(time))]
+        if len(hazards) > 1:
+            now = replace(now, hazards=replace(hazards[-1], stamp=self._clock.station(hazards[-1].stamp, time)))
         velocity = self._velocity.Eval(context) if now.enabled and not now.waiting else np.zeros(2)
         # Due at this time of the host: where the station is late the base does not obey what is out of date.
         self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time))
-        set_state_message(state, self._state, now)
+        watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
+        for line in lines:
+            _log.warning("%.2f s: %s", time, line)
+        set_state_message(state, self._state, replace(now, watch=watch))
         return EventStatus.Succeeded()
 
     def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:

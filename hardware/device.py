@@ -25,21 +25,29 @@ from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, mess
 
 @message
 class BaseState:
-    """How a base is, where it says so: about every second, and whenever its buttons change.
+    """How a base is, where it says so: about every second, and at once where anything lasting changes.
 
-    stamp: s. battery: V. charging: by dock or adapter. buttons: bits of those that are pressed (Kobuki: B0 1, B1 2,
-    B2 4). firmware, hardware: versions such as "1.1.4". unique_id: in hexadecimal. bad_frames: beginnings of frames
-    that were garbled on the way, since the connection began.
+    stamp: s. battery: V, 0 where it is not known. battery_level: "good" (also where it is not known), "low" or
+    "dangerous". charger: what it hangs on, "dock" or "adapter", "" for nothing. charging: its battery is not full yet.
+    overcurrent: wheels that draw too much current, by the bits of Hazards. buttons: bits of those that are pressed
+    (Kobuki: B0 1, B1 2, B2 4). firmware, hardware: versions such as "1.1.4". unique_id: in hexadecimal. frames: heard
+    since the connection began. bad_frames: beginnings of frames that were garbled on the way, lost_frames: about how
+    many never came, since then.
     """
 
     stamp: float
     battery: float
+    battery_level: str
+    charger: str
     charging: bool
+    overcurrent: int
     buttons: int
     firmware: str
     hardware: str
     unique_id: str
+    frames: int
     bad_frames: int
+    lost_frames: int
 
 
 Message = Odometry | LaserScan | Hazards | TagDetections | BaseState

@@ -33,6 +33,11 @@ class RobotDevices:
     frames: Frames | None = None
     clock: HostClock = dataclasses.field(default_factory=HostClock)
 
+    def take_remarks(self) -> list[str]:
+        """Lines for the operator that the processes of base and sensors had to say since the last call."""
+        sources = {id(source): source for source in (self.base, self.tags, self.scan)}
+        return [line for source in sources.values() for line in source.take_remarks()]
+
     def close(self) -> None:
         """Stops the base, and closes all of them; once is enough."""
         self.base.close()

@@ -43,11 +43,13 @@ class InfoGainGoalSelector(LeafSystem):
         - roadmap
         - working_roadmap
         - mission
+        - recall
         output_ports:
         - goal
 
     The goal is looked for in the working map; in the whole one where nothing there is worth going to, or only by a way
-    that is longer than to what may lie outside, and as long as the robot is on such a way.
+    that is longer than to what may lie outside, and as long as the robot is on such a way. recall is a vector of size
+    1, 0 where it is unconnected: above 0.5 the robot was called back, and no goal is worth going to any more.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class InfoGainGoalSelector(LeafSystem):
         self._working_roadmap = declare_message_input(self, "working_roadmap")
         self._roadmap = declare_message_input(self, "roadmap")
         self._mission = declare_message_input(self, "mission")
+        self._recall = self.DeclareVectorInputPort("recall", 1)
         initial = _SelectorState(empty_choice(), empty_choice())
         self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
         declare_message_output(
@@ -88,14 +91,15 @@ class InfoGainGoalSelector(LeafSystem):
         if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
         # On a long way the robot weighs all there is against its goal.
+        recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
         goal = None
         if now.goal.node < 0 or _is_nearest(now.goal, roadmap, working.reach):
             part = working.estimate, working.tfg, roadmap, self._parameters, now.remembered
-            goal = choose(*part, everything=working.is_all)
+            goal = choose(*part, everything=working.is_all, recalled=recalled)
         if goal is None or not (working.is_all or _is_nearest(goal, roadmap, working.reach)):
             estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
             roadmap = eval_message(self._roadmap, context, Roadmap)
-            goal = choose(estimate, tfg, roadmap, self._parameters, now.remembered)
+            goal = choose(estimate, tfg, roadmap, self._parameters, now.remembered, recalled=recalled)
         remembered = remember(now.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
         set_state_message(state, self._state, _SelectorState(goal, remembered))
         return EventStatus.Succeeded()

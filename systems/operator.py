@@ -26,23 +26,26 @@ class Operator(LeafSystem):
         - enable
         - pause
         - stop
+        - recall
 
     All are vectors of size 1. enable: for the base; 0 while it must stand, otherwise a number that is another one each
-    time it is enabled. pause, stop: for the mission, 1 or 0.
+    time it is enabled. pause, stop, recall: for the mission, 1 or 0.
 
     The requests come from outside the context: a run in which there were any repeats only with the same ones.
     """
 
-    def __init__(self, sources: Sequence[Callable[[], Sequence[Request]]]) -> None:
-        """sources: each returns the requests since it was last called."""
+    def __init__(self, sources: Sequence[Callable[[], Sequence[Request]]], *, recalls: bool = True) -> None:
+        """sources: each returns the requests since it was last called. recalls: the mission knows what a recall is;
+        where it does not a recall ends it."""
         super().__init__()
-        self._sources = tuple(sources)
+        self._sources, self._recalls = tuple(sources), recalls
         self._state = self.DeclareAbstractState(AbstractValue.Make(Operation()))
         depends = {self.abstract_state_ticket(self._state)}
         for name, calc in (
             ("enable", lambda operation: operation.enabling),
             ("pause", lambda operation: operation.paused),
             ("stop", lambda operation: operation.ended),
+            ("recall", lambda operation: operation.recalled),
         ):
             self.DeclareVectorOutputPort(name, 1, self._Calc(calc), depends)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
@@ -57,6 +60,8 @@ class Operator(LeafSystem):
             # What was asked for before the mission began was not meant for it, unless it was to stop.
             requests = [request for request in requests if request in ("stop", "end")]
             _log.info("nothing moves before it is enabled")
+        if not self._recalls:
+            requests = ["end" if request == "recall" else request for request in requests]
         if "stop" in requests or "end" in requests:
             # Nobody knows in which order they came: who asked for a stop gets it.
             requests = [request for request in requests if request != "enable"]

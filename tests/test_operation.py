@@ -34,7 +34,13 @@ def test_pause_and_resume_do_not_touch_the_base():
     assert not after("enable", "pause", "pause").paused
 
 
-@given(st.lists(st.sampled_from(["enable", "stop", "pause", "end"])))
+def test_a_recall_lasts_and_leaves_the_base_alone():
+    operation = after("enable", "recall", "pause", "pause")
+    assert (operation.recalled, operation.enabling, operation.ended) == (True, 1, False)
+    assert not after("enable", "pause").recalled
+
+
+@given(st.lists(st.sampled_from(["enable", "stop", "pause", "recall", "end"])))
 def test_an_end_is_the_end(requests):
     operation = after("end", *requests)
     assert operation.ended

@@ -6,9 +6,9 @@ from typing import Literal
 
 from tfg_drake.messages import message, replace
 
-# enable: let the base move, also after a stop. stop: the emergency stop. pause: pause the mission, or resume it. end:
-# end the mission.
-Request = Literal["enable", "stop", "pause", "end"]
+# enable: let the base move, also after a stop. stop: the emergency stop. pause: pause the mission, or resume it.
+# recall: explore no more, and come home where the mission is to end there. end: end the mission.
+Request = Literal["enable", "stop", "pause", "recall", "end"]
 
 
 @message
@@ -16,17 +16,18 @@ class Operation:
     """What the operator wants.
 
     enabling: 0: the base must stand; n > 0: it may move, by the n-th time it was enabled: a base that stops by itself
-    does not count that one any more. enablings: times so far. paused, ended: the mission's.
+    does not count that one any more. enablings: times so far. paused, recalled, ended: the mission's.
     """
 
     enabling: int = 0
     enablings: int = 0
     paused: bool = False
+    recalled: bool = False
     ended: bool = False
 
 
 def requested(operation: Operation, request: Request) -> Operation:
-    """What is wanted after a request. An end stops the base too; nothing undoes it."""
+    """What is wanted after a request. An end stops the base too; nothing undoes it, nor a recall."""
     if operation.ended:
         return operation
     if request == "enable":
@@ -36,4 +37,6 @@ def requested(operation: Operation, request: Request) -> Operation:
         return replace(operation, enabling=0)
     if request == "pause":
         return replace(operation, paused=not operation.paused)
+    if request == "recall":
+        return replace(operation, recalled=True)
     return replace(operation, enabling=0, ended=True)

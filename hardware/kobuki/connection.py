@@ -7,7 +7,7 @@ import os
 from typing import TYPE_CHECKING
 
 from tfg_drake.hardware.device import BaseState, Message
-from tfg_drake.hardware.kobuki import odometry
+from tfg_drake.hardware.kobuki import alarms, odometry
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
 
@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 
 # A base that has not been heard for so long is no longer connected, and has so long to say its versions, s.
 LOST_AFTER, VERSION_WITHIN = 1.0, 2.0
-# Between two messages of the base's state that tell nothing new but battery and garbled frames, s.
+# Between two messages of the base's state that tell nothing new but battery and counts of frames, s.
 _STATE_EVERY = 1.0
+# Frames a second that the base sends.
+_FRAME_RATE = 50.0
 # The major number of the firmware whose protocol this is.
 _MAJOR = "1"
 
@@ -25,7 +27,8 @@ _MAJOR = "1"
 class Connection:
     """What the base has said since the port was opened.
 
-    core: the newest frame's, None before the first. reckoning: dead reckoning, going on from an earlier connection's.
+    core: the newest frame's, None before the first. alarm: why it says that it must not drive, None where it may.
+    reckoning: dead reckoning, going on from an earlier connection's.
     firmware, hardware, unique_id: as in tfg_drake.hardware.device.BaseState.
     """
 
@@ -36,7 +39,11 @@ class Connection:
         self._said_anything = False
         self._messages: list[Message] = []
         self._state: BaseState | None = None
+        # Frames so far, when the first one came, s, and since when it must not drive for what reason.
+        self._frames, self._begun = 0, now
+        self._alarms: dict[str, float] = {}
         self.core: p.CoreSensors | None = None
+        self.alarm: str | None = None
         self.reckoning = before
         self.firmware = self.hardware = self.unique_id = ""
 
@@ -99,6 +106,11 @@ class Connection:
             self.reckoning = odometry.first(core, inertia, now, before)
         else:
             self.reckoning = odometry.advanced(before, core, inertia, now)
+        if self.core is None:
+            self._begun = self.reckoning.stamp
+        self._frames += 1
+        self._alarms = alarms.lasting(self._alarms, core, now)
+        self.alarm = alarms.fault(self._alarms, now)
         self.core, self._heard = core, now
         # A frame that changed nothing is not odometry: the watchdog would take it for a sign of life.
         if before is None or self.reckoning.stamp > before.stamp:
@@ -108,15 +120,21 @@ class Connection:
             self._say_state(core, self.reckoning.stamp)
 
     def _say_state(self, core: p.CoreSensors, stamp: float) -> None:
+        bad, due = self._deframer.bad, 1.0 + _FRAME_RATE * (stamp - self._begun)
         state = BaseState(
             stamp=stamp,
             battery=round(0.1 * core.battery, 1),
-            charging=core.charger != 0,
+            battery_level=alarms.battery_level(core),
+            charger=alarms.charger(core),
+            charging=core.charger & 4 != 0,
+            overcurrent=alarms.overcurrent(core),
             buttons=core.buttons & 7,
             firmware=self.firmware,
             hardware=self.hardware,
             unique_id=self.unique_id,
-            bad_frames=self._deframer.bad,
+            frames=self._frames,
+            bad_frames=bad,
+            lost_frames=max(0, round(due) - self._frames - bad),
         )
         before = self._state
         if before is None or _lasting(state) != _lasting(before) or stamp - before.stamp >= _STATE_EVERY:
@@ -141,4 +159,5 @@ class Connection:
 
 def _lasting(state: BaseState) -> tuple[object, ...]:
     """What of a state is told as soon as it changes."""
-    return state.buttons, state.charging, state.firmware, state.hardware, state.unique_id
+    power = state.charger, state.charging, state.overcurrent
+    return state.buttons, power, state.firmware, state.hardware, state.unique_id

@@ -131,11 +131,11 @@ class KobukiDriver:
         return [] if self._connection is None or self._guardian is None else self._connection.take()
 
     def fault(self) -> str | None:
-        """Why there is no base, as long as there is none, or that its stop button B0 is pressed."""
-        core = self._connection.core if self._connection is not None else None
-        if not self._trouble and core is not None and core.buttons & STOP_BUTTON:
-            return "stopped by the button B0"
-        return self._trouble or None
+        """Why there is no base, as long as there is none, that its stop button B0 is pressed, or its own alarm."""
+        connection = self._connection
+        if self._trouble or connection is None or connection.core is None:
+            return self._trouble or None
+        return "stopped by the button B0" if connection.core.buttons & STOP_BUTTON else connection.alarm
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""

@@ -7,7 +7,7 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
-from tests.hardware.fake_robot import FakeDevice
+from tests.hardware.fake_robot import FakeDevice, base_state
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
@@ -210,6 +210,21 @@ def test_the_bumper_reaches_the_filter():
     station.run(1.5)
     assert station.read("base.hazards").bumper == 2
     assert station.sent()[-1][0] < 0.0
+
+
+def test_the_operator_is_told_once_what_happens_to_the_base(caplog):
+    station = Station().run(1.0)
+    station.device.bumper = 4
+    with caplog.at_level(logging.WARNING, "tfg_drake.hardware"):
+        station.run(2.0)
+        station.device.state = base_state(2.0, battery_level="low")
+        station.run(10.0)
+    lines = [record.getMessage().partition(" s: ") for record in caplog.records]
+    assert [line for _, _, line in lines] == [
+        "bumper left: the robot backs away and looks for another way",
+        "the battery is low, 13.8 V: the mission ends, at home if explorer.return_home is set",
+    ]
+    assert [float(time) for time, _, _ in lines] == pytest.approx([1.0, 7.0], abs=0.1)
 
 
 def test_the_simulated_base_obeys_enable_too():

@@ -55,7 +55,9 @@ CHECKED = """\
 firmware    1.1.4
 hardware    1.0.4
 id          000000010000000200000003
-battery     16.5 V, discharging
+battery     16.5 V
+charger     none
+overcurrent none
 bumper      none
 cliff       left, right
 wheel drop  none

@@ -4,8 +4,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from tfg_drake.hardware.device import DeviceError
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.hardware.device import BaseState, DeviceError
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, replace
+
+
+def base_state(stamp, **changes):
+    """What a base says of itself where nothing is wrong with it, but for some fields."""
+    usual = BaseState(stamp, 13.8, "good", "", False, 0, 0, "1.1.4", "1.0.4", "1", 0, 0, 0)
+    return replace(usual, **changes)
 
 
 class FakeDevice:
@@ -18,6 +24,8 @@ class FakeDevice:
         self.said = dict.fromkeys(self.PERIODS, 0)
         self.silent = set()
         self.bumper = 0
+        self.state = None  # what it says of itself
+        self.remarks = []
         self.moving_at = ()  # numbers of the odometry messages that say that it moved
         self.locked = "not enabled yet"
         self.refuses = None
@@ -49,6 +57,14 @@ class FakeDevice:
             if kind not in self.silent:
                 taken.append(self.message(kind, self.said[kind]))
             self.said[kind] += 1
+        return taken
+
+    def newest(self, kind):
+        assert kind is BaseState
+        return self.state
+
+    def take_remarks(self):
+        taken, self.remarks = self.remarks, []
         return taken
 
     def enable(self):

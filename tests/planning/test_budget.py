@@ -59,6 +59,14 @@ def test_while_no_way_leads_home_the_budget_is_for_finding_one():
     assert (unlimited.latest_arrival(shut, 0), unlimited.longest_way(shut, 0)) == (math.inf, math.inf)
 
 
+@pytest.mark.parametrize("explorer", [ExplorerConfig(), ExplorerConfig(budget_time=1e6, budget_distance=1e6)])
+def test_a_robot_that_was_called_back_affords_nothing(explorer):
+    left = budget_left(explorer, 0.0, 0.0, 7.0, recalled=True)
+    assert not left.affords(roadmap([0.0, 1.0], [0.0, 1.0]), np.arange(2)).any()
+    assert left.spent() == "The battery is low: the robot was called back before all was explored."
+    assert left.latest_arrival(roadmap([1.0]), 0) > 1e5
+
+
 def test_both_limits_are_named():
     assert str(budget_left(ExplorerConfig(budget_time=90, budget_distance=50.0), 30.0, 20.0, 7.0)) == "60 s and 30 m"
 

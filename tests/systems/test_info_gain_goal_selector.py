@@ -562,6 +562,34 @@ def test_what_the_budget_does_not_allow_is_no_goal_and_the_way_leads_home():
         assert goal.latest_arrival == np.inf
 
 
+@pytest.mark.parametrize("return_home", [True, False])
+def test_a_robot_that_is_called_back_goes_home_or_ends_where_it_stands(return_home):
+    estimate, _ = half_known_room()
+    aside = dataclasses.replace(estimate, X_MD=np.array([2.0, 0.0, 0.0]))
+    selector = Selector(return_home=return_home)
+    recall = selector.system.GetInputPort("recall")
+    recall.FixValue(selector.context, [0.0])
+    selector.ready(map=aside)
+    assert selector.goal().verdict == "goal"
+    recall.FixValue(selector.context, [1.0])
+    estimate, tfg = (dataclasses.replace(message, stage=2) for message in (aside, half_known_room()[1]))
+    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
+    goal = selector.goal()
+    assert goal.verdict == "budget"
+    assert goal.node == (int(np.argmin(np.hypot(*roadmap().points.T))) if return_home else -1)
+    assert goal.reason.startswith("The battery is low")
+
+
+def test_a_called_back_robot_does_not_look_again_for_accuracy():
+    estimate, tfg = half_known_room()
+    estimate = dataclasses.replace(estimate, stamp=100.0, covariance=1e-3 * np.eye(9))
+    closed = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
+    selector = Selector()
+    selector.system.GetInputPort("recall").FixValue(selector.context, [1.0])
+    selector.ready(map=estimate, tfg=closed)
+    assert selector.goal().verdict == "complete"
+
+
 def test_a_robot_that_cannot_get_home_while_there_is_a_frontier_somewhere_is_stuck():
     estimate, tfg = half_known_room()
     known = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9), X_MA=np.array([[0.0, 0, 0], [2.0, 0, 0]]))

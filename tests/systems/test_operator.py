@@ -11,9 +11,9 @@ from tfg_drake.systems.operator import Operator
 class Run:
     """An operator whose requests are given by hand."""
 
-    def __init__(self):
+    def __init__(self, **arguments):
         self.requests = []
-        self.operator = Operator([self.take])
+        self.operator = Operator([self.take], **arguments)
         self.simulator = Simulator(self.operator)
         self.context = self.simulator.get_mutable_context()
 
@@ -43,6 +43,17 @@ def test_of_a_stop_and_an_enabling_at_once_the_stop_counts():
     assert run.after("enable") == [1, 0, 0]
     assert run.after("stop", "enable") == run.after("enable", "stop") == [0, 0, 0]
     assert run.after("enable") == [2, 0, 0]
+
+
+def test_a_recall_is_for_the_mission_and_ends_one_that_does_not_know_it():
+    run = Run()
+    run.after()
+    assert run.after("enable", "recall") == [1, 0, 0]
+    assert run.operator.GetOutputPort("recall").Eval(run.context)[0] == 1
+    run = Run(recalls=False)
+    run.after()
+    run.after("enable")
+    assert run.after("recall") == [0, 0, 1]
 
 
 def test_what_was_asked_for_before_the_mission_began_does_not_count():

@@ -21,15 +21,18 @@ AT_HOME = 0.3
 @dataclasses.dataclass(frozen=True)
 class Budget:
     """What is left: until when the mission may last, s, how much time, s, and how far the robot may drive, m; inf where
-    there is no budget. stay: s that a goal costs besides the way to it."""
+    there is no budget. stay: s that a goal costs besides the way to it. recalled: none of it may be spent on a goal."""
 
     end: float
     time: float
     distance: float
     stay: float
+    recalled: bool = False
 
     def affords(self, roadmap: Roadmap, nodes: IntArray) -> BoolArray:
         """Whether the robot could go to each of the nodes (c,) of the roadmap, observe, and come home if it must."""
+        if self.recalled:
+            return np.zeros(len(nodes), dtype=np.bool_)
         if not self.limited:
             return np.ones(len(nodes), dtype=np.bool_)
         home_time, home_length = _home(roadmap)
@@ -51,8 +54,14 @@ class Budget:
 
     @property
     def limited(self) -> bool:
-        """Whether there is a budget at all."""
+        """Whether there is a budget of time or distance."""
         return math.isfinite(self.time) or math.isfinite(self.distance)
+
+    def spent(self) -> str:
+        """Why there is no other goal where there is more worth going to than it allows."""
+        if self.recalled:
+            return "The battery is low: the robot was called back before all was explored."
+        return f"{self} of the budget were too little for another goal."
 
     def __str__(self) -> str:
         limits = ((max(self.time, 0.0), "s"), (max(self.distance, 0.0), "m"))
@@ -76,10 +85,12 @@ def leads_home(roadmap: Roadmap) -> bool:
     return len(roadmap.home_time) > 0 and bool(np.isfinite(roadmap.home_time[roadmap.reachable]).any())
 
 
-def budget_left(explorer: ExplorerConfig, stamp: float, driven: float, stay: float) -> Budget:
-    """The budget at a time stamp (s) after driven (m)."""
+def budget_left(
+    explorer: ExplorerConfig, stamp: float, driven: float, stay: float, *, recalled: bool = False
+) -> Budget:
+    """The budget at a time stamp (s) after driven (m). recalled: the robot was called back."""
     end = explorer.budget_time or math.inf
-    return Budget(end, end - stamp, (explorer.budget_distance or math.inf) - driven, stay)
+    return Budget(end, end - stamp, (explorer.budget_distance or math.inf) - driven, stay, recalled)
 
 
 def way_home(roadmap: Roadmap, p_MH: FloatArray, p_MB: FloatArray) -> int:

@@ -59,9 +59,11 @@ def choose(
     previous: GoalChoice,
     *,
     everything: bool = True,
+    recalled: bool = False,
 ) -> GoalChoice:
     """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is what all choices before it
-    found worth remembering (see remember). everything: they are no part of a larger map.
+    found worth remembering (see remember). everything: they are no part of a larger map. recalled: the robot was called
+    back, so that no place is worth going to but home.
 
     Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
     Where no place sees enough, the robot looks again first where the map gains most in accuracy
@@ -79,9 +81,9 @@ def choose(
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
     stay = time_at_goal(parameters.sensor, explorer)
-    budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay)
+    budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
     open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
-    if explorer.revisit and explorer.goal == "tour" and everything and not open_left:
+    if explorer.revisit and explorer.goal == "tour" and everything and not open_left and not recalled:
         again = _second_look(now, previous)
         if again is not None:
             return again
@@ -112,7 +114,7 @@ def choose(
         rate = gains.gain[best] / (candidates.time[best] + stay)
         reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     elif worth.any():
-        node, (verdict, reason) = -1, _spent(budget)
+        node, verdict, reason = -1, "budget", budget.spent()
     else:
         node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
@@ -200,11 +202,6 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     )
 
 
-def _spent(budget: Budget) -> tuple[str, str]:
-    """Verdict and reason where there is more worth going to than the budget allows."""
-    return "budget", f"{budget} of the budget were too little for another goal."
-
-
 def _last(
     now: Situation, any_left: bool, budget: Budget, looked: IntArray, *, everything: bool
 ) -> tuple[int, str, str, IntArray]:
@@ -225,7 +222,7 @@ def _last(
         reason = f"{barred.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
         return int(barred.entry[again]), "goal", reason, looked
     if back.any():
-        return -1, *_spent(budget), looked
+        return -1, "budget", budget.spent(), looked
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     verdict, reason = why_end(
         any_left,

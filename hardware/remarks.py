@@ -1,0 +1,133 @@
+"""What the operator is told of a base: each thing once, when it begins, with what the robot does about it."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import operator
+from collections.abc import Mapping, Sequence
+
+from tfg_drake.hardware.device import BaseState
+from tfg_drake.messages import Hazards, message, replace
+
+# What was over for so long is told anew when it begins again, s.
+QUIET = 3.0
+# How long a battery must be low, and dangerously so, to be believed, s: it sags while the wheels speed up.
+LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
+# Frames are counted over so long, s; of fewer than this share that are corrupt or lost nobody need know.
+COUNTED, SHARE = 3.0, 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class Remark:
+    """A line for something that holds now, to be told once it has held for `after`, s."""
+
+    line: str
+    after: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Spell:
+    """How long something has held: since when, when last, both s, and whether that was told."""
+
+    begin: float
+    last: float
+    told: bool
+
+
+# By the name of what holds.
+Spells = Mapping[str, Spell]
+
+
+def begun(before: Spells, holds: Mapping[str, Remark], now: float) -> tuple[Spells, list[str]]:
+    """The spells at `now`, s, given those before and what holds now, by name; and what of it is to be told now.
+
+    A spell that was told goes on over a break of up to QUIET; one that was not ends at once.
+    """
+    spells = {name: one for name, one in before.items() if (now - one.last <= QUIET if one.told else name in holds)}
+    names = []
+    for name, remark in holds.items():
+        spell = spells.get(name, Spell(now, now, False))
+        due = not spell.told and now - spell.begin >= remark.after
+        if due:
+            names.append(name)
+        spells[name] = Spell(spell.begin, now, spell.told or due)
+    return spells, names
+
+
+@message
+class Watch:
+    """What is remembered from one look at a base to the next. counted: the state up to which frames were counted, None
+    before there is any. bad, lost: shares of frames that were corrupt and that never came, before it."""
+
+    spells: Spells = dataclasses.field(default_factory=dict)
+    counted: BaseState | None = None
+    bad: float = 0.0
+    lost: float = 0.0
+
+
+def watched(before: Watch, hazards: Sequence[Hazards], state: BaseState | None, now: float) -> tuple[Watch, list[str]]:
+    """A look at a base at `now`, s, and the lines to be told.
+
+    hazards: all since the last look. state: the newest, None of a base that says nothing of itself.
+    """
+    watch = _counted(before, state)
+    holds = _hazards(hazards) | _frames(watch)
+    if state is not None:
+        holds |= battery(state)
+    spells, names = begun(watch.spells, holds, now)
+    return replace(watch, spells=spells), [holds[name].line for name in names]
+
+
+def where(bits: int) -> str:
+    """The sides that bits of Hazards stand for, "none" for 0."""
+    return ", ".join(name for bit, name in ((4, "left"), (2, "centre"), (1, "right")) if bits & bit) or "none"
+
+
+def battery(state: BaseState) -> dict[str, Remark]:
+    """What is to be told of a battery: "battery low", "battery dangerous" or nothing."""
+    if state.battery_level == "low":
+        line = f"the battery is low, {state.battery:.1f} V: the mission ends, at home if explorer.return_home is set"
+        return {"battery low": Remark(line, LOW_LASTS)}
+    if state.battery_level == "dangerous":
+        line = f"the battery is nearly empty, {state.battery:.1f} V: the robot stops and the mission ends; charge it"
+        return {"battery dangerous": Remark(line, DANGEROUS_LASTS)}
+    return {}
+
+
+def _hazards(hazards: Sequence[Hazards]) -> dict[str, Remark]:
+    remarks = {}
+    for name, field, reaction in (
+        ("bumper", "bumper", "the robot backs away and looks for another way"),
+        ("cliff", "cliff", "the robot stands; carry it away"),
+        ("wheel drop", "wheel_drop", "the robot stands until it is back on its wheels"),
+    ):
+        bits = functools.reduce(operator.or_, (getattr(one, field) for one in hazards), 0)
+        if bits:
+            remarks[name] = Remark(f"{name} {where(bits)}: {reaction}")
+    return remarks
+
+
+def _counted(before: Watch, state: BaseState | None) -> Watch:
+    """The shares of frames anew, where COUNTED has passed since they were counted last."""
+    last = before.counted
+    if state is None or state is last:
+        return before
+    if last is None or state.frames < last.frames:  # a new connection
+        return replace(before, counted=state, bad=0.0, lost=0.0)
+    if state.stamp - last.stamp < COUNTED:
+        return before
+    good, bad, lost = (
+        max(0, getattr(state, name) - getattr(last, name)) for name in ("frames", "bad_frames", "lost_frames")
+    )
+    all_of = max(1, good + bad + lost)
+    return replace(before, counted=state, bad=bad / all_of, lost=lost / all_of)
+
+
+def _frames(watch: Watch) -> dict[str, Remark]:
+    shares = (("arrive corrupt", watch.bad), ("are lost", watch.lost))
+    return {
+        what: Remark(f"{100.0 * share:.0f} % of the base's frames {what}; the robot drives on; check the cable")
+        for what, share in shares
+        if share >= SHARE
+    }
