@@ -17,7 +17,7 @@ PERIOD = 0.02
 # The base's own limits of speed, m/s, and turn rate, rad/s.
 MAX_SPEED, MAX_TURN_RATE = 0.70, math.pi
 # A full battery, 0.1 V.
-_BATTERY = 165
+FULL = 165
 # The unit of the gyro's raw samples, rad/s.
 _RAW_GYRO_UNIT = math.radians(0.00875)
 
@@ -26,9 +26,11 @@ class EmulatedBase:
     """The base among walls. It obeys its last command for ever: the firmware stops neither by itself nor at a bumper.
 
     state: of tfg_drake.simulation.differential_drive, the truth. distance: how far it has gone so far, m. outputs: the
-    newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop, cliff, buttons:
-    bits of CoreSensors, to be set from outside; walls press the bumper besides. firmware: the version that it says,
-    (major, minor, patch).
+    newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop, cliff, buttons,
+    charger, battery, overcurrent: as in CoreSensors, to be set from outside; walls press the bumper besides. clock: s
+    that its stamps are ahead of the time since it was switched on. stuck: which of "gyro" and "encoders" say what they
+    said when they got stuck, whatever it does; what they miss meanwhile is never said. firmware: the version that it
+    says, (major, minor, patch).
     """
 
     def __init__(self, walls: FloatArray, start: FloatArray, robot: RobotConfig) -> None:
@@ -40,13 +42,17 @@ class EmulatedBase:
         self.state = drive.initial_state(start, walls, self._robot)
         self.outputs = 0
         self.sounds: list[int] = []
-        self.bumper = self.wheel_drop = self.cliff = self.buttons = 0
+        self.bumper = self.wheel_drop = self.cliff = self.buttons = self.charger = self.overcurrent = 0
+        self.battery = FULL
+        self.clock = 0.0
+        self.stuck: set[str] = set()
         self.distance = 0.0
         self.firmware = (1, 1, 4)
         self._command = (0.0, 0.0)
-        # What the left and the right wheel have gone, m, what the gyro has turned, rad, and frames so far.
+        # What the left and the right wheel have gone, m, what the gyro has turned, rad, its rate, rad/s, and frames so
+        # far.
         self._wheels = [0.0, 0.0]
-        self._turned = 0.0
+        self._turned = self._turn_rate = 0.0
         self._frames = 0
         self._answers: list[p.SubPayload] = []
         self._gains = p.Gains(0, 100_000, 100, 2000)
@@ -86,22 +92,24 @@ class EmulatedBase:
         before = self.pose
         self.state = drive.step(self.state, np.array(self._command), self._walls, self._robot, PERIOD)
         speed, turn_rate = float(self.state[drive.SPEED]), float(self.state[drive.TURN_RATE])
-        self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
-        self._wheels[1] += PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
-        self._turned += PERIOD * turn_rate
+        if "encoders" not in self.stuck:
+            self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
+            self._wheels[1] += PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
+        if "gyro" not in self.stuck:
+            self._turned += PERIOD * turn_rate
+            self._turn_rate = turn_rate
         self.distance += math.hypot(*(self.pose - before)[:2])
 
     def feedback(self) -> list[p.SubPayload]:
         """What it says now: what it streams by itself, then the answers to what it was asked."""
         left, right = (round(distance / METRES_PER_TICK) % 65536 for distance in self._wheels)
-        turn_rate = float(self.state[drive.TURN_RATE])
         angle = (round(self._turned / GYRO_UNIT) + 18000) % 36000 - 18000
-        sample = (0, 0, round(turn_rate / _RAW_GYRO_UNIT))
+        sample = (0, 0, round(self._turn_rate / _RAW_GYRO_UNIT))
         self._frames += 1
         answers, self._answers = self._answers, []
         return [
             p.CoreSensors(
-                stamp=round(1000.0 * self.time) % 65536,
+                stamp=round(1000.0 * (self.time + self.clock)) % 65536,
                 bumper=int(self.state[drive.BUMPER]) | self.bumper,
                 wheel_drop=self.wheel_drop,
                 cliff=self.cliff,
@@ -110,12 +118,12 @@ class EmulatedBase:
                 left_pwm=0,
                 right_pwm=0,
                 buttons=self.buttons,
-                charger=0,
-                battery=_BATTERY,
-                overcurrent=0,
+                charger=self.charger,
+                battery=self.battery,
+                overcurrent=self.overcurrent,
             ),
             p.DockInfrared(0, 0, 0),
-            p.Inertia(angle, round(turn_rate / GYRO_UNIT)),
+            p.Inertia(angle, round(self._turn_rate / GYRO_UNIT)),
             p.CliffAdc(2000, 2000, 2000),
             p.Current(0, 0),
             p.RawGyro(self._frames % 256, (sample, sample)),

@@ -18,6 +18,8 @@ from tfg_drake.hardware.kobuki.emulated_base import PERIOD, EmulatedBase
 from tfg_drake.hardware.kobuki.payloads import BaseControl
 from tfg_drake.hardware.kobuki.pseudo_terminal import PseudoTerminal
 from tfg_drake.hardware.kobuki.sensor_socket import SensorSocket, sensor_line
+from tfg_drake.hardware.sensor_faults import Fault, unchanged
+from tfg_drake.messages import LaserScan, TagDetections
 from tfg_drake.simulation.differential_drive import CONTACTS
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
@@ -25,6 +27,8 @@ from tfg_drake.world.world import World
 
 # Commands remembered, some twenty seconds of a driver's.
 _REMEMBERED = 1000
+# How late a late frame is, s.
+DELAY = 0.2
 
 
 def empty_plane() -> World:
@@ -37,9 +41,9 @@ class Emulator:
 
     device: the path that a driver opens; it is there while the cable is plugged in, as udev's are. sensors: address
     (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands: what a driver told
-    the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic(). corrupt: share of
-    frames that leave with a byte changed. silent: it says nothing, but obeys. muted: which of "tags" and "scan" the
-    socket does not say.
+    the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic(). corrupt, lost, late:
+    shares of frames that leave with a byte changed, not at all, or DELAY late with their old stamp. silent: it says
+    nothing, but obeys. faults: what is wrong with "tags" or "scan" on the socket, see tfg_drake.hardware.sensor_faults.
 
     Stamps of tags and scans are s of time.monotonic(), too. There are no stamps of frames but the base's own.
     """
@@ -59,9 +63,11 @@ class Emulator:
         self._noise, self._chance = np.random.default_rng(seed), random.Random(seed)
         self.base = EmulatedBase(self._world.walls, self._world.start, robot or RobotConfig())
         self.commands: collections.deque[tuple[float, BaseControl]] = collections.deque(maxlen=_REMEMBERED)
-        self.corrupt = 0.0
+        self.corrupt = self.lost = self.late = 0.0
         self.silent = False
-        self.muted: set[str] = set()
+        self.faults: dict[str, Fault] = {}
+        # Late frames, and when they are due, s of the base's time.
+        self._late: collections.deque[tuple[float, bytearray]] = collections.deque()
         self._folder = tempfile.TemporaryDirectory(prefix="kobuki-")
         self.device = str(Path(self._folder.name) / "kobuki")
         self._line: PseudoTerminal | None = None
@@ -144,19 +150,27 @@ class Emulator:
         frame = bytearray(encode(*self.base.feedback()))
         if self._chance.random() < self.corrupt:
             frame[self._chance.randrange(len(frame))] ^= self._chance.randrange(1, 256)
-        if not self.silent:
+        if self._chance.random() < self.late:
+            self._late.append((self.base.time + DELAY, frame))
+        elif not self.silent and self._chance.random() >= self.lost:
+            line.write(frame)
+        while self._late and self._late[0][0] <= self.base.time:
+            _, frame = self._late.popleft()
             line.write(frame)
 
     def _sense(self, begin: float, before: float) -> None:
         """Tags and a scan, each when another of its periods is over since `before`, s."""
         now, pose, world = self.base.time, self.base.pose, self._world
-        if "tags" not in self.muted and _count(now, self._tags.rate) > _count(before, self._tags.rate):
+        if _count(now, self._tags.rate) > _count(before, self._tags.rate):
             normal = self._noise.normal(size=(len(world.tag_ids), NOISE_PER_TAG))
-            self._socket.send(sensor_line(detect(world, pose, begin + now, normal, self._tags)))
-        if "scan" not in self.muted and _count(now, self._scanner.rate) > _count(before, self._scanner.rate):
+            self._say("tags", detect(world, pose, begin + now, normal, self._tags))
+        if _count(now, self._scanner.rate) > _count(before, self._scanner.rate):
             normal = self._noise.normal(size=len(self._angles))
-            seen = scan(world.walls, pose, begin + now, self._angles, normal, self._scanner)
-            self._socket.send(sensor_line(seen))
+            self._say("scan", scan(world.walls, pose, begin + now, self._angles, normal, self._scanner))
+
+    def _say(self, sensor: str, message: TagDetections | LaserScan) -> None:
+        if (said := self.faults.get(sensor, unchanged)(message)) is not None:
+            self._socket.send(sensor_line(said))
 
 
 def _count(now: float, rate: float) -> int:

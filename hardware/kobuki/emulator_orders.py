@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import TYPE_CHECKING
+
+from tfg_drake.hardware.sensor_faults import sensor_fault
 
 if TYPE_CHECKING:
     from tfg_drake.hardware.kobuki.emulator import Emulator
@@ -12,6 +15,9 @@ if TYPE_CHECKING:
 _SIDES = {"left": 4, "centre": 2, "right": 1}
 _WHEELS = {"left": 2, "right": 1, "": 3}
 _BUTTONS = {"0": 1, "1": 2, "2": 4}
+_OVERCURRENT = {"none": 0, "left": 1, "right": 2, "both": 3}
+# Of the charger: in the dock, charging.
+DOCKED = 6
 
 
 def order(emulator: Emulator, line: str) -> str | None:
@@ -23,12 +29,12 @@ def order(emulator: Emulator, line: str) -> str | None:
                 pass
             case ["silent", "on" | "off" as state]:
                 emulator.silent = state == "on"
-            case ["mute", "tags" | "scan" as sensor]:
-                emulator.muted.add(sensor)
-            case ["unmute", "tags" | "scan" as sensor]:
-                emulator.muted.discard(sensor)
-            case ["corrupt", share] if 0.0 <= float(share) <= 1.0:
-                emulator.corrupt = float(share)
+            case ["tags" | "scan" as sensor, "well"]:
+                emulator.faults.pop(sensor, None)
+            case ["tags" | "scan" as sensor, name, *numbers] if all(math.isfinite(float(one)) for one in numbers):
+                emulator.faults[sensor] = sensor_fault(sensor, name, [float(one) for one in numbers])
+            case ["corrupt" | "lost" | "late" as what, share] if 0.0 <= float(share) <= 1.0:
+                setattr(emulator, what, float(share))
             case ["unplug"]:
                 emulator.unplug()
             case ["plug"]:
@@ -41,6 +47,18 @@ def order(emulator: Emulator, line: str) -> str | None:
                 base.cliff = _changed(base.cliff, _SIDES[side], verb == "open")
             case ["drop" | "raise" as verb, "wheel", *side]:
                 base.wheel_drop = _changed(base.wheel_drop, _WHEELS[" ".join(side)], verb == "drop")
+            case ["battery", volts] if 0.0 <= float(volts) <= 25.5:
+                base.battery = round(10.0 * float(volts))
+            case ["dock" | "undock" as verb]:
+                base.charger = DOCKED if verb == "dock" else 0
+            case ["overcurrent", wheel]:
+                base.overcurrent = _OVERCURRENT[wheel]
+            case ["clock", ahead] if math.isfinite(float(ahead)):
+                base.clock += float(ahead)
+            case ["stick", "gyro" | "encoders" as sensor]:
+                base.stuck.add(sensor)
+            case ["free", "gyro" | "encoders" as sensor]:
+                base.stuck.discard(sensor)
             case ["report"]:
                 return json.dumps(emulator.report())
             case _:

@@ -15,6 +15,7 @@ from tfg_drake.config import OdometryConfig, RobotConfig, ScanConfig, TagSensorC
 from tfg_drake.geometry import se2
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import Preset
+from tfg_drake.hardware.sensor_faults import Fault, unchanged
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections
 from tfg_drake.simulation import differential_drive, laser_scanner, odometry, tag_sensor
 from tfg_drake.world.world import World
@@ -35,7 +36,8 @@ class EmulatedTurtlebot:
 
     It has no watchdog of its own: it keeps the velocity it was last told, so a stop is the driver's doing.
 
-    silent: the topics' keys that say nothing. clock: the robot's ROS clock minus the host's, s. commands: (time, speed,
+    silent: the topics' keys that say nothing. faults: what is wrong with "tags" or "scan", see
+    tfg_drake.hardware.sensor_faults. clock: the robot's ROS clock minus the host's, s. commands: (time, speed,
     turn rate) as told, poses: (time, X_WB), the truth; the newest last.
     """
 
@@ -60,6 +62,7 @@ class EmulatedTurtlebot:
         self._steps, self._distance = 0, 0.0
         self._command = (0.0, 0.0)
         self.silent: set[str] = set()
+        self.faults: dict[str, Fault] = {}
         self.clock = time.time() - time.monotonic()
         self.commands: collections.deque[tuple[float, float, float]] = collections.deque(maxlen=_REMEMBERED)
         self.poses: collections.deque[tuple[float, FloatArray]] = collections.deque(maxlen=_REMEMBERED)
@@ -99,10 +102,12 @@ class EmulatedTurtlebot:
             seen = laser_scanner.scan(
                 self._world.walls, X_WS, 0.0, self._angles, self._noise(len(self._angles)), self._scanner
             )
-            messages["scan"] = _scan({"stamp": stamp, "frame_id": "rplidar_link"}, seen, self._scanner.resolution)
+            if (said := self._told("scan", seen)) is not None:
+                messages["scan"] = _scan({"stamp": stamp, "frame_id": "rplidar_link"}, said)
             normal = self._noise(len(self._world.tag_ids) * tag_sensor.NOISE_PER_TAG)
             found = tag_sensor.detect(self._world, X_WB, 0.0, normal.reshape(-1, tag_sensor.NOISE_PER_TAG), self._tags)
-            messages["detections"] = _cloud({"stamp": stamp, "frame_id": frames.base}, found)
+            if (said := self._told("tags", found)) is not None:
+                messages["detections"] = _cloud({"stamp": stamp, "frame_id": frames.base}, said)
         return {key: message for key, message in messages.items() if key not in self.silent}
 
     def run(
@@ -126,6 +131,9 @@ class EmulatedTurtlebot:
             "contacts": int(base[differential_drive.CONTACTS]),
             "distance": self._distance,
         }
+
+    def _told(self, sensor: str, message: Any) -> Any:
+        return self.faults.get(sensor, unchanged)(message)
 
     def _noise(self, n: int) -> FloatArray:
         return np.zeros(n) if self._random is None else self._random.normal(size=n)
@@ -154,12 +162,14 @@ def _transform(header: Fields, base: str, X_OB: FloatArray) -> Fields:
     return {"transforms": [{"header": header, "child_frame_id": base, "transform": transform}]}
 
 
-def _scan(header: Fields, scan: LaserScan, resolution: float) -> Fields:
+def _scan(header: Fields, scan: LaserScan) -> Fields:
+    # The definition has no word for a scan without rays but a list without ranges.
+    angles = scan.angles if len(scan.angles) > 1 else np.array([0.0, 1.0])
     return {
         "header": header,
-        "angle_min": float(scan.angles[0]),
-        "angle_max": float(scan.angles[-1]),
-        "angle_increment": resolution,
+        "angle_min": float(angles[0]),
+        "angle_max": float(angles[-1]),
+        "angle_increment": float(angles[1] - angles[0]),
         "time_increment": 0.0,
         "range_min": 0.05,
         "range_max": scan.range_max,
@@ -169,14 +179,15 @@ def _scan(header: Fields, scan: LaserScan, resolution: float) -> Fields:
 
 def _cloud(header: Fields, detections: TagDetections) -> Fields:
     """What conversions.plain_detections reads."""
-    layout = np.dtype([("id", "<u4")] + [(name, "<f8") for name in conversions.COLUMNS[1:]])
+    small = (detections.ids < 2**32).all()
+    layout = np.dtype([("id", "<u4" if small else "<f8")] + [(name, "<f8") for name in conversions.COLUMNS[1:]])
     points = np.zeros(len(detections.ids), dtype=layout)
     points["id"] = detections.ids
     for name in conversions.COLUMNS[1:]:
         points[name] = getattr(detections, name)
     assert layout.fields is not None
     fields = [
-        {"name": name, "offset": layout.fields[name][1], "datatype": 6 if name == "id" else 8, "count": 1}
+        {"name": name, "offset": layout.fields[name][1], "datatype": 6 if name == "id" and small else 8, "count": 1}
         for name in conversions.COLUMNS
     ]
     return {

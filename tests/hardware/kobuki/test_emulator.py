@@ -14,7 +14,8 @@ from tfg_drake.hardware.kobuki import odometry as o
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
 from tfg_drake.hardware.kobuki.emulated_base import EmulatedBase
-from tfg_drake.hardware.kobuki.emulator import Emulator, empty_plane
+from tfg_drake.hardware.kobuki.emulator import DELAY, Emulator, empty_plane
+from tfg_drake.hardware.sensor_faults import sensor_fault
 from tfg_drake.world.world import World
 
 WALL = np.array([[1.0, -1.0, 1.0, 1.0]])
@@ -108,6 +109,47 @@ def test_fifty_frames_a_second_and_faults_on_request():
         assert read_frames(emulator.device, 0.2) == ([], 0)
 
 
+def test_a_clock_that_is_set_back(base):
+    run(base, 150)
+    assert base.feedback()[0].stamp == 3000
+    base.clock = -2.0
+    assert base.feedback()[0].stamp == 1000
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "encoders"])
+def test_what_is_stuck_says_the_same_and_never_what_it_missed(base, sensor):
+    def told():
+        core, _, inertia, *_ = base.feedback()
+        return (inertia.angle, inertia.rate), (core.left_encoder, core.right_encoder)
+
+    base.obey(o.base_control(0.3, 0.5))
+    run(base, 100)
+    before = dict(zip(("gyro", "encoders"), told(), strict=True))
+    base.stuck.add(sensor)
+    run(base, 100)
+    after = dict(zip(("gyro", "encoders"), told(), strict=True))
+    assert [name for name in before if after[name] == before[name]] == [sensor]
+    base.stuck.clear()
+    run(base, 1)
+    freed = dict(zip(("gyro", "encoders"), told(), strict=True))
+    assert 0 < abs(freed[sensor][0] - before[sensor][0]) < 100
+
+
+def test_frames_that_are_lost_or_late():
+    with Emulator() as emulator:
+        emulator.lost = 1.0
+        time.sleep(0.1)
+        read_frames(emulator.device, 0.1)
+        assert read_frames(emulator.device, 0.2) == ([], 0)
+        emulator.lost, emulator.late = 0.0, 0.3
+        frames, bad = read_frames(emulator.device, 2.0)
+        steps = np.diff([frame[0].stamp for frame in frames])
+        assert bad == 0
+        # A late frame comes with its old stamp, between frames that are newer.
+        assert (steps < -100).any()
+        assert steps.min() >= -(DELAY * 1000 + 20)
+
+
 def test_commands_are_remembered_with_their_time():
     with Emulator() as emulator:
         port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY)
@@ -150,6 +192,14 @@ def test_the_socket_says_what_the_sensors_see():
         *("type", "stamp", "ids", "range", "bearing", "sigma_range", "sigma_bearing"),
         *("angles", "ranges", "range_max", "sigma"),
     }
+
+
+def test_the_socket_says_what_is_left_of_it():
+    with Emulator() as emulator:
+        emulator.faults = {"scan": sensor_fault("scan", "none"), "tags": sensor_fault("tags", "silent")}
+        seen = lines(emulator, 3)
+    # The first may have been on its way.
+    assert [(line["type"], line["ranges"]) for line in seen[2:]] == [("scan", [])]
 
 
 def test_an_empty_plane_has_nothing_to_see():

@@ -3,9 +3,11 @@
 import json
 import os
 
+import numpy as np
 import pytest
 
 from tfg_drake.hardware.kobuki.emulator_orders import order
+from tfg_drake.messages import LaserScan
 
 
 def test_bits(emulator):
@@ -29,19 +31,38 @@ def test_bits(emulator):
     assert (core.bumper, core.cliff, core.wheel_drop, core.buttons) == (1, 0, 2, 4)
 
 
-def test_silence_and_corruption(emulator):
-    order(emulator, "silent on")
-    order(emulator, "corrupt 0.05")
-    assert (emulator.silent, emulator.corrupt) == (True, 0.05)
-    order(emulator, "silent off")
-    order(emulator, "corrupt 0")
-    assert (emulator.silent, emulator.corrupt) == (False, 0.0)
-
-
-def test_muted_sensors(emulator):
-    for line, muted in (("mute scan", {"scan"}), ("mute tags", {"scan", "tags"}), ("unmute scan", {"tags"})):
+def test_silence_and_what_happens_to_frames(emulator):
+    for line in ("silent on", "corrupt 0.05", "lost 0.6", "late 0.1"):
         order(emulator, line)
-        assert emulator.muted == muted
+    assert (emulator.silent, emulator.corrupt, emulator.lost, emulator.late) == (True, 0.05, 0.6, 0.1)
+    for line in ("silent off", "corrupt 0", "lost 0", "late 0"):
+        order(emulator, line)
+    assert (emulator.silent, emulator.corrupt, emulator.lost, emulator.late) == (False, 0.0, 0.0, 0.0)
+
+
+def test_faults_of_the_sensors(emulator):
+    seen = LaserScan(1.0, np.zeros(1), np.ones(1), 10.0, 0.015)
+    order(emulator, "scan silent")
+    assert emulator.faults["scan"](seen) is None
+    order(emulator, "scan drop 1")
+    assert np.isnan(emulator.faults["scan"](seen).ranges).all()
+    order(emulator, "tags range 1e200")
+    assert set(emulator.faults) == {"scan", "tags"}
+    order(emulator, "scan well")
+    order(emulator, "scan well")
+    assert set(emulator.faults) == {"tags"}
+
+
+def test_the_bases_power_and_clock(emulator):
+    base = emulator.base
+    for line in ("battery 13.0", "dock", "overcurrent both", "clock -2", "stick gyro", "stick encoders"):
+        assert order(emulator, line) is None
+    core = base.feedback()[0]
+    assert (core.battery, core.charger, core.overcurrent) == (130, 6, 3)
+    assert (base.clock, base.stuck) == (-2.0, {"gyro", "encoders"})
+    for line in ("undock", "overcurrent none", "clock 2", "free gyro", "free encoders"):
+        order(emulator, line)
+    assert (base.charger, base.overcurrent, base.clock, base.stuck) == (0, 0, 0.0, set())
 
 
 def test_the_cable(emulator):
@@ -57,7 +78,11 @@ def test_report(emulator):
 
 
 @pytest.mark.parametrize(
-    "line", ["silent", "corrupt", "corrupt x", "corrupt 2", "press bumper", "press button 3", "drop wheel centre", "?"]
+    "line",
+    [
+        *("silent", "corrupt", "corrupt x", "corrupt 2", "press bumper", "press button 3", "drop wheel centre", "?"),
+        *("lost 2", "battery 30", "clock inf", "overcurrent", "scan", "scan loud", "scan drop 2", "tags range inf"),
+    ],
 )
 def test_what_it_does_not_know(emulator, line):
     with pytest.raises(ValueError, match=r"^no order '.*'; docs/kobuki_emulator.md lists those that there are$"):
