@@ -126,7 +126,7 @@ def test_nothing_moves_before_the_operator_enables_it():
 
 def test_stop_ends_the_mission_as_interrupted():
     status = step(following(), inputs(20.0, stop=True))
-    assert (status.phase, status.outcome, status.reason) == ("done", "interrupted", "stopped by the operator")
+    assert (status.phase, status.outcome, status.reason) == ("done", "interrupted", "told to end")
 
 
 def test_a_robot_that_must_come_home_ends_its_mission_there():

@@ -65,7 +65,7 @@ def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     if status.phase == "done":
         return status
     if inputs.stop:
-        return _end(status, inputs, "interrupted", "stopped by the operator")
+        return _end(status, inputs, "interrupted", "told to end")
     held = inputs.pause or not inputs.enable
     if status.phase == "paused":
         if held:

@@ -1,0 +1,39 @@
+"""A mission whose robot is called back: it goes home where it is to end there, and ends where it stands otherwise."""
+
+import numpy as np
+import pytest
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import Simulator
+
+from tfg_drake.diagrams.run import MakeMissionDiagram
+from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario, MakeWorld
+from tfg_drake.planning.budget import AT_HOME
+
+# When the robot is called back, s: it has left the place where it began.
+RECALLED = 30.0
+
+
+@pytest.mark.parametrize("return_home", [True, False])
+def test_a_robot_that_is_called_back(return_home):
+    scenario = ApplySettings(LoadScenario("house"), ["explorer.first_look=8", f"explorer.return_home={return_home}"])
+    world = MakeWorld(scenario.world)
+    diagram, _, _ = MakeMissionDiagram(scenario, world, None, "recall")
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    diagram.SetRandomContext(context, RandomGenerator(scenario.seed))
+    explorer, station = diagram.GetSubsystemByName("explorer"), diagram.GetSubsystemByName("station")
+    truth = station.GetOutputPort("truth.pose")
+
+    def from_home():
+        return float(np.hypot(*(truth.Eval(station.GetMyContextFromRoot(context))[:2] - world.start[:2])))
+
+    simulator.AdvanceTo(RECALLED)
+    assert from_home() > 2.0 * AT_HOME
+    explorer.GetInputPort("recall").FixValue(explorer.GetMyMutableContextFromRoot(context), [1.0])
+    simulator.AdvanceTo(RECALLED + 60.0)
+    status = explorer.GetOutputPort("mission").Eval(explorer.GetMyContextFromRoot(context))
+    assert (status.phase, status.outcome) == ("done", "budget")
+    assert status.reason.startswith("The battery is low: the robot was called back before all was explored.")
+    assert (from_home() < 2.0 * AT_HOME) == return_home
+    # It chooses every two seconds on its way; a stage may take it a moment longer.
+    assert return_home or status.since < RECALLED + 10.0
