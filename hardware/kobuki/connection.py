@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from typing import TYPE_CHECKING
 
@@ -109,7 +110,8 @@ class Connection:
         if self.core is None:
             self._begun = self.reckoning.stamp
         self._frames += 1
-        self._alarms = alarms.lasting(self._alarms, core, now)
+        # A base that is found in its dock has been there before.
+        self._alarms = alarms.lasting(self._alarms, core, now if self.core is not None else -math.inf)
         self.alarm = alarms.fault(self._alarms, now)
         self.core, self._heard = core, now
         # A frame that changed nothing is not odometry: the watchdog would take it for a sign of life.

@@ -72,6 +72,24 @@ def test_check(call):
         assert emulator.base.pose.tolist() == [0.0, 0.0, 0.0]
 
 
+def test_check_of_a_base_that_is_plugged_in_and_one_with_a_low_battery(call):
+    with Emulator() as emulator:
+        emulator.base.charger, emulator.base.overcurrent = 22, 1
+        code, out, _ = call("kobuki", "check", "--port", emulator.device)
+        assert code == 0
+        assert "charger     adapter, charging\novercurrent left\n" in out
+        emulator.base.charger, emulator.base.overcurrent, emulator.base.battery = 0, 0, 139
+        assert "battery     13.9 V; charge it\n" in call("kobuki", "check", "--port", emulator.device)[1]
+
+
+def test_check_does_not_drive_with_a_cable_in_it(call):
+    with Emulator() as emulator:
+        emulator.base.charger = 18
+        code, _, err = call("kobuki", "check", "--port", emulator.device, "--drive")
+        assert (code, emulator.base.distance) == (2, 0.0)
+        assert "the base is charging by its adapter: pull the plug, then enable it" in err
+
+
 def test_check_drives_20_cm(call):
     with Emulator() as emulator:
         code, out, err = call("kobuki", "check", "--port", emulator.device, "--drive")

@@ -79,9 +79,45 @@ def test_what_the_base_says_of_itself(emulator, device):
     assert device.locked == "not enabled yet"
     state = device.newest(BaseState)
     assert (state.firmware, state.hardware, state.unique_id) == ("1.1.4", "1.0.4", "000000010000000200000003")
-    assert (state.battery, state.charging, state.buttons, state.bad_frames) == (16.5, False, 0, 0)
+    assert (state.battery, state.battery_level, state.charger, state.charging) == (16.5, "good", "", False)
+    assert (state.overcurrent, state.buttons, state.bad_frames) == (0, 0, 0)
+    assert state.frames > 0
     emulator.base.cliff = 4
     wait_for(lambda: device.newest(Hazards).cliff == 4)
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"overcurrent": 2}, "overcurrent of the right wheel: see what blocks the wheels"),
+        ({"charger": 6}, "the base stands in its dock: put it on the floor"),
+        ({"charger": 22}, "the base is charging by its adapter: pull the plug"),
+        ({"battery": 130}, "the battery is down to 13.2 V: charge it"),
+    ],
+)
+def test_what_the_base_says_against_driving_stops_it_until_it_is_over_and_enabled_anew(emulator, driving, said, words):
+    before = {name: getattr(emulator.base, name) for name in said}
+    begin = time.monotonic()
+    vars(emulator.base).update(said)
+    assert_stops(emulator, begin)
+    assert driving.locked.startswith(words)
+    with pytest.raises(DeviceError, match=words):
+        driving.enable()
+    vars(emulator.base).update(before)
+    time.sleep(0.2)
+    assert driving.locked.startswith(words)
+    driving.enable()
+    drive(driving, 0.2, 0.0, 0.3)
+    assert moves(emulator)
+
+
+def test_a_base_in_its_dock_is_not_enabled(emulator, device):
+    emulator.base.charger = 2
+    wait_for(lambda: device.newest(BaseState).charger == "dock")
+    wait_for(lambda: "dock" in device.locked)
+    assert not device.newest(BaseState).charging
+    with pytest.raises(DeviceError, match="the robot is not enabled: the base stands in its dock"):
+        device.enable()
 
 
 def test_no_press_of_a_button_is_lost(emulator, device):
