@@ -15,7 +15,7 @@ QUIET = 3.0
 # How long a battery must be low, and dangerously so, to be believed, s: it sags while the wheels speed up.
 LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
 # Frames are counted over so long, s; of fewer than this share that are corrupt or lost nobody need know.
-COUNTED, SHARE = 3.0, 0.05
+COUNTED, SHARE = 3.0, 0.1
 
 
 @dataclasses.dataclass(frozen=True)

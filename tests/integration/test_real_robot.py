@@ -118,6 +118,28 @@ def test_the_estimate_is_where_the_robot_is(mission):
     assert abs(np.angle(np.exp(1j * (X_WB[2] - marks["pose"][2])))) < 0.8
 
 
+def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
+    with Emulator(WORLD) as emulator:
+        explorer = Explorer(emulator, tmp_path, 300.0)
+        explorer.wait_for("nothing moves before it is enabled")
+        begin = time.monotonic()
+        time.sleep(0.5)
+        explorer.press("e")
+        _moves(emulator, begin)
+        emulator.base.bumper = 4
+        explorer.wait_for("bumper left: the robot backs away and looks for another way")
+        emulator.base.bumper = 0
+        emulator.base.battery = 138
+        explorer.wait_for("the battery is low, 13.8 V")
+        explorer.wait_for("files")
+        assert explorer.process.wait(20.0) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["outcome"] == "budget"
+    assert summary["reason"] == "The battery is low: the robot was called back before all was explored."
+    log = (tmp_path / "log.txt").read_text()
+    assert [log.count(words) for words in ("bumper left", "the battery is low", ": recall\n")] == [1, 1, 1]
+
+
 def test_its_last_word_to_the_wheels_is_a_stop(mission):
     _, marks, _ = mission
     assert marks["end"][1].speed == 0
