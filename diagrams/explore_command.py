@@ -120,12 +120,12 @@ def open_robot(
 
 @contextlib.contextmanager
 def _remarks_on_screen() -> Iterator[None]:
-    """What base and operator remark is shown, too."""
+    """What base, operator and picture remark is shown, too."""
     import logging
 
     handler = logging.StreamHandler(sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
-    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in ("hardware", "operator")]
+    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in ("hardware", "operator", "picture")]
     for logger in loggers:
         logger.addHandler(handler)
     try:
@@ -136,17 +136,12 @@ def _remarks_on_screen() -> Iterator[None]:
 
 
 def start_meshcat() -> Any:
-    """Meshcat, its address printed."""
-    import logging
+    """The picture, its address printed."""
+    from tfg_drake.systems.picture import Picture, open_meshcat
 
-    from pydrake.geometry import Meshcat, MeshcatParams
-
-    # Not its own line with the address, nor that a picture was replaced before the browser asked for it.
-    logging.getLogger("drake").setLevel(logging.ERROR)
-    # Only this machine may look; the default would listen on every interface.
-    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    print(f"Meshcat: {meshcat.web_url()}", flush=True)
-    return meshcat
+    picture = Picture(open_meshcat())
+    print(f"Meshcat: {picture.meshcat.web_url()}", flush=True)
+    return picture
 
 
 class ProgressDisplay:

@@ -7,7 +7,6 @@ import copy
 import threading
 from collections.abc import Callable, Iterator
 
-from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
@@ -21,13 +20,14 @@ from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.systems.meshcat_buttons import MeshcatButtons
+from tfg_drake.systems.picture import Picture
 
 # Of the simulated mission that is run before a real one, s: two stages.
 REHEARSAL = 30.0
 
 
 @contextlib.contextmanager
-def OpenRobot(scenario: Scenario, meshcat: Meshcat | None) -> Iterator[tuple[Robot, Scenario]]:
+def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Robot, Scenario]]:
     """The robot that scenario.hardware names, and the scenario within that robot's limits; closed at the end.
 
     Keys on standard input, buttons in Meshcat and those of the robot operate it. Raises DeviceError.
@@ -54,11 +54,11 @@ def OpenRobot(scenario: Scenario, meshcat: Meshcat | None) -> Iterator[tuple[Rob
 
 
 def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diagram], object] | None:
-    frames = devices.frames
-    if frames is None:
+    publisher, frames = devices.publisher, devices.frames
+    if publisher is None or frames is None:
         return None
     return lambda builder, station, explorer: MapPublisher.AddToBuilder(
-        builder, station, explorer, devices.base, frames, devices.clock
+        builder, station, explorer, publisher, frames, devices.clock
     )
 
 

@@ -37,6 +37,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
 from tfg_drake.pose_prediction import pose_at
+from tfg_drake.systems.picture import Picture, picture_of
 from tfg_drake.systems.ports import declare_message_input, eval_message
 from tfg_drake.world.world import World
 
@@ -126,9 +127,13 @@ class TfgVisualizer(LeafSystem):
     scan and the path are drawn at every picture, the rest when its message has changed: the state holds the messages
     that the scene shows. Simulator publishes before it updates, so an unrestricted update at the same instant sees
     exactly the inputs that the picture was made of. A forced publish draws everything.
+
+    Where the picture fails, see `tfg_drake.systems.picture`, nothing is drawn, and everything when it is back.
     """
 
-    def __init__(self, meshcat: Meshcat, world: World | None, X_WM: FloatArray, radius: float, title: str) -> None:
+    def __init__(
+        self, meshcat: Meshcat | Picture, world: World | None, X_WM: FloatArray, radius: float, title: str
+    ) -> None:
         """
         Args:
             meshcat: where to draw; only what lies under /tfg is touched, and the camera.
@@ -138,11 +143,12 @@ class TfgVisualizer(LeafSystem):
             title: the first words of the caption.
         """
         super().__init__()
-        self._meshcat = meshcat
+        self._picture = picture_of(meshcat)
+        self._opened = 0  # which Meshcat holds the scene
+        self._world = world
         self._X_WM = np.array(X_WM, dtype=float)
         self._radius = radius
         self._title = title
-        self._world_known = world is not None
         self._inputs = {name: declare_message_input(self, name) for name in (*_SLOW_INPUTS, "pose", "mission", "scan")}
         self._truth = self.DeclareVectorInputPort("truth", 5).get_index()
         self._drawn = self.DeclareAbstractState(AbstractValue.Make(object()))
@@ -153,19 +159,14 @@ class TfgVisualizer(LeafSystem):
         # A symbol's size: visible when the whole building fills the window.
         self._view = _view(world, self._X_WM)
         self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
-
-        meshcat.Delete("/tfg")
-        meshcat.SetTransform("/tfg/map", _planar(self._X_WM))
-        self._ShowWalls(world)
-        self._ShowRobots()
-        self._ShowCamera()
+        self._picture.attempt(self._Begin, None)
 
     @staticmethod
     def AddToBuilder(
         builder: DiagramBuilder,
         station: System,
         explorer: System,
-        meshcat: Meshcat,
+        meshcat: Meshcat | Picture,
         world: World | None,
         radius: float,
         title: str = "mission",
@@ -189,19 +190,12 @@ class TfgVisualizer(LeafSystem):
     # Events
 
     def _DrawEverything(self, context: Context) -> EventStatus:
-        self._meshcat.SetProperty("/tfg/truth", "visible", self._Truth(context) is not None)
-        self._DrawSlow(context, drawn=None)
-        self._DrawFast(context)
-        self._DrawCaption(context)
+        self._picture.attempt(lambda: self._ShowEverything(context), None)
         return EventStatus.Succeeded()
 
     @metered("visualizer")
     def _Draw(self, context: Context) -> EventStatus:
-        drawn = context.get_abstract_state(int(self._drawn)).get_value()
-        self._DrawSlow(context, drawn if isinstance(drawn, tuple) else None)
-        self._DrawFast(context)
-        if round(context.get_time() * RATE) % RATE == 0:
-            self._DrawCaption(context)
+        self._picture.attempt(lambda: self._ShowChanges(context), None)
         return EventStatus.Succeeded()
 
     def _Remember(self, context: Context, state: State) -> None:
@@ -212,6 +206,37 @@ class TfgVisualizer(LeafSystem):
     def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
         port = self._inputs[name]
         return eval_message(port, context, kind) if port.HasValue(context) else None
+
+    @property
+    def _meshcat(self) -> Meshcat:
+        return self._picture.meshcat
+
+    def _Begin(self) -> None:
+        """Shows what stays as it is."""
+        self._opened = self._picture.opened
+        self._meshcat.Delete("/tfg")
+        self._meshcat.SetTransform("/tfg/map", _planar(self._X_WM))
+        self._ShowWalls(self._world)
+        self._ShowRobots()
+        self._ShowCamera()
+
+    def _ShowEverything(self, context: Context) -> None:
+        if self._opened != self._picture.opened:
+            self._Begin()
+        self._meshcat.SetProperty("/tfg/truth", "visible", self._Truth(context) is not None)
+        self._DrawSlow(context, drawn=None)
+        self._DrawFast(context)
+        self._DrawCaption(context)
+
+    def _ShowChanges(self, context: Context) -> None:
+        if self._opened != self._picture.opened:
+            self._ShowEverything(context)
+            return
+        drawn = context.get_abstract_state(int(self._drawn)).get_value()
+        self._DrawSlow(context, drawn if isinstance(drawn, tuple) else None)
+        self._DrawFast(context)
+        if round(context.get_time() * RATE) % RATE == 0:
+            self._DrawCaption(context)
 
     # What changes with the stage
 
@@ -311,7 +336,7 @@ class TfgVisualizer(LeafSystem):
             error = np.linalg.norm(transform(self._X_WM, X_MB[:2]) - truth[:2])
             figures.append(("error", f"{100.0 * error:.1f} cm"))
         entries = GRID_LEGEND if self._inputs["grid"].HasValue(context) else LEGEND
-        legend = [entry for entry in entries if self._world_known or entry[1] != WALL]
+        legend = [entry for entry in entries if self._world is not None or entry[1] != WALL]
         document = caption_gltf(render_caption(title, figures, legend), self._view[2] - self._view[0])
         file = MemoryFile(document.encode(), ".gltf", "caption")
         self._meshcat.SetObject("/tfg/caption", Mesh(mesh_data=InMemoryMesh(mesh_file=file)))

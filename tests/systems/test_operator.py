@@ -1,10 +1,7 @@
 """The operator as a system: requests in, what base and mission are told out."""
 
-import pytest
-from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
-from tfg_drake.systems.meshcat_buttons import MeshcatButtons
 from tfg_drake.systems.operator import Operator
 
 
@@ -59,19 +56,3 @@ def test_a_recall_is_for_the_mission_and_ends_one_that_does_not_know_it():
 def test_what_was_asked_for_before_the_mission_began_does_not_count():
     assert Run().after("enable", "pause") == [0, 0, 0]
     assert Run().after("end") == [0, 0, 1]
-
-
-def test_buttons_in_meshcat():
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
-    buttons = MeshcatButtons(meshcat)
-    assert buttons.requests() == []
-    meshcat._InjectWebsocketMessage(_click("STOP"))
-    meshcat._InjectWebsocketMessage(_click("Enable"))
-    meshcat._InjectWebsocketMessage(_click("Enable"))
-    assert buttons.requests() == ["stop", "enable", "enable"]
-    assert buttons.requests() == []
-
-
-def _click(name):
-    umsgpack = pytest.importorskip("umsgpack")
-    return umsgpack.packb({"type": "button", "name": name})
