@@ -1,21 +1,29 @@
 """Faults of a whole mission against an emulated robot in real time: how soon its wheels stand, and whether it goes on.
 
-    python benchmarks/robot_faults.py --trials 20
-    python benchmarks/robot_faults.py --trials 20 --only "clock jumps"
+    python benchmarks/robot_faults.py --trials 20 --jobs 2 --out runs/robot_faults
+    python benchmarks/robot_faults.py --trials 20 --out runs/robot_faults --only "clock jumps"
 
 A mission of `tfg-drake explore --robot` explores the house. Whenever it drives, something goes wrong, and is mended two
-seconds later. Measured is the time from what went wrong to the last command to the wheels that is not a stop, for as
-long as it lasts; whether they move again before they are enabled anew, where that is due; and whether the mission goes
-on after it, or how it ends. Prints a line a fault.
+or three seconds later. Measured is the time from what went wrong until the wheels are told to stand, for as long as it
+lasts, where a stop is due; whether they move before they are enabled anew, where that is due; contacts with walls;
+which line was shown meanwhile; and whether the mission goes on.
+
+Every trial is a line of JSON in the folder `--out`, and those that are there already are not run again. Prints a line a
+row: "bad" counts the trials in which anything was not as it should be, and below the row stand what was not, and the
+newest line shown. Rows without a number were right before there was a list of faults.
 """
 
 from __future__ import annotations
 
 import argparse
+import collections
 import contextlib
+import ctypes
 import dataclasses
 import json
+import math
 import os
+import re
 import signal
 import statistics
 import subprocess
@@ -23,22 +31,37 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
+from tfg_drake.hardware.kobuki import odometry
+from tfg_drake.hardware.kobuki.emulated_base import FULL
 from tfg_drake.hardware.kobuki.emulator import Emulator
+from tfg_drake.hardware.kobuki.emulator_orders import order
 from tfg_drake.hardware.ros.emulated_turtlebot import EmulatedTurtlebot
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.ros.ros2_emulator import Ros2Emulator
+from tfg_drake.hardware.sensor_faults import sensor_fault
 
-# The wheels must stand after this, s.
-BOUND = 0.6
-# How long something is wrong, and how long nothing may move afterwards where an enabling is due, s.
-WRONG, QUIET = 2.0, 2.0
-# A mission that does not drive within this has ended, s.
-PATIENCE = 60.0
+# The wheels must stand after this, s; where the scan's content must be watched for a while to see what is wrong, this.
+BOUND, SLOW_BOUND = 0.6, 2.0
+# How long nothing may move after the mending where an enabling is due, s.
+QUIET = 2.0
+# A mission that does not drive within this is stuck, and is enabled once more halfway, s.
+PATIENCE = 90.0
+# A command slower than this is a stop, m/s and rad/s.
+STOP = 1e-3
+# The robot moves as a trial wants it when so many of the commands of the last second are such.
+DRIVING = 20
+CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
 SCENARIO = LoadScenario("house")
+# A line of progress is no message.
+PROGRESS = re.compile(r" *\d+ s  ")
+BYSTANDER = Path(__file__).parents[1] / "tests" / "hardware" / "ros" / "bystander.py"
+
+Command = tuple[float, float, float]
 
 
 class Kobuki:
@@ -46,17 +69,19 @@ class Kobuki:
 
     def __init__(self) -> None:
         self.emulator = Emulator(MakeWorld(SCENARIO.world))
+        self.base = self.emulator.base
+        self.faults = self.emulator.faults
         self.emulator.start()
         host, port = self.emulator.sensors
         source = f"socket:{host}:{port}"
         self.arguments = ["kobuki", "--port", self.emulator.device, "--tags", source, "--scan", source]
 
-    def moves(self) -> list[float]:
-        """When it was told to move."""
-        return [when for when, what in list(self.emulator.commands) if what.speed]
+    def commands(self) -> list[Command]:
+        """What the wheels were told: when, m/s, rad/s."""
+        return [(when, *odometry.velocity(what)) for when, what in list(self.emulator.commands)]
 
-    def contacts(self) -> object:
-        return self.emulator.report()["contacts"]
+    def contacts(self) -> int:
+        return int(str(self.emulator.report()["contacts"]))
 
     def close(self) -> None:
         self.emulator.close()
@@ -66,21 +91,22 @@ class TurtleBot4:
     """An emulated TurtleBot 4 on a ROS 2 graph, in this process."""
 
     def __init__(self) -> None:
-        os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
+        os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
         preset = load_preset("emulated")
         sensors = SCENARIO.tags, SCENARIO.scan, SCENARIO.odometry
         self.robot = EmulatedTurtlebot(MakeWorld(SCENARIO.world), preset, *sensors, 0)
+        self.faults = self.robot.faults
         self._node, self._go_on = Ros2Emulator(self.robot, preset), True
         self._thread = threading.Thread(target=lambda: self._node.run(lambda: self._go_on), daemon=True)
         self._thread.start()
         self.arguments = ["ros2", "--preset", "emulated"]
 
-    def moves(self) -> list[float]:
-        """When it was told to move."""
-        return [when for when, v, w in list(self.robot.commands) if v or w]
+    def commands(self) -> list[Command]:
+        """What the wheels were told: when, m/s, rad/s."""
+        return list(self.robot.commands)
 
-    def contacts(self) -> object:
-        return self.robot.truth()["contacts"]
+    def contacts(self) -> int:
+        return int(self.robot.truth()["contacts"])
 
     def close(self) -> None:
         self._go_on = False
@@ -88,188 +114,571 @@ class TurtleBot4:
         self._node.close()
 
 
+class TurtleBot4BesideAnother(TurtleBot4):
+    """The same in a network with another machine, whose robot would obey anybody. Needs root and iproute2."""
+
+    def __init__(self) -> None:
+        # CLONE_NEWNET, of sched.h: this process and its children leave the network of the machine.
+        if ctypes.CDLL(None, use_errno=True).unshare(0x40000000):
+            raise OSError(ctypes.get_errno(), "a namespace of the network needs root")
+        os.environ.pop("ROS_AUTOMATIC_DISCOVERY_RANGE", None)
+        self._other = f"tfg-{os.getpid()}"
+        subprocess.run(["ip", "netns", "add", self._other], check=True)
+        ours = ["ip", "address", "add", "10.99.1.1/24", "dev", "there"]
+        theirs = ["ip", "-n", self._other, "address", "add", "10.99.1.2/24", "dev", "here"]
+        cable = ["ip", "link", "add", "there", "type", "veth", "peer", "here", "netns", self._other]
+        up = [["link", "set", "lo", "up"], ["-n", self._other, "link", "set", "lo", "up"]]
+        up += [["link", "set", "there", "up"], ["-n", self._other, "link", "set", "here", "up"]]
+        for command in (cable, ours, theirs, *(["ip", *one] for one in up)):
+            subprocess.run(command, check=True)
+        time.sleep(4.0)  # until the new addresses may be used
+        super().__init__()
+        self._process = subprocess.Popen(
+            ["ip", "netns", "exec", self._other, sys.executable, str(BYSTANDER)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def heard(self, *_: object) -> str:
+        """What the other robot has heard of this one, "" for nothing."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write("report\n")
+        self._process.stdin.flush()
+        report = json.loads(self._process.stdout.readline())
+        return f"another machine hears {report}" if report["commands"] or report["published"] else ""
+
+    def close(self) -> None:
+        super().close()
+        self._process.kill()
+        self._process.wait()
+        subprocess.run(["ip", "netns", "delete", self._other], check=True)
+
+
 class Explorer:
-    """`tfg-drake explore --robot` in a process of its own."""
+    """`tfg-drake explore --robot` in a process of its own. lines: (time, line) of its standard output."""
 
     def __init__(self, arguments: list[str], folder: Path) -> None:
-        command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", "--robot", *arguments]
+        self.folder = folder
+        self.lines: list[tuple[float, str]] = []
+        short = ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
         self.process = subprocess.Popen(
-            [*command, "--headless", "--max-time", "100000", "--out", str(folder)],
+            [*CLI, "explore", "--robot", *arguments, "--headless", *short, "--max-time", "100000", "--out", folder],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
         )
+        threading.Thread(target=self._listen, daemon=True).start()
+        while not any(line.startswith("nothing moves before") for _, line in list(self.lines)):
+            if self.process.poll() is not None:
+                raise RuntimeError(f"the explorer does not begin: {[line for _, line in self.lines]}")
+            time.sleep(0.1)
+
+    def _listen(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            if line.startswith("nothing moves before"):
-                break
-        threading.Thread(target=self.process.stdout.read, daemon=True).start()
-        self._folder = folder
+            if not PROGRESS.match(line):
+                self.lines.append((time.monotonic(), line.rstrip()))
 
     def press(self, key: str) -> None:
         assert self.process.stdin is not None
-        self.process.stdin.write(key)
-        self.process.stdin.flush()
+        with contextlib.suppress(OSError):
+            self.process.stdin.write(key)
+            self.process.stdin.flush()
 
     def ended(self) -> str:
         """How it ended, "" while it goes on."""
         if self.process.poll() is None:
             return ""
-        with contextlib.suppress(OSError):
-            summary = json.loads((self._folder / "summary.json").read_text())
+        with contextlib.suppress(OSError, ValueError):
+            summary = json.loads((self.folder / "summary.json").read_text())
             return f"{summary['outcome']}: {summary['reason']}"
-        return "killed"
+        return f"exit code {self.process.returncode}, no summary"
+
+    def descendants(self, parent: int | None = None) -> dict[int, tuple[int, str]]:
+        """(parent, command line) of its processes, by their ids."""
+        found: dict[int, tuple[int, str]] = {}
+        parents = [self.process.pid if parent is None else parent]
+        processes = _processes()
+        while parents:
+            one = parents.pop()
+            mine = {pid: process for pid, process in processes.items() if process[0] == one}
+            found |= mine
+            parents += mine
+        return found
+
+    def signal(self, number: signal.Signals, *which: str) -> None:
+        """To its processes: "guardian", "base" (the base's driver), "sensors" (the driver of tags and scans)."""
+        processes = self.descendants()
+        guardian = next(pid for pid, (_, line) in processes.items() if "kobuki.guardian" in line)
+        base, _ = processes[guardian]
+        sensors = next(pid for pid, (_, line) in processes.items() if "driver_process" in line and pid != base)
+        for name in which:
+            os.kill({"guardian": guardian, "base": base, "sensors": sensors}[name], number)
 
     def close(self) -> None:
+        """Ends it and what it has left behind."""
+        left = self.descendants()
         self.process.kill()
         self.process.wait()
+        for pid in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
 
 
-@dataclasses.dataclass(frozen=True)
-class Fault:
-    """name. Robot: what has it. wrong(robot, explorer), mend(robot, explorer). enabling: one is due afterwards. stops:
-    the wheels must stand. fatal: the explorer does not live on."""
+def _processes() -> dict[int, tuple[int, str]]:
+    """(parent, command line) of every process of this machine, by its id."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            # The name, in parentheses, may hold anything.
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            found[int(folder.name)] = parent, (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
 
-    name: str
-    Robot: type
-    wrong: Callable[..., object]
-    mend: Callable[..., object]
-    enabling: bool
-    stops: bool = True
-    fatal: bool = False
+
+Action = Callable[[Any, Explorer], object]
 
 
 def _nothing(*_: object) -> None:
     pass
 
 
-def _signal(number: signal.Signals) -> Callable[..., object]:
-    return lambda _, explorer: explorer.process.send_signal(number)
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """number: in the list of faults. Robot: what has it. wrong(robot, explorer), mend(robot, explorer): a text that
+    either returns is something that was not as it should be.
+
+    stands: what must stand: "all", "ahead" (no way forward) or "" for nothing. enabling: one is due afterwards; None
+    where either will do. lasts: s. bound: until it stands, s. told: a line must be shown. turning: it goes wrong while
+    the robot turns in place. ends: the mission may end. fatal: the explorer does not live on.
+    """
+
+    number: int
+    name: str
+    Robot: type
+    wrong: Action
+    mend: Action
+    stands: str = ""
+    enabling: bool | None = None
+    lasts: float = 2.5
+    bound: float = BOUND
+    told: bool = True
+    turning: bool = False
+    ends: bool = False
+    fatal: bool = False
 
 
-FAULTS = (
-    Fault("cable pulled", Kobuki, lambda r, _: r.emulator.unplug(), lambda r, _: r.emulator.plug(), True),
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """What needs no robot. run(folder): what was not as it should be, "" for nothing, and the line that was shown."""
+
+    number: int
+    name: str
+    run: Callable[[Path], tuple[str, str]]
+
+
+def _sensor(number: int, Robot: type, sensor: str, fault: str, *numbers: float, name: str = "", **more: Any) -> Fault:
+    """Something wrong with the "scan" or the "tags"."""
+    if not name:
+        name = " ".join([sensor, fault, *(f"{one:g}" for one in numbers)])
+        name += ", on ROS" if Robot is TurtleBot4 else ""
+
+    def wrong(robot: Any, _: Explorer) -> None:
+        robot.faults[sensor] = sensor_fault(sensor, fault, numbers)
+
+    return Fault(number, name, Robot, wrong, lambda robot, _: robot.faults.pop(sensor), **more)
+
+
+def _ordered(number: int, name: str, wrong: str, mend: str, **more: Any) -> Fault:
+    """What happens by lines of docs/kobuki_emulator.md."""
+
+    def obey(line: str) -> Action:
+        return lambda robot, _: order(robot.emulator, line)
+
+    return Fault(number, name, Kobuki, obey(wrong), obey(mend), **more)
+
+
+def _process(number: int, name: str, sent: signal.Signals, *which: str, **more: Any) -> Fault:
+    """A signal to processes of the explorer; those that are frozen are thawed."""
+
+    def mend(_: Kobuki, explorer: Explorer) -> None:
+        if sent == signal.SIGSTOP:
+            with contextlib.suppress(StopIteration):  # it was ended meanwhile
+                explorer.signal(signal.SIGCONT, *which)
+
+    return Fault(number, name, Kobuki, lambda _, explorer: explorer.signal(sent, *which), mend, **more)
+
+
+def _planner(name: str, Robot: type, sent: signal.Signals, mended: signal.Signals | None, **more: Any) -> Fault:
+    def mend(_: object, explorer: Explorer) -> None:
+        if mended is not None:
+            explorer.process.send_signal(mended)
+
+    more = {"stands": "all", "told": False} | more
+    return Fault(0, name, Robot, lambda _, explorer: explorer.process.send_signal(sent), mend, **more)
+
+
+def _second_run(folder: Path) -> tuple[str, str]:
+    """A simulated mission goes on where a second one is started into its folder."""
+    out = folder / "run"
+    command = [*CLI, "explore", "house", "--headless", "--out", str(out), "--max-time"]
+    with subprocess.Popen([*command, "20", "--realtime-rate", "1"], stdout=subprocess.DEVNULL) as first:
+        while not out.exists() or not any(out.iterdir()):
+            time.sleep(0.1)
+        second = subprocess.run([*command, "5"], capture_output=True, text=True, check=False)
+        again = first.poll() is None
+        first.wait()
+    line = second.stderr.strip()
+    wrongs = [] if second.returncode == 2 else [f"the second run has exit code {second.returncode}"]
+    if not again or first.returncode:
+        wrongs.append(f"the first run has exit code {first.returncode}")
+    if json.loads((out / "summary.json").read_text())["sim_time_s"] < 19.0:
+        wrongs.append("the summary is the second run's")
+    return ", ".join(wrongs), line
+
+
+def _second_robot(_: Kobuki, explorer: Explorer) -> str:
+    """A simulated mission into the folder of the robot's."""
+    command = [*CLI, "explore", "house", "--headless", "--out", str(explorer.folder), "--max-time", "5"]
+    code = subprocess.run(command, capture_output=True, text=True, check=False).returncode
+    return "" if code == 2 else f"the second run has exit code {code}"
+
+
+# What a scan must do for the robot to stand, and to go on by itself.
+BLIND: dict[str, Any] = {"stands": "ahead", "enabling": False}
+SLOW = BLIND | {"bound": SLOW_BOUND, "lasts": 4.0}
+# Of what locks the base.
+LOCKED: dict[str, Any] = {"stands": "all", "enabling": True}
+ROWS: tuple[Fault | Check, ...] = (
+    _sensor(1, Kobuki, "scan", "nan", **BLIND),
+    _sensor(1, Kobuki, "scan", "empty", **BLIND),
+    _sensor(1, Kobuki, "scan", "none", **BLIND),
+    _sensor(1, Kobuki, "scan", "thin", **SLOW),
+    _sensor(1, Kobuki, "scan", "frozen", **SLOW),
+    _sensor(1, Kobuki, "scan", "blind", 0.45, told=False),
+    _sensor(1, Kobuki, "scan", "drop", 0.2, told=False),
+    _sensor(1, TurtleBot4, "scan", "nan", **BLIND),
+    _sensor(1, TurtleBot4, "scan", "empty", **BLIND),
+    _sensor(1, TurtleBot4, "scan", "zero", **BLIND),
+    _sensor(1, TurtleBot4, "scan", "near", **BLIND),
+    _sensor(1, TurtleBot4, "scan", "none", **BLIND),
+    _sensor(1, TurtleBot4, "scan", "thin", **SLOW),
+    _sensor(1, TurtleBot4, "scan", "frozen", **SLOW),
+    _sensor(4, TurtleBot4, "tags", "range", math.inf),
+    _ordered(6, "battery at 13.8 V", "battery 13.8", f"battery {0.1 * FULL:g}", lasts=7.0, ends=True, fatal=True),
+    _ordered(6, "battery at 13.0 V", "battery 13.0", f"battery {0.1 * FULL:g}", stands="all", ends=True, fatal=True),
+    _ordered(6, "battery at 11 V", "battery 11", f"battery {0.1 * FULL:g}", stands="all", ends=True, fatal=True),
+    _ordered(6, "in the dock", "dock", "undock", **LOCKED),
+    _ordered(6, "overcurrent", "overcurrent both", "overcurrent none", **LOCKED),
+    _ordered(7, "bumper", "press bumper centre", "release bumper centre", stands="ahead", enabling=False),
+    _ordered(7, "cliff", "open cliff centre", "close cliff centre", stands="all", enabling=False),
+    _ordered(7, "wheel drop", "drop wheel", "raise wheel", stands="all", enabling=False),
+    _ordered(7, "30 % of frames corrupt", "corrupt 0.3", "corrupt 0", lasts=7.0),
+    _ordered(7, "60 % of frames lost", "lost 0.6", "lost 0", lasts=7.0),
+    _process(8, "sensors' process killed", signal.SIGKILL, "sensors", stands="all", enabling=False),
+    _process(8, "base's driver frozen", signal.SIGSTOP, "base", lasts=3.0, **LOCKED),
+    _sensor(9, Kobuki, "tags", "range", 1e200),
+    _sensor(9, Kobuki, "tags", "sigma", 1e-200),
+    _sensor(9, Kobuki, "tags", "sigma", 1e-12),
+    _sensor(9, Kobuki, "tags", "id", 2.0**56, name="tags id 2^56"),
+    _sensor(9, Kobuki, "tags", "random"),
+    _sensor(9, Kobuki, "scan", "range_max", 1e300),
+    _sensor(9, TurtleBot4, "tags", "range", 1e200),
+    _sensor(9, TurtleBot4, "tags", "sigma", 1e-200),
+    _sensor(9, TurtleBot4, "tags", "id", 2.0**56, name="tags id 2^56, on ROS"),
+    Check(10, "two runs into one folder", _second_run),
+    Fault(10, "a run into a robot's folder", Kobuki, _second_robot, _nothing, told=False),
     Fault(
-        "base silent",
-        Kobuki,
-        lambda r, _: setattr(r.emulator, "silent", True),
-        lambda r, _: setattr(r.emulator, "silent", False),
-        True,
+        11,
+        "another robot in the network",
+        TurtleBot4BesideAnother,
+        _nothing,
+        TurtleBot4BesideAnother.heard,
+        told=False,
+        lasts=5.0,
     ),
+    _process(12, "guardian frozen", signal.SIGSTOP, "guardian", **LOCKED),
+    _process(12, "guardian killed", signal.SIGKILL, "guardian", **LOCKED),
+    _process(12, "base's driver killed", signal.SIGKILL, "base", stands="all", ends=True, fatal=True),
+    _process(12, "driver and guardian killed", signal.SIGKILL, "base", "guardian", stands="all", ends=True, fatal=True),
+    _ordered(13, "base's clock 2 s back", "clock -2", "clock 2", **LOCKED),
+    _ordered(13, "frames reordered", "late 0.1", "late 0", **LOCKED),
+    _ordered(14, "gyro stuck", "stick gyro", "free gyro", lasts=3.0, turning=True, **LOCKED),
+    # The cable takes every command with it: until it is back the base drives on as it was told.
+    _ordered(0, "cable pulled", "unplug", "plug", enabling=True),
+    _ordered(0, "base silent", "silent on", "silent off", **LOCKED),
+    _ordered(0, "encoders stuck", "stick encoders", "free encoders", stands="all", told=False),
+    _sensor(0, Kobuki, "scan", "silent", **BLIND | {"stands": "all"}),
+    _sensor(0, Kobuki, "tags", "silent", stands="all", enabling=False, bound=1.1),
+    _ordered(0, "5 % of frames corrupt", "corrupt 0.05", "corrupt 0", told=False),
+    _planner("planner frozen", Kobuki, signal.SIGSTOP, signal.SIGCONT, enabling=False),
+    _planner("planner killed", Kobuki, signal.SIGKILL, None, enabling=True, fatal=True),
     Fault(
-        "scan silent",
-        Kobuki,
-        lambda r, _: r.emulator.muted.add("scan"),
-        lambda r, _: r.emulator.muted.discard("scan"),
-        False,
-    ),
-    Fault(
-        "5 % of frames corrupt",
-        Kobuki,
-        lambda r, _: setattr(r.emulator, "corrupt", 0.05),
-        lambda r, _: setattr(r.emulator, "corrupt", 0.0),
-        False,
-        stops=False,
-    ),
-    Fault("planner frozen", Kobuki, _signal(signal.SIGSTOP), _signal(signal.SIGCONT), False),
-    Fault("planner killed", Kobuki, _signal(signal.SIGKILL), _nothing, True, fatal=True),
-    Fault(
+        0,
         "odometry silent",
         TurtleBot4,
         lambda r, _: r.robot.silent.add("odometry"),
         lambda r, _: r.robot.silent.discard("odometry"),
-        True,
+        **LOCKED,
     ),
     Fault(
-        "clock jumps",
-        TurtleBot4,
-        lambda r, _: setattr(r.robot, "clock", r.robot.clock + 5.0),
-        _nothing,
-        True,
+        0, "clock jumps", TurtleBot4, lambda r, _: setattr(r.robot, "clock", r.robot.clock + 5.0), _nothing, **LOCKED
     ),
-    Fault("planner frozen, on ROS", TurtleBot4, _signal(signal.SIGSTOP), _signal(signal.SIGCONT), False),
+    _planner("planner frozen, on ROS", TurtleBot4, signal.SIGSTOP, signal.SIGCONT, enabling=False),
 )
 
 
-def drives(robot: Kobuki | TurtleBot4, since: float, patience: float, alive: Callable[[], bool]) -> bool:
-    """Whether the wheels are told to move for a second on end after `since`, within `patience` s."""
+def moving(command: Command) -> bool:
+    """Whether a command is not a stop."""
+    _, v, w = command
+    return abs(v) > STOP or abs(w) > STOP
+
+
+def ahead(command: Command) -> bool:
+    """Whether a command goes forward."""
+    return command[1] > STOP
+
+
+def travelling(command: Command) -> bool:
+    """Whether a command goes forward quickly."""
+    return command[1] > 0.1
+
+
+def turning(command: Command) -> bool:
+    """Whether a command turns in place."""
+    _, v, w = command
+    return abs(w) > 0.3 and abs(v) < 0.05
+
+
+def drives(
+    robot: Any, how: Callable[[Command], bool], since: float, patience: float, alive: Callable[[], bool]
+) -> bool:
+    """Whether the wheels are told to move in a way for a second on end after `since`, within `patience` s."""
     end = time.monotonic() + patience
     while time.monotonic() < end and alive():
-        now = time.monotonic()
-        lately = [when for when in robot.moves() if when > max(since, now - 1.0)]
-        if len(lately) >= 20 and lately[-1] - lately[0] > 0.8:
+        begin = max(since, time.monotonic() - 1.0)
+        commands = [one for one in robot.commands() if one[0] > begin]
+        lately = [one[0] for one in commands if how(one)]
+        if len(lately) >= DRIVING and lately[-1] - lately[0] > 0.8 and how(commands[-1]):
             return True
-        time.sleep(0.05)
+        time.sleep(0.02)
     return False
 
 
-def trials(fault: Fault, count: int, folder: Path) -> Iterator[tuple[float, bool, str]]:
-    """Of each trial: how long the wheels went on, s, whether they moved without a due enabling, how it went on."""
-    robot = fault.Robot()
-    explorer: Explorer | None = None
-    for number in range(count):
+def stands_after(robot: Any, how: Callable[[Command], bool], began: float, until: float) -> float:
+    """When the wheels are told to stand, for the rest of the time until `until`, s after `began`; inf where they are
+    not. how: what standing is not."""
+    stop = math.inf
+    for command in robot.commands():
+        if command[0] > until:
+            break
+        stop = math.inf if how(command) else min(stop, command[0])
+    return max(0.0, stop - began)
+
+
+def started(fault: Fault, robot: Any, explorer: Explorer | None, folder: Path) -> Explorer:
+    """An explorer whose robot drives as the fault wants it; the one that there is, if it does."""
+    how = turning if fault.turning else travelling
+    for attempt in range(3):
         if explorer is None:
-            explorer = Explorer(robot.arguments, folder / f"{fault.name}-{number}")
+            explorer = Explorer(robot.arguments, folder / f"{time.monotonic_ns()}")
             explorer.press("e")
         going = explorer
-        if not drives(robot, time.monotonic(), PATIENCE, lambda going=going: not going.ended()):
-            yield float("inf"), False, going.ended() or "does not drive"
-            going.close()
-            explorer = None
-            continue
-        began = time.monotonic()
-        fault.wrong(robot, going)
-        time.sleep(WRONG)
-        during = [when - began for when in robot.moves() if when > began]
-        went_on = max(during, default=0.0)
-        mended = time.monotonic()
-        fault.mend(robot, going)
-        early = False
-        if fault.enabling:
-            time.sleep(QUIET)
-            early = any(when > mended for when in robot.moves())
-            if not fault.fatal:
-                # A base whose cable is put back is found again after a while: an operator tries until it is.
-                for _ in range(10):
-                    going.press("e")
-                    if drives(robot, mended, 3.0, lambda: True):
-                        break
-        if fault.fatal:
-            going.close()
-            explorer, after = None, "ended"
-        else:
-            goes_on = drives(robot, mended, PATIENCE, lambda going=going: not going.ended())
-            after = "goes on" if goes_on else going.ended() or "does not drive"
-            if not goes_on:
-                going.close()
-                explorer = None
-        yield went_on, early, after
-    if explorer is not None:
-        explorer.close()
-    if robot.contacts():
-        print(f"  contacts with walls: {robot.contacts()}")
-    robot.close()
+        if drives(robot, how, time.monotonic(), PATIENCE, lambda going=going: not going.ended()):
+            return going
+        print(f"  {fault.name}: a new mission, the last one: {going.ended() or 'does not drive'}", flush=True)
+        going.close()
+        explorer = None
+        robot.faults.clear()
+        time.sleep(attempt)
+    raise RuntimeError(f"{fault.name}: no mission drives")
+
+
+def trial(fault: Fault, robot: Any, explorer: Explorer) -> dict[str, Any]:
+    """One time that it goes wrong, and is mended."""
+    contacts, began = robot.contacts(), time.monotonic()
+    wrongs = [fault.wrong(robot, explorer)]
+    time.sleep(max(0.0, began + fault.lasts - time.monotonic()))
+    mended = time.monotonic()
+    stood = stands_after(robot, ahead if fault.stands == "ahead" else moving, began, mended) if fault.stands else None
+    wrongs.append(fault.mend(robot, explorer))
+    early, after = False, "ended"
+    if fault.enabling:
+        time.sleep(QUIET)
+        early = any(moving(one) for one in robot.commands() if one[0] > mended)
+        # A base whose cable is put back is found again after a while: an operator tries until it is.
+        for _ in range(0 if fault.fatal else 10):
+            explorer.press("e")
+            if drives(robot, moving, mended, 3.0, lambda: not explorer.ended()):
+                break
+    if not fault.fatal:
+        after = _after(robot, explorer, mended)
+    elif fault.ends:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            explorer.process.wait(PATIENCE)
+        after = explorer.ended() or "goes on"
+    during = [line for when, line in explorer.lines if began < when <= mended]
+    later = [line for when, line in explorer.lines if mended < when]
+    touched = robot.contacts() - contacts
+    if stood is not None and stood > fault.bound:
+        wrongs.append("does not stand" if stood == math.inf else "stands too late")
+    if early:
+        wrongs.append("moves before it is enabled")
+    if touched:
+        wrongs.append("touches a wall")
+    if fault.told and not during + later:
+        wrongs.append("no line")
+    if not fault.fatal and not after.startswith("goes on"):
+        wrongs.append("does not go on")
+    if fault.enabling is False and after == "goes on once enabled":
+        wrongs.append("must be enabled")
+    return {
+        "stands": stood if stood is None or math.isfinite(stood) else "never",
+        "early": early,
+        "contacts": touched,
+        "after": after,
+        "line": (during or later or [""])[-1],
+        "lines": during + later,
+        "wrong": [one for one in wrongs if isinstance(one, str) and one],
+        "seconds": round(time.monotonic() - began, 1),
+    }
+
+
+def _after(robot: Any, explorer: Explorer, mended: float) -> str:
+    """How it went on, with one more enabling where it does not by itself."""
+    for how in ("goes on", "goes on once enabled"):
+        if drives(robot, moving, mended, PATIENCE / 2.0, lambda: not explorer.ended()):
+            return how
+        explorer.press("e")
+    return explorer.ended() or "does not drive"
+
+
+def run_row(row: Fault | Check, count: int, out: Path) -> None:
+    """The trials of a row that are not in its file yet."""
+    file = _file(row, out)
+    left = count - len(results(row, out))
+    if left <= 0:
+        return
+    with tempfile.TemporaryDirectory() as temporary, file.open("a", encoding="utf-8") as stream:
+
+        def keep(result: dict[str, Any]) -> None:
+            stream.write(json.dumps(result) + "\n")
+            stream.flush()
+
+        if isinstance(row, Check):
+            for number in range(left):
+                began = time.monotonic()
+                wrong, line = row.run(Path(temporary) / str(number))
+                seconds = round(time.monotonic() - began, 1)
+                after = "the first goes on"
+                keep({"stands": None, "after": after, "line": line, "wrong": [wrong] * bool(wrong), "seconds": seconds})
+            return
+        robot, explorer = None, None
+        try:
+            for _ in range(left):
+                robot = robot or row.Robot()
+                began = time.monotonic()
+                explorer = started(row, robot, explorer, Path(temporary))
+                begun = time.monotonic() - began
+                keep(trial(row, robot, explorer) | {"begin": round(begun, 1)})
+                if row.fatal or explorer.ended():
+                    explorer.close()
+                    explorer = None
+                if row.fatal:
+                    robot.close()
+                    robot = None
+        finally:
+            if explorer is not None:
+                explorer.close()
+            if robot is not None:
+                robot.close()
+
+
+def _file(row: Fault | Check, out: Path) -> Path:
+    return out / (re.sub(r"\W+", "_", row.name) + ".jsonl")
+
+
+def results(row: Fault | Check, out: Path) -> list[dict[str, Any]]:
+    """The trials of a row so far."""
+    if not (file := _file(row, out)).exists():
+        return []
+    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+
+
+HEADER = f"{'':>2} {'fault':<30}{'trials':>7}{'median s':>10}{'worst s':>9}{'bound s':>9}{'early':>7}{'contacts':>10}"
+HEADER += f"{'told':>6}{'bad':>5}  then"
+
+
+def table_row(row: Fault | Check, trials: Sequence[dict[str, Any]]) -> str:
+    """A row of the table, and below it what was wrong and the newest line."""
+    stands = f"{'-':>10}{'-':>9}{'-':>9}"
+    if isinstance(row, Fault) and row.stands:
+        times = [math.inf if one["stands"] == "never" else one["stands"] for one in trials]
+        stands = f"{statistics.median(times):10.2f}{max(times):9.2f}{row.bound:9.1f}"
+    early = sum(one.get("early", False) for one in trials)
+    contacts = sum(one.get("contacts", 0) for one in trials)
+    told = sum(bool(one["line"]) for one in trials) / len(trials)
+    bad = sum(bool(one["wrong"]) for one in trials)
+
+    def counted(what: Sequence[str]) -> str:
+        return ", ".join(f"{count} {one}" for one, count in collections.Counter(what).most_common())
+
+    lines = [
+        f"{row.number or '':>2} {row.name:<30}{len(trials):>7}{stands}{early:>7}{contacts:>10}{told:6.0%}{bad:>5}  "
+        + counted([one["after"] for one in trials])
+    ]
+    if wrong := counted([what for one in trials for what in one["wrong"]]):
+        lines.append(f"   ! {wrong}")
+    if shown := [one["line"] for one in trials if one["line"]]:
+        lines.append(f"   > {shown[-1]}")
+    return "\n".join(lines)
+
+
+def run_rows(rows: Sequence[Fault | Check], options: argparse.Namespace) -> None:
+    """Each row in a process of its own, some at a time."""
+    waiting, going = list(rows), []
+    same = ["--trials", str(options.trials), "--out", str(options.out)]
+    try:
+        while waiting or going:
+            going = [one for one in going if one.poll() is None]
+            while waiting and len(going) < options.jobs:
+                row = waiting.pop(0)
+                if len(results(row, options.out)) < options.trials:
+                    print(f"  {row.name} ...", flush=True)
+                    going.append(subprocess.Popen([sys.executable, __file__, "--only", row.name, *same, "--alone"]))
+            time.sleep(0.2)
+    finally:
+        for one in going:
+            one.terminate()
+            one.wait()
 
 
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--only", help="one fault, by its name")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="some rows, by their names or numbers")
+    parser.add_argument("--jobs", type=int, default=1, help="rows at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/robot_faults"), help="folder of the trials")
+    parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    print(f"{'fault':<24}{'trials':>7}{'median s':>10}{'worst s':>9}{'moved early':>13}  then")
-    with tempfile.TemporaryDirectory() as temporary:
-        for fault in FAULTS:
-            if options.only not in (None, fault.name):
-                continue
-            results = list(trials(fault, options.trials, Path(temporary)))
-            after = [then for _, _, then in results]
-            then = ", ".join(f"{after.count(one)} {one}" for one in dict.fromkeys(after))
-            times = [went_on for went_on, _, _ in results]
-            stops = f"{statistics.median(times):10.2f}{max(times):9.2f}" if fault.stops else f"{'-':>10}{'-':>9}"
-            early = sum(moved for _, moved, _ in results)
-            print(f"{fault.name:<24}{len(results):>7}{stops}{early:>13}  {then}", flush=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    wanted = options.only
+    rows = [row for row in ROWS if wanted is None or {row.name, str(row.number)} & set(wanted)]
+    if not rows:
+        parser.error(f"no such row; the rows are {', '.join(row.name for row in ROWS)}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.alone:
+        run_row(rows[0], options.trials, options.out)
+        return
+    run_rows(rows, options)
+    print(HEADER)
+    for row in rows:
+        if trials := results(row, options.out):
+            print(table_row(row, trials))
 
 
 if __name__ == "__main__":
