@@ -14,8 +14,8 @@ from tfg_drake.messages import Hazards, message, replace
 QUIET = 3.0
 # How long a battery must be low, and dangerously so, to be believed, s: it sags while the wheels speed up.
 LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
-# Frames are counted over so long, s; of fewer than this share that are corrupt or lost nobody need know.
-COUNTED, SHARE = 3.0, 0.1
+# Frames are counted over so long at least, s. Where fewer than this share are corrupt or lost, nobody need know.
+COUNTED, SHARE = 1.5, 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,12 +58,12 @@ def begun(before: Spells, holds: Mapping[str, Remark], now: float) -> tuple[Spel
 @message
 class Watch:
     """What is remembered from one look at a base to the next. counted: the state up to which frames were counted, None
-    before there is any. bad, lost: shares of frames that were corrupt and that never came, before it."""
+    before there is any. bad, lost: shares of frames that were corrupt and that never came, in the last two counts."""
 
     spells: Spells = dataclasses.field(default_factory=dict)
     counted: BaseState | None = None
-    bad: float = 0.0
-    lost: float = 0.0
+    bad: tuple[float, float] = (0.0, 0.0)
+    lost: tuple[float, float] = (0.0, 0.0)
 
 
 def watched(before: Watch, hazards: Sequence[Hazards], state: BaseState | None, now: float) -> tuple[Watch, list[str]]:
@@ -109,25 +109,25 @@ def _hazards(hazards: Sequence[Hazards]) -> dict[str, Remark]:
 
 
 def _counted(before: Watch, state: BaseState | None) -> Watch:
-    """The shares of frames anew, where COUNTED has passed since they were counted last."""
+    """The frames counted once more, where COUNTED has passed since the last time."""
     last = before.counted
     if state is None or state is last:
         return before
     if last is None or state.frames < last.frames:  # a new connection
-        return replace(before, counted=state, bad=0.0, lost=0.0)
+        return replace(before, counted=state, bad=(0.0, 0.0), lost=(0.0, 0.0))
     if state.stamp - last.stamp < COUNTED:
         return before
     good, bad, lost = (
         max(0, getattr(state, name) - getattr(last, name)) for name in ("frames", "bad_frames", "lost_frames")
     )
     all_of = max(1, good + bad + lost)
-    return replace(before, counted=state, bad=bad / all_of, lost=lost / all_of)
+    return replace(before, counted=state, bad=(before.bad[1], bad / all_of), lost=(before.lost[1], lost / all_of))
 
 
 def _frames(watch: Watch) -> dict[str, Remark]:
-    shares = (("arrive corrupt", watch.bad), ("are lost", watch.lost))
+    counts = (("arrive corrupt", watch.bad), ("are lost", watch.lost))
     return {
-        what: Remark(f"{100.0 * share:.0f} % of the base's frames {what}; the robot drives on; check the cable")
-        for what, share in shares
-        if share >= SHARE
+        what: Remark(f"{100.0 * shares[1]:.0f} % of the base's frames {what}; the robot drives on; check the cable")
+        for what, shares in counts
+        if min(shares) >= SHARE
     }
