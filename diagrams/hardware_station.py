@@ -19,7 +19,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     Whoever opened them closes them, when the simulation is over.
     """
     builder, clock = DiagramBuilder(), devices.clock
-    safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety))
+    safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety, scenario.scan))
     wheels = builder.AddNamedSystem("base", HardwareBase(devices))
     tags = HardwareSensor("detections", devices.tags, no_detections(), clock)
     tag_sensor = builder.AddNamedSystem("tag_sensor", tags)
@@ -29,7 +29,9 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     builder.Connect(safety_filter.GetOutputPort("velocity"), wheels.GetInputPort("velocity"))
     builder.Connect(wheels.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
     builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
-    builder.Connect(scanner.GetOutputPort("ranges"), wheels.GetInputPort("scan"))
+    builder.Connect(wheels.GetOutputPort("odometry"), safety_filter.GetInputPort("odometry"))
+    # A scan that is not believed is none: the base stands as where the scanner is silent.
+    builder.Connect(safety_filter.GetOutputPort("scan_believed"), wheels.GetInputPort("scan"))
     builder.Connect(tag_sensor.GetOutputPort("detections"), wheels.GetInputPort("detections"))
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")

@@ -63,7 +63,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     world, disturbances = MakeWorld(scenario.world), scenario.disturbances
     builder = DiagramBuilder()
 
-    safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety))
+    safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety, scenario.scan))
     plant = builder.AddNamedSystem(
         "differential_drive_plant", DifferentialDrivePlant(world, scenario.robot, disturbances)
     )
@@ -74,6 +74,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     builder.Connect(safety_filter.GetOutputPort("velocity"), plant.GetInputPort("velocity_commanded"))
     builder.Connect(plant.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
     builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
+    builder.Connect(wheels.GetOutputPort("odometry"), safety_filter.GetInputPort("odometry"))
     for sensor in (wheels, tag_sensor, scanner):
         builder.Connect(plant.GetOutputPort("pose"), sensor.GetInputPort("pose"))
 

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
-import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+import logging
 
-from tfg_drake.config import RobotConfig, SafetyConfig
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem, State
+
+from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.cpu_meter import metered_in_detail
-from tfg_drake.messages import Hazards, LaserScan
-from tfg_drake.simulation.safety import STATE_SIZE, filter_command, stopped
-from tfg_drake.systems.ports import declare_message_input, eval_message
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry
+from tfg_drake.safety.scan_watch import ScanWatch, no_watch, watched
+from tfg_drake.safety.velocity_filter import STATE_SIZE, filter_command, stopped
+from tfg_drake.simulation.differential_drive import advance
+from tfg_drake.simulation.laser_scanner import no_scan
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
 
 PERIOD = 1.0 / 32.0
+# As often as odometry comes; scans are fewer.
+WATCH_PERIOD = 1.0 / 16.0
+
+_log = logging.getLogger("tfg_drake.hardware")
 
 
 class SafetyFilter(LeafSystem):
-    """Lets through what is safe, see tfg_drake.simulation.safety. An unconnected command is zero.
+    """Lets through what is safe, see tfg_drake.safety. An unconnected command is zero.
 
     .. pydrake_system::
 
@@ -24,27 +40,39 @@ class SafetyFilter(LeafSystem):
         - velocity_commanded
         - hazards
         - scan
+        - odometry
         - enable
         output_ports:
         - velocity
         - enabled
+        - scan_believed
 
-    velocity_commanded, velocity: forward speed (m/s) and turn rate (rad/s). hazards: a Hazards message. scan: a
-    LaserScan message. enable, enabled: vectors of size 1; the base stands while it is 0, unconnected it is 1.
+    velocity_commanded, velocity: forward speed (m/s) and turn rate (rad/s). hazards, scan, odometry: messages. enable,
+    enabled: vectors of size 1; the base stands while it is 0, unconnected it is 1. scan_believed: the newest scan that
+    is believed: a scanner that says nothing new is as good as silent.
     """
 
-    def __init__(self, robot: RobotConfig, safety: SafetyConfig):
+    def __init__(self, robot: RobotConfig, safety: SafetyConfig, scan: ScanConfig):
         super().__init__()
-        self._robot, self._safety = robot, safety
+        self._robot, self._safety, self._scanner = robot, safety, scan
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._hazards = declare_message_input(self, "hazards")
         self._scan = declare_message_input(self, "scan")
+        self._odometry = declare_message_input(self, "odometry")
         self._enable = self.DeclareVectorInputPort("enable", 1)
         # The filter's own state, and whether the base may move.
         self.DeclareDiscreteState(np.append(np.zeros(STATE_SIZE), 1.0))
+        self._watch = self.DeclareAbstractState(AbstractValue.Make(no_watch(no_scan(scan))))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._Watch)
         self.DeclareVectorOutputPort("velocity", 2, self._CalcVelocity, {self.xd_ticket()})
         self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, {self.xd_ticket()})
+        declare_message_output(
+            self,
+            "scan_believed",
+            lambda context: state_message(context, self._watch, ScanWatch).believed,
+            {self.abstract_state_ticket(self._watch)},
+        )
 
     @metered_in_detail("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
@@ -55,13 +83,36 @@ class SafetyFilter(LeafSystem):
             return
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
-        scan = eval_message(self._scan, context, LaserScan)
+        scan, watch = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
         now = context.get_time()
-        after = filter_command(state, now, command, hazards, scan, self._robot, self._safety, PERIOD)
+        X_OB = _pose_at(eval_message(self._odometry, context, Odometry), now)
+        after = filter_command(state, now, command, hazards, scan, watch, X_OB, self._robot, self._safety, PERIOD)
         update.set_value(np.append(after, 1.0))
+
+    @metered_in_detail("safety_filter")
+    def _Watch(self, context: Context, state: State) -> EventStatus:
+        scan, before = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
+        if not scan.stamp > before.newest:
+            return EventStatus.DidNothing()
+        odometry = eval_message(self._odometry, context, Odometry)
+        X_OB = _pose_at(odometry, scan.stamp)
+        after = watched(before, scan, X_OB, odometry.at_rest, self._robot.radius, self._scanner.least_range)
+        if after.doubt != before.doubt:
+            now = context.get_time()
+            if after.doubt:
+                _log.warning("%.2f s: the base stands: %s", now, after.doubt)
+            else:
+                _log.info("%.2f s: the scan is believed again", now)
+        set_state_message(state, self._watch, after)
+        return EventStatus.Succeeded()
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state_vector().value()[:2])
 
     def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, context.get_discrete_state_vector().value()[STATE_SIZE])
+
+
+def _pose_at(odometry: Odometry, time: float) -> FloatArray:
+    """X_OB (3,) at a time, s, near that of an odometry message."""
+    return advance(odometry.X_OB, odometry.V_B[0], odometry.V_B[1], time - odometry.stamp)

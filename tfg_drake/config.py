@@ -81,8 +81,9 @@ class TagSensorConfig:
 class ScanConfig:
     """The planar laser scanner."""
 
-    # Greatest range, m.
+    # Greatest range, m, and the least: nearer it sees nothing, as a depth camera (some 0.45 m). Planner and filter know.
     range: float = 10.0
+    least_range: float = 0.0
     # Field of view, rad (124 degrees).
     field_of_view: float = 2.164208272472129
     # Angle between rays, rad (0.5 degrees).

@@ -103,7 +103,7 @@ class LaserScan:
     """One planar scan, taken at one instant from the body's origin.
 
     stamp: s. angles: (m,) rad from the body's x axis, increasing. ranges: (m,) m, inf where nothing was met within
-    range_max. range_max: m. sigma: standard deviation of a range, m.
+    range_max, nan where nothing is known. range_max: m. sigma: standard deviation of a range, m.
     """
 
     stamp: float

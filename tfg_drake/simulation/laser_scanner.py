@@ -27,11 +27,13 @@ def scan(
 ) -> LaserScan:
     """One scan of the walls (n, 4) from the true pose X_WB (3,).
 
-    angles: (m,) rad in B. standard_normal: (m,) numbers. A return that noise carries beyond the range is inf.
+    angles: (m,) rad in B. standard_normal: (m,) numbers. A return that noise carries beyond the range is inf; one that is
+    nearer than the least range is nan.
     """
     ranges = cast_rays(walls, X_WB[:2], angles + X_WB[2], config.range)
     ranges = np.maximum(0.0, ranges + config.noise * standard_normal)
     ranges[ranges > config.range] = math.inf
+    ranges[ranges < config.least_range] = math.nan
     return LaserScan(stamp, angles, ranges, config.range, config.noise)
 
 

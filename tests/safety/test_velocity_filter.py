@@ -5,21 +5,46 @@ import pytest
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.messages import Hazards, LaserScan
+from tfg_drake.safety.scan_watch import no_watch, watched
+from tfg_drake.safety.velocity_filter import (
+    BASE_SPEED,
+    SPEED,
+    STATE_SIZE,
+    TURN_RATE,
+    filter_command,
+    free_distance,
+)
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
-from tfg_drake.simulation.safety import BASE_SPEED, SPEED, STATE_SIZE, TURN_RATE, filter_command, free_distance
 
 ROBOT, SAFETY, SCAN = RobotConfig(), SafetyConfig(), ScanConfig()
 PERIOD = 1.0 / 32.0
 NONE = Hazards(0.0, 0, 0, 0)
-CLEAR = LaserScan(0.0, np.zeros(1), np.full(1, np.inf), 10.0, 0.015)
+CLEAR = LaserScan(0.0, ray_angles(SCAN), np.full(249, np.inf), 10.0, 0.015)
+ORIGIN = np.zeros(3)
+
+
+def watch_of(scan, X_OB=ORIGIN, watch=None):
+    """What is believed after a scan taken at X_OB (3,), by default of a robot that has looked round and met nothing."""
+    if watch is None:
+        angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+        round_about = LaserScan(scan.stamp - 0.1, angles, np.full(720, np.inf), 10.0, 0.015)
+        watch = watched(no_watch(round_about), round_about, X_OB, False, ROBOT.radius, 0.0)
+    return watched(watch, scan, X_OB, False, ROBOT.radius, 0.0)
+
+
+def filtered_command(state, stamp, command, hazards, scan, watch=None, X_OB=ORIGIN):
+    """The filter's state a period later; without a watch all that it knows is this scan, taken where the robot is."""
+    watch = watch_of(scan) if watch is None else watch
+    return filter_command(state, stamp, np.array(command), hazards, scan, watch, X_OB, ROBOT, SAFETY, PERIOD)
 
 
 def run(command, duration=2.0, hazards=NONE, scan=CLEAR, state=None):
     """The filter's state after the same input for some time; time stands still."""
     state = np.zeros(STATE_SIZE) if state is None else state
+    watch = watch_of(scan)
     for _ in range(round(duration / PERIOD)):
-        state = filter_command(state, 0.0, np.array(command), hazards, scan, ROBOT, SAFETY, PERIOD)
+        state = filtered_command(state, 0.0, command, hazards, scan, watch)
     return state
 
 
@@ -47,9 +72,7 @@ def test_cliff_and_wheel_drop_stop_at_once(hazards):
 
 @pytest.mark.parametrize(("bits", "turn_rate"), [(2, 0.0), (4, -0.4), (1, 0.4), (5, 0.0), (6, 0.0)])
 def test_the_bumper_reflex_lasts_its_time(bits, turn_rate):
-    state = filter_command(
-        run([0.5, 0.0]), 0.0, np.array([0.5, 0.0]), Hazards(0.0, bits, 0, 0), CLEAR, ROBOT, SAFETY, PERIOD
-    )
+    state = filtered_command(run([0.5, 0.0]), 0.0, [0.5, 0.0], Hazards(0.0, bits, 0, 0), CLEAR)
     steps = 0
     while state[SPEED] == -SAFETY.reflex_speed and state[TURN_RATE] == turn_rate and steps < 100:
         state = run([0.5, 0.0], PERIOD, state=state)
@@ -102,14 +125,16 @@ def test_without_a_fresh_scan_there_is_no_forward_motion(stamp):
 def test_full_speed_at_a_wall_ends_before_it(heading):
     walls = np.array([[3.0, -20, 3, 20]])
     state, filtered = drive.initial_state(np.array([0, 0, heading]), walls, ROBOT), np.zeros(STATE_SIZE)
-    latest = scan_of(walls, (0, 0, heading))
+    watch = None
     for k in range(64 * 20):
         t = k / 64
+        X_WB = state[drive.X : drive.THETA + 1]
         if k % 6 == 0:
-            latest = scan_of(walls, state[drive.X : drive.THETA + 1], t)
+            latest = scan_of(walls, X_WB, t)
+            watch = watch_of(latest, X_WB, watch)
         velocity = filtered[:2]
         if k % 2 == 0:
-            filtered = filter_command(filtered, t, np.array([0.5, 0.0]), NONE, latest, ROBOT, SAFETY, PERIOD)
+            filtered = filtered_command(filtered, t, [0.5, 0.0], NONE, latest, watch, X_WB)
         state = drive.step(state, velocity, walls, ROBOT, 1 / 64)
     assert state[drive.CONTACTS] == 0
     assert state[drive.SPEED] == pytest.approx(0.0, abs=0.01)
@@ -136,7 +161,7 @@ def test_where_a_turn_would_take_it_nearer_the_base_brakes_on_its_arc(side):
     assert least > 0.03
     walls = np.array([[0.326, 0.164 * side, 0.326, 0.5 * side]])
     state = np.array([0.5, -side * 0.8, 0.0, 0.0, 0.5])
-    state = filter_command(state, 0.0, np.array([0.0, side * 1.3]), NONE, scan_of(walls), ROBOT, SAFETY, PERIOD)
+    state = filtered_command(state, 0.0, [0.0, side * 1.3], NONE, scan_of(walls))
     assert state[TURN_RATE] == pytest.approx(-side * 0.8 * state[BASE_SPEED] / 0.5)
 
 
@@ -145,7 +170,7 @@ def test_a_base_that_is_too_near_already_turns_away(side):
     """The wall is .03 m from the outline, beside its front; its arc takes it nearer, the turn that is asked for off."""
     walls = np.array([[0.2, side * 0.08, 0.6, side * 0.08]])
     state = np.array([0.3, side * 0.2, 0.0, 0.0, 0.3])
-    state = filter_command(state, 0.0, np.array([0.0, -side * 1.3]), NONE, scan_of(walls), ROBOT, SAFETY, PERIOD)
+    state = filtered_command(state, 0.0, [0.0, -side * 1.3], NONE, scan_of(walls))
     assert state[TURN_RATE] == pytest.approx(side * (0.2 - ROBOT.max_turn_acceleration * PERIOD))
 
 
@@ -154,7 +179,7 @@ def test_the_filter_keeps_the_speed_of_a_base_that_backs_away_from_a_bumper():
     base[drive.SPEED] = ROBOT.max_speed
     for k in range(60):
         hazards = Hazards(0.0, 2, 0, 0) if k == 0 else NONE
-        state = filter_command(state, 0.0, np.array([0.5, 0.0]), hazards, CLEAR, ROBOT, SAFETY, PERIOD)
+        state = filtered_command(state, 0.0, [0.5, 0.0], hazards, CLEAR)
         base = drive.step(base, state[:2], np.zeros((0, 4)), ROBOT, PERIOD)
         assert state[BASE_SPEED] == pytest.approx(base[drive.SPEED], abs=1e-12)
 
@@ -167,12 +192,14 @@ def drive_by(spike, command, turn_rate, cliff=0):
     base[drive.SPEED], base[drive.TURN_RATE] = ROBOT.max_speed, turn_rate
     state = np.array([ROBOT.max_speed, turn_rate, 0.0, 0.0, ROBOT.max_speed])
     walls = np.array([[x, y * side, x + 0.1, (y + 0.3) * side], [x, y * side, x - 0.1, (y + 0.3) * side]])
-    turned = 0.0
+    turned, watch = 0.0, None
     for k in range(64):
+        X_WB = base[drive.X : drive.THETA + 1]
         if k % 3 == 0:
-            seen = scan_of(walls, base[drive.X : drive.THETA + 1], stamp=k * PERIOD)
+            seen = scan_of(walls, X_WB, stamp=k * PERIOD)
+            watch = watch_of(seen, X_WB, watch)
         before, hazards = state, Hazards(0.0, 0, cliff if k == 0 else 0, 0)
-        state = filter_command(state, k * PERIOD, np.array(command), hazards, seen, ROBOT, SAFETY, PERIOD)
+        state = filtered_command(state, k * PERIOD, command, hazards, seen, watch, X_WB)
         base = drive.step(base, state[:2], walls, ROBOT, PERIOD)
         turned += base[drive.TURN_RATE] * PERIOD
         # What the filter takes for the base's speed is that, and it asks no more than the base can do.
@@ -184,5 +211,5 @@ def drive_by(spike, command, turn_rate, cliff=0):
 def test_where_there_is_room_the_base_turns_while_it_brakes():
     state = run([0.5, 0.0])
     walls = [[0.5, -2.0, 0.5, -0.5], [0.5, 0.5, 0.5, 2.0]]
-    state = filter_command(state, 0.0, np.array([0.0, 1.3]), NONE, scan_of(walls), ROBOT, SAFETY, PERIOD)
+    state = filtered_command(state, 0.0, [0.0, 1.3], NONE, scan_of(walls))
     assert state[TURN_RATE] == ROBOT.max_turn_acceleration * PERIOD

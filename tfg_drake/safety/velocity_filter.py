@@ -9,6 +9,9 @@ from numba import njit
 
 from tfg_drake.config import RobotConfig, SafetyConfig
 from tfg_drake.messages import FloatArray, Hazards, LaserScan
+from tfg_drake.safety.corridor import touch_distance
+from tfg_drake.safety.scan_watch import ScanWatch
+from tfg_drake.safety.seen_space import CELL, open_distance
 from tfg_drake.simulation.differential_drive import advance
 
 # Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
@@ -24,30 +27,13 @@ def _free_distance(
     angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, curvature: float, radius: float, margin: float
 ) -> float:
     cosine, sine = math.cos(X_SB[2]), math.sin(X_SB[2])
-    corridor = radius + margin
-    turn_radius = 1.0 / abs(curvature) if abs(curvature) > 1e-6 else np.inf
     least = np.inf
     for i in range(angles.shape[0]):
-        if not ranges[i] < np.inf:
-            continue
-        dx = ranges[i] * math.cos(angles[i]) - X_SB[0]
-        dy = ranges[i] * math.sin(angles[i]) - X_SB[1]
-        x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
-        if turn_radius == np.inf:
-            if x <= 0.0 or abs(y) >= corridor:
-                continue
-            distance = x - math.sqrt(max(0.0, radius * radius - y * y))
-        else:
-            # Polar coordinates about the centre of the turn, the angle counted from the robot onwards.
-            inward = turn_radius - (y if curvature > 0.0 else -y)
-            from_centre = math.hypot(x, inward)
-            if x <= 0.0 or abs(from_centre - turn_radius) >= corridor:
-                continue
-            # The outline touches the point this much before the robot's centre is level with it.
-            cos_early = (turn_radius**2 + from_centre**2 - radius**2) / (2.0 * turn_radius * from_centre)
-            early = math.acos(max(-1.0, cos_early)) if cos_early < 1.0 else 0.0
-            distance = turn_radius * (math.atan2(x, inward) - early)
-        least = min(least, distance)
+        if ranges[i] < np.inf:
+            dx = ranges[i] * math.cos(angles[i]) - X_SB[0]
+            dy = ranges[i] * math.sin(angles[i]) - X_SB[1]
+            x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
+            least = min(least, touch_distance(x, y, curvature, radius, radius + margin))
     return least
 
 
@@ -124,21 +110,25 @@ def filter_command(
     command: FloatArray,
     hazards: Hazards,
     scan: LaserScan,
+    watch: ScanWatch,
+    X_OB: FloatArray,
     robot: RobotConfig,
     safety: SafetyConfig,
     period: float,
 ) -> FloatArray:
     """The filter's state one period (s) later; its first two entries are the velocity for the base.
 
-    state: (STATE_SIZE,). stamp: the time now, s. command: (2,) forward speed (m/s) and turn rate (rad/s).
+    state: (STATE_SIZE,). stamp: the time now, s. command: (2,) forward speed (m/s) and turn rate (rad/s). scan: the
+    newest, watch: what is believed of it and of those before. X_OB: (3,) the pose now by odometry.
 
     - A command that is not finite is zero.
     - A cliff or a dropped wheel stops the base at once.
     - A bumper starts a reflex of reflex_time: back away, turning away from the side that was hit. It starts again as
       long as the bumper is still pressed when it ends.
     - Speed, turn rate and their rates stay within the robot's limits.
-    - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance). Without
-      a scan younger than scan_timeout there is no forward speed. Turning in place and backing away stay allowed.
+    - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance), and
+      before the first place in the way that is not known to be free (open_distance). Without a scan younger than
+      scan_timeout that is believed there is no forward speed. Turning in place and backing away stay allowed.
     - While the base cannot be as slow as it should, it turns as it is told unless that takes it nearer to a return
       than stop_distance and than its arc does: then it brakes on that.
     """
@@ -160,8 +150,9 @@ def filter_command(
     turn_rate = _towards(turn_before, turn_wanted, turn_step)
     X_SB = _pose_in_scan(state, stamp - scan.stamp, safety)
     if speed > 0.0:
-        allowed = 0.0 if X_SB is None else _speed_allowed(scan, X_SB, speed, turn_rate, robot, safety, period)
-        speed = min(speed, allowed)
+        believed = X_SB is not None and (not watch.doubt or stamp - watch.believed.stamp <= safety.scan_timeout)
+        room = _room(scan, X_SB, watch, X_OB, speed, turn_rate, robot, safety, period) if believed else 0.0
+        speed = min(speed, _speed_allowed(room, robot, period))
     base = _towards(base_before, speed, step)
     brakes = base_before > 0.0 and base > max(0.0, min(speed, float(wanted[0])))
     velocity = state[[BASE_SPEED, TURN_RATE]]
@@ -199,17 +190,28 @@ def _turn_allowed(
     return turned == clear or turned >= nearest(math.nan)
 
 
-def _speed_allowed(
+def _room(
     scan: LaserScan,
     X_SB: FloatArray,
+    watch: ScanWatch,
+    X_OB: FloatArray,
     speed: float,
     turn_rate: float,
     robot: RobotConfig,
     safety: SafetyConfig,
     period: float,
 ) -> float:
-    """The greatest forward speed (m/s) from which the base can stop in time on the arc of a velocity (m/s, rad/s)."""
-    room = free_distance(scan, X_SB, speed, turn_rate, robot.radius, safety.side_margin) - safety.stop_distance
+    """How far (m) the base may drive on the arc of a velocity (m/s, rad/s), inf if nothing limits it."""
+    met = free_distance(scan, X_SB, speed, turn_rate, robot.radius, safety.side_margin) - safety.stop_distance
+    # A cell's place is known to half of its side, that of what was met in it likewise.
+    kept = safety.stop_distance + CELL
+    reach = kept + speed * 2.0 * period + 0.5 * speed**2 / robot.max_acceleration
+    newest = watch.newest
+    return min(met, open_distance(watch.space, X_OB, turn_rate / speed, robot.radius, reach, newest) - kept)
+
+
+def _speed_allowed(room: float, robot: RobotConfig, period: float) -> float:
+    """The greatest forward speed (m/s) from which the base can stop within some room (m)."""
     if room == math.inf:
         return math.inf
     # Speed v needs v * delay + v^2 / (2 a): the command takes effect a period later, and the next one too.

@@ -1,0 +1,118 @@
+"""Whether a scan is to be believed: a scanner that says nothing new, or nothing at all, is as good as silent.
+
+A scan is held against the one that was believed before it, moved along by odometry: most of what was met then must be
+met now, and what it tells must change where the robot moves. Rays that are lost here and there do not matter.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.geometry.se2 import between
+from tfg_drake.messages import FloatArray, LaserScan, message
+from tfg_drake.safety.seen_space import SeenSpace, nothing_seen, remembered
+
+# A scan that met fewer than this share of what it should have met shows nothing; fewer than so many tell nothing.
+_SHOWN_SHARE, _LEAST_SHOWN = 0.1, 10
+# Nothing is expected of what lies beyond this share of the scanner's reach, or nearer to its blind zone than this, m.
+_REACH_SHARE, _BLIND_MARGIN = 0.8, 0.1
+# Of a scan that stays the same while the robot moves, this share of ranges must be wrong by more than this, m.
+_WRONG_SHARE, _WRONG = 0.2, 0.04
+
+FROZEN = "the scan does not change while the robot moves: start its driver again"
+EMPTY = (
+    "the scan shows nothing where there were walls a moment ago: see whether something covers the scanner; of one that "
+    "sees nothing near, set scan.least_range"
+)
+
+
+@message
+class ScanWatch:
+    """What is known of a scanner.
+
+    newest: stamp of its newest scan, s. believed: the newest scan that was believed, taken at X_OS (3,). content: the
+    first scan of those that say the same as the newest one, X_OC (3,) where the robot was when its wheels last rested
+    since. doubt: why the newest scan is not believed, "" if it is. space: what was seen to be free.
+    """
+
+    newest: float
+    believed: LaserScan
+    X_OS: FloatArray
+    content: LaserScan
+    X_OC: FloatArray
+    doubt: str
+    space: SeenSpace
+
+
+def no_watch(scan: LaserScan) -> ScanWatch:
+    """Before the first scan; scan: stamped -inf."""
+    return ScanWatch(scan.stamp, scan, np.zeros(3), scan, np.zeros(3), "", nothing_seen())
+
+
+def watched(
+    watch: ScanWatch, scan: LaserScan, X_OB: FloatArray, at_rest: bool, radius: float, least_range: float
+) -> ScanWatch:
+    """The watch after a scan that is newer than the one before.
+
+    X_OB: (3,) odometry where it was taken. at_rest: no wheel turns. radius: of the robot, m. least_range: m, nearer the
+    scanner sees nothing.
+    """
+    same = np.array_equal(scan.ranges, watch.content.ranges, equal_nan=True) and len(scan.ranges) > 0
+    content, X_OC = (watch.content, watch.X_OC) if same else (scan, X_OB)
+    X_OC = X_OB if at_rest else X_OC
+    believed, reach = watch.believed, _REACH_SHARE * scan.range_max
+    doubt = ""
+    if same and (watch.doubt == FROZEN or _should_differ(content.angles, content.ranges, between(X_OC, X_OB), reach)):
+        doubt = FROZEN
+    elif not _shows(believed, scan, between(watch.X_OS, X_OB), least_range + _BLIND_MARGIN, reach):
+        doubt = EMPTY
+    if doubt:
+        return ScanWatch(scan.stamp, believed, watch.X_OS, content, X_OC, doubt, watch.space)
+    return ScanWatch(scan.stamp, scan, X_OB, content, X_OC, "", remembered(watch.space, scan, X_OB, radius))
+
+
+def _shows(before: LaserScan, scan: LaserScan, X_SB: FloatArray, least: float, reach: float) -> bool:
+    """Whether a scan taken at X_SB (3,) in the frame of the one before meets enough of what that one met; what lies
+    nearer than least (m) or farther than reach (m) is not expected."""
+    expected = _in_view(before.angles, before.ranges, X_SB, least, reach)
+    return expected < _LEAST_SHOWN or bool(np.isfinite(scan.ranges).sum() >= _SHOWN_SHARE * expected)
+
+
+@njit(cache=True)
+def _moved(angle: float, distance: float, X_SB: FloatArray) -> tuple[float, float]:
+    """Bearing (rad) and range (m) from B of a point at this angle and distance from S."""
+    dx, dy = distance * math.cos(angle) - X_SB[0], distance * math.sin(angle) - X_SB[1]
+    bearing = math.atan2(dy, dx) - X_SB[2]
+    return math.pi - (math.pi - bearing) % (2.0 * math.pi), math.hypot(dx, dy)
+
+
+@njit(cache=True)
+def _in_view(angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, least: float, reach: float) -> int:
+    """How many returns of a scan the same scanner sees from B, between two ranges (m)."""
+    count = 0
+    for k in range(len(ranges)):
+        if ranges[k] < np.inf:
+            bearing, distance = _moved(angles[k], ranges[k], X_SB)
+            count += angles[0] <= bearing <= angles[-1] and least < distance < reach
+    return count
+
+
+@njit(cache=True)
+def _should_differ(angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, reach: float) -> bool:
+    """Whether a scan from B would have to say something else than the same scan from S did."""
+    compared, wrong = 0, 0
+    for k in range(len(ranges)):
+        if not ranges[k] < reach:
+            continue
+        bearing, distance = _moved(angles[k], ranges[k], X_SB)
+        n = np.searchsorted(angles, bearing)
+        if not 0 < n < len(angles):
+            continue
+        n -= bearing - angles[n - 1] < angles[n] - bearing
+        if ranges[n] < np.inf:
+            compared += 1
+            wrong += abs(ranges[n] - distance) > _WRONG
+    return compared >= _LEAST_SHOWN and wrong > _WRONG_SHARE * compared

@@ -1,0 +1,167 @@
+"""What was seen to be free round the robot: a short memory of its scans, carried along by odometry.
+
+What is not seen is not free. A ray that met something at a range, or nothing within the scanner's reach, says that the
+way up to there is free; a ray that says nothing (nan) says nothing of any place. The memory is a square window of cells
+round the robot, at rest in the odometry frame O. So the robot may drive through what it saw a moment ago and cannot see
+now: a depth camera's blind zone, what lies beside its field of view, rays that were lost.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
+from tfg_drake.safety.corridor import touch_distance
+
+# Side of a cell, m: a chair's leg covers half of one, and rays of 1 degree meet each cell within 2 m.
+CELL = 0.04
+# Half of the window, cells: 0.96 m, beyond the way in which a base of 0.7 m/s stops and beyond most blind zones.
+HALF = 24
+CELLS = 2 * HALF
+# What was seen is believed for this long, s: a turn all round takes half of it.
+MEMORY = 10.0
+# A cell in which more than this share of a scan's rays ended, of those that came there, is not free.
+_MET_SHARE = 0.12
+# Fewer lost rays side by side than this say nothing; more may be something that is too near to be seen.
+_GAP = 3
+# A ray says nothing of the last bit before what it met, m: its range is not exact.
+_BEFORE_RETURN = 0.5 * CELL
+
+
+@message
+class SeenSpace:
+    """The memory. corner: (2,) the window's lowest cell, in cells of O's axes. seen: (CELLS, CELLS) when each cell was
+    seen last, s, -inf never; the cell (i, j) of O is at [i % CELLS, j % CELLS]. met: (CELLS, CELLS) something was there
+    then, else it was free.
+    """
+
+    corner: IntArray
+    seen: FloatArray
+    met: BoolArray
+
+
+def nothing_seen() -> SeenSpace:
+    """The memory before the first scan."""
+    shape = (CELLS, CELLS)
+    return SeenSpace(np.zeros(2, dtype=np.int64), np.full(shape, -np.inf), np.zeros(shape, dtype=np.bool_))
+
+
+def remembered(space: SeenSpace, scan: LaserScan, X_OB: FloatArray, radius: float) -> SeenSpace:
+    """The memory with a scan taken at X_OB (3,) by a round robot of this radius (m), which stands on free ground."""
+    return SeenSpace(
+        *_remembered(space.corner, space.seen, space.met, scan.angles, scan.ranges, scan.stamp, X_OB, radius)
+    )
+
+
+@njit(cache=True)
+def _remembered(
+    corner: IntArray,
+    seen: FloatArray,
+    met: BoolArray,
+    angles: FloatArray,
+    ranges: FloatArray,
+    stamp: float,
+    X_OB: FloatArray,
+    radius: float,
+) -> tuple[IntArray, FloatArray, BoolArray]:
+    after, occupied = seen.copy(), met.copy()
+    i0, j0 = math.floor(X_OB[0] / CELL) - HALF, math.floor(X_OB[1] / CELL) - HALF
+    # Cells that came into the window were never seen.
+    for a in range(CELLS):
+        for b in range(CELLS):
+            i, j = i0 + (a - i0) % CELLS, j0 + (b - j0) % CELLS
+            if not (0 <= i - corner[0] < CELLS and 0 <= j - corner[1] < CELLS):
+                after[a, b], occupied[a, b] = -np.inf, False
+    # Rays a cell: that went through it, ended in it, or would have come there if a gap of them had not been lost.
+    passed = np.zeros((CELLS, CELLS), dtype=np.int32)
+    ended, lost = np.zeros_like(passed), np.zeros_like(passed)
+    step = 0.5 * CELL
+    reach = (HALF - 1) * CELL
+    gap_begin = gap_end = 0
+    for k in range(len(ranges)):
+        says = ranges[k] >= 0.0
+        if not says:
+            if k >= gap_end:
+                gap_begin = gap_end = k
+                while gap_end < len(ranges) and not ranges[gap_end] >= 0.0:
+                    gap_end += 1
+            if gap_end - gap_begin < _GAP:
+                continue
+        free = min(reach, ranges[k] - _BEFORE_RETURN) if says else reach
+        counted = passed if says else lost
+        cosine, sine = math.cos(X_OB[2] + angles[k]), math.sin(X_OB[2] + angles[k])
+        last_i, last_j = i0 - 1, j0 - 1
+        for n in range(int(free / step) + 1 if free > 0.0 else 0):
+            i, j = math.floor((X_OB[0] + n * step * cosine) / CELL), math.floor((X_OB[1] + n * step * sine) / CELL)
+            if i != last_i or j != last_j:
+                counted[i % CELLS, j % CELLS] += 1
+                last_i, last_j = i, j
+        if ranges[k] < reach:
+            i = math.floor((X_OB[0] + ranges[k] * cosine) / CELL)
+            j = math.floor((X_OB[1] + ranges[k] * sine) / CELL)
+            ended[i % CELLS, j % CELLS] += 1
+            if i == last_i and j == last_j:
+                passed[i % CELLS, j % CELLS] -= 1
+    beneath = radius - CELL
+    for a in range(CELLS):
+        for b in range(CELLS):
+            x = (i0 + (a - i0) % CELLS + 0.5) * CELL - X_OB[0]
+            y = (j0 + (b - j0) % CELLS + 0.5) * CELL - X_OB[1]
+            count = passed[a, b] + ended[a, b]
+            if x * x + y * y < beneath * beneath:
+                after[a, b], occupied[a, b] = stamp, False
+            elif ended[a, b] > _MET_SHARE * count:
+                after[a, b], occupied[a, b] = stamp, True
+            elif passed[a, b] > lost[a, b] and not (occupied[a, b] and lost[a, b]):
+                # Past the edge of what is too near to be seen rays pass, too: what was met is gone when none is lost.
+                after[a, b], occupied[a, b] = stamp, False
+    return np.array([i0, j0]), after, occupied
+
+
+def open_distance(
+    space: SeenSpace, X_OB: FloatArray, curvature: float, radius: float, reach: float, newest: float
+) -> float:
+    """How far (m) a round base may drive along an arc until its outline meets what is not known to be free.
+
+    X_OB: (3,) its pose. curvature: of the arc, 1/m. radius: of the base, m. reach: farther than this (m) makes no
+    difference. newest: stamp of the newest scan in the memory, s: what that one met is left to who has its exact place.
+    inf if nothing within reach is in doubt. Cells that were never seen, or not for MEMORY, count if they lie one cell
+    within the outline's way: beside it a wall may stand that no ray passes. Those in which something was met count all.
+    """
+    distance: float = _open_distance(
+        space.corner, space.seen, space.met, X_OB, curvature, radius, radius + reach + CELL, newest
+    )
+    return distance
+
+
+@njit(cache=True)
+def _open_distance(
+    corner: IntArray,
+    seen: FloatArray,
+    met: BoolArray,
+    X_OB: FloatArray,
+    curvature: float,
+    radius: float,
+    span: float,
+    newest: float,
+) -> float:
+    cosine, sine = math.cos(X_OB[2]), math.sin(X_OB[2])
+    least = np.inf
+    for i in range(math.floor((X_OB[0] - span) / CELL), math.floor((X_OB[0] + span) / CELL) + 1):
+        for j in range(math.floor((X_OB[1] - span) / CELL), math.floor((X_OB[1] + span) / CELL) + 1):
+            a, b = i % CELLS, j % CELLS
+            corridor = radius - CELL
+            if 0 <= i - corner[0] < CELLS and 0 <= j - corner[1] < CELLS:
+                if seen[a, b] == newest or (seen[a, b] >= newest - MEMORY and not met[a, b]):
+                    continue
+                if met[a, b]:
+                    corridor = radius + 0.5 * CELL
+            dx, dy = (i + 0.5) * CELL - X_OB[0], (j + 0.5) * CELL - X_OB[1]
+            # What is beneath the base is free.
+            if radius * radius < dx * dx + dy * dy < span * span:
+                x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
+                least = min(least, touch_distance(x, y, curvature, radius, corridor))
+    return least
