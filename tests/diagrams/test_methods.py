@@ -16,7 +16,9 @@ def test_every_method_has_the_ports_that_a_mission_needs(name):
     explorer = FindMethod(name).MakeExplorer(LoadScenario(FindScenario("house")))
     inputs = {explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())}
     outputs = {explorer.get_output_port(i).get_name() for i in range(explorer.num_output_ports())}
-    assert inputs <= {"odometry", "detections", "scan", "hazards", "pause", "enable", "stop"}
+    assert inputs <= {"odometry", "detections", "scan", "hazards", "pause", "enable", "stop", "recall"}
+    # Who keeps no budget cannot be called back.
+    assert ("recall" in inputs) == METHODS[name].keeps_budget
     assert {"odometry", "scan", "hazards", "pause", "enable", "stop"} <= inputs
     assert {"velocity_commanded", "pose", "mission"} <= outputs
     assert ("grid" in outputs) != ("map" in outputs)
