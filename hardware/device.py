@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from multiprocessing import Pipe
 from typing import Any, Protocol, TypeVar
 
@@ -56,8 +57,11 @@ T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections, BaseState)
 # How long to wait for the process to find its robot, and to answer, s.
 START_TIMEOUT = 60.0
 ANSWER_TIMEOUT = 5.0
+# A process that takes no commands for so long is lost for good, s.
+HELD_UP = 60.0
 # Messages of a kind that wait to be taken, at most: half a minute of the fastest.
 WAITING = 2000
+_NO_ANSWER = "the robot's process does not answer"
 
 
 class DeviceError(RuntimeError):
@@ -68,6 +72,10 @@ class Driver(Protocol):
     """What the process drives a robot with; used by one thread."""
 
     limits: Limits
+
+    @property
+    def sources(self) -> Mapping[type, str]:
+        """What the messages of a kind are called in a remark, such as "scan of /scan"."""
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
@@ -83,6 +91,9 @@ class Driver(Protocol):
 
     def show(self, enabled: bool) -> None:
         """Shows on the robot, if it can, whether it may move; said every tick."""
+
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call: what was refused, lost or found again."""
 
     def close(self) -> None:
         """Lets go of the robot."""
@@ -100,6 +111,8 @@ class Device:
 
     Nothing moves before `enable`. Without a new command the velocity is zero after COMMAND_TIMEOUT. After a clock's
     jump or when odometry was silent the robot stands until `enable` is called again; `locked` says why.
+
+    heard: how often the process has said anything, which it does twice a second at least.
     """
 
     def __init__(self, config: DriverConfig) -> None:
@@ -122,7 +135,10 @@ class Device:
         self._newest: dict[type, Message] = {}
         self._waiting: dict[type, collections.deque[Message]] = {}
         self._locked: str | None = "not enabled yet"
-        self._answers = 0
+        self._remarks: list[str] = []
+        self.heard = self._answers = 0
+        # Since when the process takes no orders, s; None while it does.
+        self._full: float | None = None
         self._ended: str | None = None
         self._ready = False
         self._put(config)
@@ -168,12 +184,25 @@ class Device:
     @property
     def locked(self) -> str | None:
         """Why the robot may not move; None when it may."""
-        return self._ended or self._locked
+        return self._ended or (self._locked if self._full is None else _NO_ANSWER)
+
+    @property
+    def ended(self) -> str | None:
+        """Why there is no process any more; None as long as there is one."""
+        return self._ended
+
+    def take_remarks(self) -> list[str]:
+        """What the process has to say to the operator since the last call, each line once."""
+        with self._changed:
+            remarks, self._remarks = self._remarks, []
+        return remarks
 
     def command(self, speed: float, turn_rate: float, due: float | None = None) -> None:
-        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more. Raises DeviceError.
+        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more.
 
-        due: when it was to be given, s, by default now: one that is late is not obeyed for longer.
+        due: when it was to be given, s, by default now: one that is late is not obeyed for longer. Where the process is
+        held up the command is lost: it stands by itself when it runs again. Raises DeviceError where it has ended or
+        was held up for a minute.
         """
         self._put(("command", time.monotonic() if due is None else due, float(speed), float(turn_rate)))
 
@@ -189,10 +218,11 @@ class Device:
         """Lets the commands that follow move the robot; raises DeviceError where it may not."""
         with self._changed:
             before = self._answers
-            self._put(("enable",))
-            answered = self._changed.wait_for(lambda: self._answers > before or bool(self._ended), ANSWER_TIMEOUT)
+            answered = self._put(("enable", time.monotonic())) and self._changed.wait_for(
+                lambda: self._answers > before or bool(self._ended), ANSWER_TIMEOUT
+            )
         if not answered or self.locked is not None:
-            raise DeviceError(f"the robot is not enabled: {self.locked if answered else 'its process does not answer'}")
+            raise DeviceError(f"the robot is not enabled: {self.locked if answered else _NO_ANSWER}")
 
     def close(self) -> None:
         """Stops the robot and ends the process."""
@@ -214,15 +244,22 @@ class Device:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _put(self, order: Any) -> None:
+    def _put(self, order: Any) -> bool:
+        """Whether the order went out: where the process is held up its pipe is full."""
         if self._ended is not None:
             raise DeviceError(self._ended)
         try:
             if not select.select([], [self._connection], [], 0.0)[1]:
-                raise DeviceError("the robot's process does not take commands any more")
+                now = time.monotonic()
+                self._full = now if self._full is None else self._full
+                if now - self._full > HELD_UP:
+                    raise DeviceError(f"the robot's process has taken no commands for {HELD_UP:.0f} s")
+                return False
             self._connection.send(order)
         except OSError:
             raise DeviceError("the robot's process has ended") from None
+        self._full = None
+        return True
 
     def _read(self) -> None:
         while True:
@@ -231,6 +268,7 @@ class Device:
             except (EOFError, OSError):
                 kind, content = "ended", "the robot's process has ended"
             with self._changed:
+                self.heard += 1
                 if kind == "message":
                     for value in vars(content).values():  # pickling loses that arrays are read-only
                         if isinstance(value, np.ndarray):
@@ -239,11 +277,13 @@ class Device:
                     self._waiting.setdefault(type(content), collections.deque(maxlen=WAITING)).append(content)
                 elif kind == "locked":
                     self._locked = content
+                elif kind == "remark":
+                    self._remarks.append(content)
                 elif kind == "answer":
                     self._answers, self._locked = self._answers + 1, content
                 elif kind == "ready":
                     self._ready = True
-                else:
+                elif kind == "ended":
                     self._ended = self._ended or content
                 self._changed.notify_all()
             if kind == "ended":

@@ -1,9 +1,10 @@
 """The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... ORDERS ANNOUNCEMENTS`.
 
 ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive the driver's configuration,
-("command", sent, speed, turn_rate), ("enable",), ("lock", reason) and ("close",).
-What it says: ("ready", None), ("message", message), ("locked", reason or None), ("answer", reason or None) to an
-enable, and ("ended", line). When the other end is gone the robot stands and the process ends.
+("command", sent, speed, turn_rate), ("enable", sent), ("lock", reason) and ("close",).
+What it says: ("ready", None), ("message", message) of those that are plausible, ("locked", reason or None), ("answer",
+reason or None) to an enable, ("remark", line) for the operator, ("alive", None) twice a second, and ("ended", line).
+When the other end is gone the robot stands and the process ends.
 What comes by the second is published, see announcements.py.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import math
 import os
 import signal
 import sys
@@ -20,7 +22,8 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from tfg_drake.hardware.announcements import Publisher, announce
-from tfg_drake.hardware.device import WAITING, DeviceError, Driver
+from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, Driver
+from tfg_drake.hardware.plausible import Judge
 from tfg_drake.hardware.watchdog import TICK, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
@@ -28,6 +31,8 @@ from tfg_drake.messages import Hazards, Odometry
 _LAST_ZEROS = 5
 # How long orders are taken up before the robot has its turn again, however many there are, s.
 _ORDERS_WITHIN = TICK
+# Between two signs of life, s.
+_ALIVE_EVERY = 0.5
 
 
 class _Outbox:
@@ -60,17 +65,22 @@ class _Outbox:
 def serve(driver: Driver, connection: Connection) -> None:
     """Drives until the other end of the connection is closed or its process gone."""
     watchdog, outbox, parent = Watchdog(driver.limits), _Outbox(connection), os.getppid()
+    judge = Judge(driver.sources)
     outbox.put("ready", None)
-    told, moved = watchdog.locked, False
+    told, moved, said_alive = watchdog.locked, False, -math.inf
     try:
         while os.getppid() == parent:
             driver.spin(TICK)
-            for message in driver.take():
+            for taken in driver.take():
+                if (message := judge.judged(taken, now := time.monotonic())) is None:
+                    continue
                 if isinstance(message, Odometry):
-                    watchdog.hear(min(message.stamp, time.monotonic()))
+                    watchdog.hear(min(message.stamp, now))
                 elif isinstance(message, Hazards):
                     watchdog.hear_hazards(message)
                 outbox.put("message", message)
+            for line in (*driver.remarks(), *judge.refusals.take()):
+                outbox.put("remark", line)
             if fault := driver.fault():
                 watchdog.lock(fault)
             end = time.monotonic() + _ORDERS_WITHIN
@@ -79,7 +89,9 @@ def serve(driver: Driver, connection: Connection) -> None:
                 if order[0] == "close":
                     return
                 if order[0] == "enable":
-                    watchdog.enable(time.monotonic())
+                    # Whoever asked longer ago was told that nobody answers.
+                    if (now := time.monotonic()) - order[1] < ANSWER_TIMEOUT:
+                        watchdog.enable(now)
                     if fault:
                         watchdog.lock(fault)
                     moved = True
@@ -95,6 +107,9 @@ def serve(driver: Driver, connection: Connection) -> None:
             if watchdog.locked != told:
                 told = watchdog.locked
                 outbox.put("locked", told)
+            if time.monotonic() - said_alive > _ALIVE_EVERY:
+                said_alive = time.monotonic()
+                outbox.put("alive", None)
             driver.show(told is None)
     except (EOFError, OSError):
         pass  # the other end is gone

@@ -11,7 +11,7 @@ from tfg_drake.hardware.kobuki import driver as kobuki
 from tfg_drake.hardware.ros import ros2, rosbridge
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
 from tfg_drake.hardware.sensor import Source
-from tfg_drake.hardware.sensor_source import open_sources, parse_source
+from tfg_drake.hardware.sensor_source import SensorSource, SourceSpec, open_sources, parse_source
 from tfg_drake.hardware.watchdog import Limits
 
 # Whose mounts and topics hold where nobody says otherwise.
@@ -20,30 +20,35 @@ PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtleb
 
 @dataclasses.dataclass(frozen=True)
 class RobotDevices:
-    """base: a device. tags, scan: sources of TagDetections and LaserScan, the base itself where it has them.
+    """base: a device. tags, scan: sources of TagDetections and LaserScan.
 
-    limits: what its driver bounds the velocity by. frames: of a base that publishes, on ROS; None of another one.
-    clock: of the station that is made of them.
+    limits: what the base's driver bounds the velocity by. publisher, frames: of a base on ROS, what publishes there,
+    and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. clock:
+    of the station that is made of them.
     """
 
     base: Device
     tags: Source
     scan: Source
     limits: Limits
+    publisher: SensorSource | None = None
     frames: Frames | None = None
+    least_range: float = 0.0
     clock: HostClock = dataclasses.field(default_factory=HostClock)
 
     def take_remarks(self) -> list[str]:
         """Lines for the operator that the processes of base and sensors had to say since the last call."""
-        sources = {id(source): source for source in (self.base, self.tags, self.scan)}
-        return [line for source in sources.values() for line in source.take_remarks()]
+        return [line for source in self._distinct() for line in source.take_remarks()]
 
     def close(self) -> None:
         """Stops the base, and closes all of them; once is enough."""
-        self.base.close()
-        for source in (self.tags, self.scan):
-            if source is not self.base:
-                source.close()
+        for source in self._distinct():
+            source.close()
+
+    def _distinct(self) -> list[Device | Source]:
+        """The base first, then what reads the sensors."""
+        every = (self.base, self.tags, self.scan, self.publisher)
+        return list({id(source): source for source in every if source is not None}.values())
 
 
 def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
@@ -58,8 +63,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     except PresetError as error:
         raise DeviceError(str(error)) from None
     specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
-    for use in specs:
-        parse_source(specs[use])
+    parsed = {use: parse_source(spec) for use, spec in specs.items()}
     on_ros = config.robot != "kobuki"
     if on_ros:
         limits = _lesser(preset.limits, limits)
@@ -68,31 +72,43 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     for use in own:
         if use not in specs and not own[use]:
             raise DeviceError(f"{config.robot}: no source of {use}; give --{use} socket:HOST:PORT or ros2:/TOPIC")
-    # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
-    sources = open_sources(specs, preset)
-    if "tags" in specs:
-        topics = dataclasses.replace(preset.topics, detections=None, camera_info=None)
-        preset = dataclasses.replace(preset, topics=topics)
+    graph = _graph(config)
+    base = _open_base(config, preset, limits, graph)
     try:
-        base = _open_base(config, preset, limits)
+        # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
+        sources = open_sources(specs, preset, graph)
     except DeviceError:
-        for source in sources.values():
-            source.close()
+        base.close()
         raise
+    # What serves a socket says itself where nothing is known.
+    by_socket = "scan" in parsed and parsed["scan"].transport == "socket"
     return RobotDevices(
-        base, sources.get("tags", base), sources.get("scan", base), limits, preset.frames if on_ros else None
+        base,
+        sources["tags"],
+        sources["scan"],
+        limits,
+        sources.get("base"),
+        preset.frames if on_ros else None,
+        0.0 if by_socket else preset.scanner.least_range,
     )
 
 
-def _open_base(config: HardwareConfig, preset: Preset, limits: Limits) -> Device:
+def _graph(config: HardwareConfig) -> SourceSpec | None:
+    """The ROS graph that the base is on; raises DeviceError."""
     if config.robot == "kobuki":
-        return kobuki.connect(config.port, limits)
+        return None
     if config.robot == "ros2":
-        return ros2.connect(preset)
+        return SourceSpec("ros2")
     host, colon, port = config.bridge.rpartition(":")
     if not colon or not port.isdigit():
         raise DeviceError(f"rosbridge: {config.bridge} is no HOST:PORT; name the server such as localhost:9090")
-    return rosbridge.connect(preset, host, int(port))
+    return SourceSpec("rosbridge", host, int(port))
+
+
+def _open_base(config: HardwareConfig, preset: Preset, limits: Limits, graph: SourceSpec | None) -> Device:
+    if graph is None:
+        return kobuki.connect(config.port, limits)
+    return ros2.connect(preset) if graph.transport == "ros2" else rosbridge.connect(preset, graph.host, graph.port)
 
 
 def _lesser(one: Limits, other: Limits) -> Limits:

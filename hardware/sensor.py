@@ -18,10 +18,13 @@ T = TypeVar("T", LaserScan, TagDetections)
 
 
 class Source(Protocol):
-    """Where messages come from, such as a Device."""
+    """Where messages come from, such as a SensorSource."""
 
     def take(self, kind: type[T], until: float) -> list[T]:
         """The messages of a kind stamped `until` (s of the host's monotonic clock) or before, not taken yet."""
+
+    def take_remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
 
     def close(self) -> None:
         """Lets go of what it reads."""

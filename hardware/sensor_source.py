@@ -1,18 +1,19 @@
-"""Where tags and scans come from when they do not come from the base: `ros2:`, `rosbridge:` or `socket:`.
+"""Where tags and scans come from: `ros2:`, `rosbridge:` or `socket:`.
 
-Each connection has a process of its own, as a base has: GTSAM holds the interpreter for seconds, and meanwhile nothing
-may be lost and no sender kept waiting.
+Each connection has a process of its own: GTSAM holds the interpreter for seconds, and meanwhile nothing may be lost and
+no sender kept waiting; and what parses large messages must not share a process with the watchdog of the base.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import threading
 import urllib.parse
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tfg_drake.hardware.device import Device, DeviceError, DriverConfig
-from tfg_drake.hardware.ros.preset import Preset
+from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.messages import LaserScan, TagDetections
 
 T = TypeVar("T", LaserScan, TagDetections)
@@ -21,6 +22,10 @@ T = TypeVar("T", LaserScan, TagDetections)
 KINDS = {"tags": TagDetections, "scan": LaserScan}
 
 ROSBRIDGE_PORT = 9090
+# How often a process is looked at, s, and after how many looks at which it has said nothing it hangs: ten seconds.
+_LOOK_EVERY, _SILENT_LOOKS = 0.1, 100
+# Before a process is started again, s: at first and at most.
+_BACK_OFF, _LONGEST_BACK_OFF = 0.2, 10.0
 _FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT"
 
 
@@ -32,6 +37,11 @@ class SourceSpec:
     host: str = ""
     port: int = 0
     topic: str = ""
+
+    def __str__(self) -> str:
+        if self.transport == "ros2":
+            return f"ros2:{self.topic}" if self.topic else "ros2"
+        return f"{self.transport}:{self.host}:{self.port}{self.topic}"
 
 
 def parse_source(text: str) -> SourceSpec:
@@ -64,11 +74,26 @@ def _topic(text: str, topic: str) -> str:
 
 
 class SensorSource:
-    """Tags or scans, or both, of one connection. Stamps are the host's monotonic clock, s."""
+    """Tags or scans, or both, of one connection. Stamps are the host's monotonic clock, s.
 
-    def __init__(self, config: DriverConfig) -> None:
-        """Waits until what is wanted arrives; raises DeviceError."""
+    Its process is started again where it ends or hangs; meanwhile nothing arrives.
+    """
+
+    def __init__(self, name: str, config: DriverConfig) -> None:
+        """Waits until what is wanted arrives; raises DeviceError. name: of the connection, in remarks."""
+        self._name, self._config = name, config
         self._device = Device(config)
+        self._remarks: list[str] = []
+        self._published: dict[str, dict[str, Any]] = {}
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        self._keeper = threading.Thread(target=self._keep, daemon=True)
+        self._keeper.start()
+
+    @property
+    def process_id(self) -> int:
+        """Of the process at the moment."""
+        return self._device.process_id
 
     def newest(self, kind: type[T]) -> T | None:
         """The newest message of a kind; None where none has arrived yet."""
@@ -78,38 +103,94 @@ class SensorSource:
         """The messages of a kind that are stamped `until` (s) or before and were not taken yet, in order."""
         return self._device.take(kind, until)
 
+    def take_remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        with self._lock:
+            remarks, self._remarks = self._remarks, []
+        return [*self._device.take_remarks(), *remarks]
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message by its key in the preset's `publish`."""
+        self._published[key] = message
+        self._device.publish(key, message)
+
     def close(self) -> None:
         """Ends the connection; once is enough."""
+        self._closed.set()
+        self._keeper.join()
         self._device.close()
 
+    def _keep(self) -> None:
+        """Looks after the process until `close`."""
+        heard, silent = -1, 0
+        while not self._closed.wait(_LOOK_EVERY):
+            device = self._device
+            # Looks are counted, not seconds: the reading of what was said may be held up as this is.
+            heard, silent = device.heard, silent + 1 if device.heard == heard else 0
+            if device.ended is not None or silent > _SILENT_LOOKS:
+                self._remark("has ended" if device.ended is not None else "hangs", "; it is started again")
+                self._start_again()
+                heard, silent = -1, 0
 
-def open_sources(specs: Mapping[str, str], preset: Preset) -> dict[str, SensorSource]:
+    def _start_again(self) -> None:
+        self._device.close()
+        delay, told = _BACK_OFF, ""
+        while not self._closed.wait(delay):
+            delay = min(2.0 * delay, _LONGEST_BACK_OFF)
+            try:
+                device = Device(self._config)
+            except DeviceError as error:
+                if str(error) != told:
+                    self._remark("does not begin", f": {error}")
+                told = str(error)
+                continue
+            self._device = device
+            for key, message in self._published.copy().items():
+                device.publish(key, message)
+            self._remark("is back", "")
+            return
+
+    def _remark(self, what: str, more: str) -> None:
+        with self._lock:
+            self._remarks.append(f"the process that reads {self._name} {what}{more}")
+
+
+def open_sources(specs: Mapping[str, str], preset: Preset, base: SourceSpec | None = None) -> dict[str, SensorSource]:
     """The sources of "tags" and "scan", each as `parse_source` reads it; raises DeviceError, and leaves none open.
 
-    preset: of the robot, for the mounts of scanner and camera. What has the same server, or ROS 2's graph, shares one
-    source.
+    preset: of the robot, for the mounts of scanner and camera. base: the ROS graph that the robot's base is on. What
+    specs do not name comes from the preset's topics there, and what the explorer knows is published there, by the
+    source of "base". What has the same server, or ROS 2's graph, shares one source.
     """
-    parsed = {use: parse_source(text) for use, text in specs.items()}
-    uses_of: dict[SourceSpec, list[str]] = {}
-    for use, spec in parsed.items():
-        uses_of.setdefault(dataclasses.replace(spec, topic=""), []).append(use)
-    sources: dict[str, SensorSource] = {}
+    wanted: dict[SourceSpec, list[tuple[str, str | Topic]]] = {} if base is None else {base: []}
+    place: dict[str, SourceSpec] = {} if base is None else {"base": base}
+    for use, text in specs.items():
+        spec = parse_source(text)
+        place[use] = dataclasses.replace(spec, topic="")
+        wanted.setdefault(place[use], []).append((use, spec.topic))
+    if base is not None:
+        for use, topic in (("tags", preset.topics.detections), ("scan", preset.topics.scan)):
+            if use not in specs and topic is not None:
+                place[use] = base
+                wanted[base].append((use, topic))
+    opened: dict[SourceSpec, SensorSource] = {}
     try:
-        for spec, uses in uses_of.items():
-            source = SensorSource(_config(spec, [(use, parsed[use].topic) for use in uses], preset))
-            sources |= dict.fromkeys(uses, source)
+        for spec, topics in wanted.items():
+            name = " and ".join((*(use for use, _ in topics), *(["the robot"] if not topics else [])))
+            opened[spec] = SensorSource(f"{name} of {spec}", _config(spec, topics, preset, spec == base))
     except DeviceError:
-        for source in sources.values():
+        for source in opened.values():
             source.close()
         raise
-    return sources
+    return {use: opened[spec] for use, spec in place.items()}
 
 
-def _config(spec: SourceSpec, topics: list[tuple[str, str]], preset: Preset) -> DriverConfig:
+def _config(spec: SourceSpec, topics: list[tuple[str, str | Topic]], preset: Preset, base: bool) -> DriverConfig:
     if spec.transport == "socket":
         from tfg_drake.hardware.socket_sensors import SocketConfig
 
         return SocketConfig(spec.host, spec.port, tuple(KINDS[use] for use, _ in topics))
     from tfg_drake.hardware.ros.sensors import SensorConfig
 
-    return SensorConfig(tuple(topics), preset, spec.host if spec.transport == "rosbridge" else None, spec.port)
+    host = spec.host if spec.transport == "rosbridge" else None
+    return SensorConfig(tuple(topics), preset, base, host, spec.port)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import logging
 import select
 import socket
 import time
 
 from tfg_drake.hardware.device import DeviceError, Message
 from tfg_drake.hardware.kobuki.sensor_socket import message_of
+from tfg_drake.hardware.plausible import Refusals, judged
 from tfg_drake.hardware.watchdog import TICK, Limits
 from tfg_drake.messages import LaserScan, TagDetections
 
@@ -20,10 +20,6 @@ PATIENCE = 5.0
 LONGEST_LINE = 1_000_000
 # Between two attempts to connect again, s: the first and the last.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
-# A stamp this far in the future is of another clock, s.
-AHEAD = 0.25
-
-_log = logging.getLogger(__name__)
 
 _NAMES = {LaserScan: "scan", TagDetections: "detections"}
 
@@ -44,19 +40,23 @@ class SocketConfig:
 class SocketDriver:
     """Reads lines, and drives nothing; see tfg_drake.hardware.device.Driver. Lost connections are opened again.
 
-    malformed: lines so far that could not be used.
+    refusals: of lines that say no message.
     """
 
     limits = Limits()
 
     def __init__(self, host: str, port: int, kinds: tuple[type[LaserScan] | type[TagDetections], ...]) -> None:
-        """Waits for a message of each kind; raises DeviceError."""
-        self.malformed = 0
+        """Waits for a message of each kind that is plausible; raises DeviceError."""
+        self.refusals = Refusals()
         self._address, self._kinds = (host, port), kinds
         self._name = f"socket:{host}:{port}"
+        self.sources = {kind: f"{_NAMES[kind]} of {self._name}" for kind in kinds}
+        self._remarks: list[str] = []
         self._pending = bytearray()
         self._messages: list[Message] = []
-        self._stamps: dict[type, float] = {}
+        # The kinds that have arrived, and why what else arrived was of no use.
+        self._arrived: set[type] = set()
+        self._doubt = ""
         self._socket: socket.socket | None = None
         self._back_off, self._retry = BACK_OFF, 0.0
         try:
@@ -67,12 +67,12 @@ class SocketDriver:
                 "HOST:PORT that it prints"
             ) from None
         end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and len(self._stamps) < len(kinds):
+        while time.monotonic() < end and len(self._arrived) < len(kinds):
             self.spin(TICK)
-        if missing := [_NAMES[kind] for kind in kinds if kind not in self._stamps]:
+        if missing := [_NAMES[kind] for kind in kinds if kind not in self._arrived]:
             self.close()
-            refused = f" ({self.malformed} lines could not be used)" if self.malformed else ""
-            raise DeviceError(f"{self._name}: no {missing[0]} in {PATIENCE:.0f} s{refused}: name what serves them")
+            why = f" ({self._doubt})" if self._doubt else ""
+            raise DeviceError(f"{self._name}: no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them")
 
     def _connect(self, timeout: float) -> None:
         self._socket = socket.create_connection(self._address, timeout)
@@ -95,7 +95,7 @@ class SocketDriver:
             return
         try:
             self._connect(LONGEST_BACK_OFF)
-            _log.warning("%s: connected again", self._name)
+            self._remarks.append(f"{self._name}: connected again")
         except OSError:
             self._back_off = min(2.0 * self._back_off, LONGEST_BACK_OFF)
             self._retry = time.monotonic() + self._back_off
@@ -111,7 +111,7 @@ class SocketDriver:
         if not data:
             self._socket.close()
             self._socket = None
-            _log.warning("%s: the connection is lost; start what serves it again, it is looked for", self._name)
+            self._remarks.append(f"{self._name}: the connection is lost; start what serves it again, it is looked for")
             return
         self._pending += data
         *lines, rest = self._pending.split(b"\n")
@@ -125,21 +125,26 @@ class SocketDriver:
     def _read(self, line: bytes) -> None:
         try:
             message = message_of(line)
-            if message is None or not isinstance(message, self._kinds):
-                return
-            if message.stamp > time.monotonic() + AHEAD:
-                raise ValueError(f"stamp {message.stamp:.2f} is not of this machine's monotonic clock")
-        except ValueError as error:
+        except Exception as error:  # whatever a line holds, the next one may be good
             self._refuse(str(error))
             return
-        if message.stamp > self._stamps.get(type(message), -float("inf")):
-            self._stamps[type(message)] = message.stamp
-            self._messages.append(message)
+        if message is None or not isinstance(message, self._kinds):
+            return
+        self._messages.append(message)
+        if type(message) not in self._arrived:
+            believed, reasons = judged(message, time.monotonic())
+            if believed is not None:
+                self._arrived.add(type(message))
+            self._doubt = "; ".join(reasons.values()) or self._doubt
 
     def _refuse(self, why: str) -> None:
-        self.malformed += 1
-        if self.malformed == 1:
-            _log.warning("%s: lines are not used: %s", self._name, why)
+        self._doubt = why
+        self.refusals.add(self._name, "line", f"lines are not used: {why}")
+
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        remarks, self._remarks = self._remarks, []
+        return [*remarks, *self.refusals.take()]
 
     def take(self) -> list[Message]:
         """The messages since the last call."""

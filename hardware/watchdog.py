@@ -80,6 +80,9 @@ class Watchdog:
 
         How hard the base brakes is for the command to say: whoever wants it to stop may have a reason to hurry.
         """
+        # Who was held up for so long has not watched: how the robot moved meanwhile is not known.
+        if ODOMETRY_TIMEOUT < now - self._when < math.inf:
+            self._heard = -math.inf
         self._check(now)
         dt, self._when = min(max(0.0, now - self._when), 2.0 * TICK), now
         if self._locked is not None or self._hangs or not now - self._sent <= COMMAND_TIMEOUT:

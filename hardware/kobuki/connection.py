@@ -43,6 +43,7 @@ class Connection:
         # Frames so far, when the first one came, s, and since when it must not drive for what reason.
         self._frames, self._begun = 0, now
         self._alarms: dict[str, float] = {}
+        self._fault: str | None = None
         self.core: p.CoreSensors | None = None
         self.alarm: str | None = None
         self.reckoning = before
@@ -107,6 +108,8 @@ class Connection:
             self.reckoning = odometry.first(core, inertia, now, before)
         else:
             self.reckoning = odometry.advanced(before, core, inertia, now)
+        if self.reckoning is not before:
+            self._fault = self.reckoning.fault or self._fault
         if self.core is None:
             self._begun = self.reckoning.stamp
         self._frames += 1
@@ -147,6 +150,11 @@ class Connection:
         """The messages since the last call."""
         taken, self._messages = self._messages, []
         return taken
+
+    def fault(self) -> str | None:
+        """Why the base must stop, once for what has happened and as long as it lasts for its own alarms."""
+        fault, self._fault = self._fault, None
+        return fault or self.alarm
 
     def say(self, *parts: p.SubPayload) -> None:
         """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""

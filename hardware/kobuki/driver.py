@@ -6,13 +6,14 @@ import dataclasses
 import select
 import time
 
-from tfg_drake.hardware.device import Device, DeviceError, Message
+from tfg_drake.hardware.device import BaseState, Device, DeviceError, Message
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.kobuki.guardian import Guardian
 from tfg_drake.hardware.kobuki.serial_port import open_port
 from tfg_drake.hardware.watchdog import TICK, Limits
+from tfg_drake.messages import Hazards, Odometry
 
 # Between two attempts to connect, s: until then a base whose cable was pulled drives on.
 RETRY = 0.5
@@ -54,6 +55,7 @@ class KobukiDriver:
     def __init__(self, path: str, limits: Limits) -> None:
         """Waits until the base answers; raises DeviceError. path: of the serial port."""
         self.limits = limits
+        self.sources = {Odometry: f"odometry of {path}", Hazards: f"alarms of {path}", BaseState: f"state of {path}"}
         self._path = path
         self._connection: Connection | None = None
         # None as long as it is not certain that a base is connected.
@@ -131,19 +133,21 @@ class KobukiDriver:
         return [] if self._connection is None or self._guardian is None else self._connection.take()
 
     def fault(self) -> str | None:
-        """Why there is no base, as long as there is none, that its stop button B0 is pressed, or its own alarm."""
+        """Why there is no base, as long as there is none, that its stop button B0 is pressed, its own alarm, or what is
+        wrong with its clock or gyro."""
         connection = self._connection
         if self._trouble or connection is None or connection.core is None:
             return self._trouble or None
-        return "stopped by the button B0" if connection.core.buttons & STOP_BUTTON else connection.alarm
+        fault = connection.fault()
+        return "stopped by the button B0" if connection.core.buttons & STOP_BUTTON else fault
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""
         if self._connection is None or self._guardian is None:
             return
         self._connection.say(odometry.base_control(speed, turn_rate))
-        if not self._guardian.alive():
-            self._lose("the process that would stop the base in an emergency has ended; enable the base again")
+        if trouble := self._guardian.trouble(time.monotonic()):
+            self._lose(f"the process that would stop the base in an emergency {trouble}; enable the base again")
 
     def show(self, enabled: bool) -> None:
         """The first LED: green while the base may move, orange while it may not."""
@@ -151,6 +155,10 @@ class KobukiDriver:
         if lights != self._lights and self._connection is not None and self._guardian is not None:
             self._connection.say(p.GeneralOutput(_POWER | lights))
         self._lights = lights
+
+    def remarks(self) -> list[str]:
+        """None: what the base has to say is in its messages."""
+        return []
 
     def close(self) -> None:
         """Stops the base, says good-bye and closes the port."""

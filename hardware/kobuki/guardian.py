@@ -1,7 +1,8 @@
 """Stops the base when the process that drives it cannot do so any more: it was killed, or it is frozen.
 
 A process of its own, `python -m tfg_drake.hardware.kobuki.guardian PORT_DESCRIPTOR`, which shares the open port. On its
-standard input it hears that the other lives; it ends with it.
+standard input it hears that the other lives, and answers each time on its standard output; it ends with it. Where both
+are killed nobody is left to stop the base.
 """
 
 from __future__ import annotations
@@ -19,34 +20,52 @@ from tfg_drake.hardware.kobuki.payloads import BaseControl
 
 # After so long without a sign of life the base is told to stop, s.
 SILENCE = 0.3
+# It has so long to answer, and to answer for the first time, while its process starts, s.
+ANSWERS_WITHIN, STARTS_WITHIN = 0.5, 10.0
 # How often it is told so when there is nobody left to say anything else, and how far apart, s: one may be lost.
 _LAST_STOPS, _APART = 5, 0.02
 
 
 class Guardian:
-    """The handle on the guardian of one open port. Who holds it calls alive() oftener than every SILENCE."""
+    """The handle on the guardian of one open port. Who holds it calls trouble() oftener than every SILENCE."""
 
     def __init__(self, port: int) -> None:
         """port: its file descriptor."""
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tfg_drake.hardware.kobuki.guardian", str(port)],
             stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             pass_fds=[port],
             start_new_session=True,
         )
         assert self._process.stdin is not None
-        self._pipe = self._process.stdin.fileno()
-        os.set_blocking(self._pipe, False)
+        assert self._process.stdout is not None
+        self._pipe, self._answers = self._process.stdin.fileno(), self._process.stdout.fileno()
+        for end in (self._pipe, self._answers):
+            os.set_blocking(end, False)
+        self._patience = STARTS_WITHIN
+        # Since when an answer is due, s; None where nothing is.
+        self._asked: float | None = None
 
-    def alive(self) -> bool:
-        """Says that the caller lives; whether the guardian does."""
+    def trouble(self, now: float) -> str | None:
+        """Says at `now`, s, that the caller lives; what is wrong with the guardian, None where it answers."""
+        try:
+            if not os.read(self._answers, 4096):
+                return "has ended"
+            self._asked, self._patience = None, ANSWERS_WITHIN
+        except BlockingIOError:
+            pass
+        if self._asked is None:
+            self._asked = now
+        elif now - self._asked > self._patience:
+            return "does not answer"
         try:
             os.write(self._pipe, b".")
         except BlockingIOError:
-            return True
+            return "does not answer"
         except OSError:
-            return False
-        return True
+            return "has ended"
+        return None
 
     def close(self) -> None:
         """Ends the guardian, which then says nothing more."""
@@ -55,12 +74,14 @@ class Guardian:
 
 
 def guard(port: int) -> None:
-    """Until standard input ends."""
+    """Until standard input ends. Whoever does not read the answers holds up nothing."""
+    os.set_blocking(sys.stdout.fileno(), False)
     stop, there = encode(BaseControl(0, 0)), True
     while there:
         heard = bool(select.select([sys.stdin], [], [], SILENCE)[0])
         if heard:
             there = bool(os.read(sys.stdin.fileno(), 4096))
+            _write(sys.stdout.fileno(), b".")
         else:
             _write(port, stop)
     for _ in range(_LAST_STOPS):
@@ -68,9 +89,9 @@ def guard(port: int) -> None:
         time.sleep(_APART)
 
 
-def _write(port: int, frame: bytes) -> None:
+def _write(descriptor: int, data: bytes) -> None:
     with contextlib.suppress(OSError):
-        os.write(port, frame)
+        os.write(descriptor, data)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,10 @@ _LONGEST_GAP = 1.0
 _REST = 0.1
 # How fast the clocks of base and host may drift apart, s/s.
 _CLOCK_DRIFT = 2e-4
+# A frame stamped so far ahead of the host's clock tells of a jump of the base's, s.
+_AHEAD = 0.25
+# The wheels have turned the base so far, rad, while the gyro's angle has not changed by a unit: the gyro is stuck.
+_UNNOTICED = 0.15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +40,8 @@ class Reckoning:
 
     core, inertia: that frame's. base_time: s, since the first frame, by the base's own clock. offset: host's clock less
     base_time, s. X_OB: pose in the odometry frame, m and rad. V_B: forward speed, m/s, and turn rate, rad/s. stamp: s
-    of the host's clock, never decreasing. moved: stamp of the last tick, s.
+    of the host's clock, never decreasing. moved: stamp of the last tick, s. unnoticed: how far the wheels have turned
+    the base since the gyro's angle last changed, rad. fault: why the base must stand now, None where all is well.
     """
 
     core: CoreSensors
@@ -47,6 +52,8 @@ class Reckoning:
     V_B: tuple[float, float]
     stamp: float
     moved: float
+    unnoticed: float = 0.0
+    fault: str | None = None
 
 
 def first(core: CoreSensors, inertia: Inertia, received: float, before: Reckoning | None = None) -> Reckoning:
@@ -55,8 +62,8 @@ def first(core: CoreSensors, inertia: Inertia, received: float, before: Reckonin
     received: when the frame came, s of the host's clock. The ticks, the gyro's angle and the base's clock count from
     this frame on; the pose starts at 0, or stays what it was before: nobody knows how the base moved meanwhile.
     """
-    pose = (0.0, 0.0, 0.0) if before is None else before.X_OB
-    return Reckoning(core, inertia, 0.0, received, pose, (0.0, 0.0), received, received)
+    pose, stamp = ((0.0, 0.0, 0.0), received) if before is None else (before.X_OB, max(before.stamp, received))
+    return Reckoning(core, inertia, 0.0, received, pose, (0.0, 0.0), stamp, stamp)
 
 
 def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float) -> Reckoning:
@@ -66,8 +73,14 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
     gyro's turn. The stamp is the base's own clock, moved to the host's by the least delay seen, so that a frame which
     waited somewhere is not taken for a late one. A frame that repeats the time of the one before, or whose ticks no
     wheel can have made since, changes nothing; after a second without one that does, dead reckoning starts from there.
+    So it does, with a fault, where the base's clock has gone back, or is ahead of the host's. It is a fault, too, where
+    the wheels turn the base and the gyro does not notice.
     """
-    duration = 1e-3 * ((core.stamp - state.core.stamp) % 65536)
+    duration = 1e-3 * _signed(core.stamp - state.core.stamp)
+    if duration < 0.0:
+        return _anew(state, core, inertia, received, f"went back by {-duration:.2f} s")
+    if (ahead := state.base_time + duration + state.offset - received) > _AHEAD:
+        return _anew(state, core, inertia, received, f"is {ahead:.2f} s ahead of this machine's")
     if duration > _LONGEST_GAP:
         return first(core, inertia, received, state)
     left = METRES_PER_TICK * _signed(core.left_encoder - state.core.left_encoder)
@@ -90,12 +103,21 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
     stamp = max(state.stamp, base_time + offset)
     moved = stamp if left or right else state.moved
     speed = (distance / duration, GYRO_UNIT * inertia.rate)
-    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved)
+    unnoticed, fault = 0.0 if turn else state.unnoticed + (right - left) / WHEEL_BASE, None
+    if abs(unnoticed) > _UNNOTICED:
+        unnoticed, fault = 0.0, "the gyro does not turn with the wheels: it is stuck, or they slip; look at the base"
+    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved, unnoticed, fault)
 
 
-def _signed(ticks: int) -> int:
+def _anew(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float, what: str) -> Reckoning:
+    """The continuation from a frame of a clock that cannot be right."""
+    fault = f"the base's clock {what}: it was started anew, or frames arrive out of order; enable it again"
+    return dataclasses.replace(first(core, inertia, received, state), fault=fault)
+
+
+def _signed(difference: int) -> int:
     """The difference of two 16-bit counters that wrap, in [-32768, 32768)."""
-    return (ticks + 32768) % 65536 - 32768
+    return (difference + 32768) % 65536 - 32768
 
 
 def odometry_message(state: Reckoning) -> Odometry:

@@ -32,15 +32,23 @@ def sensor_line(message: TagDetections | LaserScan) -> bytes:
             "type": "scan",
             "stamp": message.stamp,
             "angles": message.angles.tolist(),
-            "ranges": [distance if math.isfinite(distance) else None for distance in message.ranges.tolist()],
+            "ranges": [_range(distance) for distance in message.ranges.tolist()],
             "range_max": message.range_max,
             "sigma": message.sigma,
         }
     return json.dumps(fields, allow_nan=False).encode() + b"\n"
 
 
+def _range(distance: float) -> float | None:
+    """JSON has neither inf, nothing was met, nor nan, nothing is known."""
+    return distance if math.isfinite(distance) else None if distance > 0.0 else 0.0
+
+
 def message_of(line: bytes) -> TagDetections | LaserScan | None:
-    """The message that a line says, None of a type that is not known. Raises ValueError where it says none rightly."""
+    """The message that a line says, None of a type that is not known. Raises ValueError where it says none rightly.
+
+    Whether it is plausible is not judged here, see tfg_drake.hardware.plausible.
+    """
     try:
         fields = json.loads(line)
     except (ValueError, RecursionError):
@@ -57,15 +65,10 @@ def message_of(line: bytes) -> TagDetections | LaserScan | None:
 
 def _detections(fields: dict[str, Any]) -> TagDetections:
     ids = fields.get("ids")
-    if not isinstance(ids, list) or not all(type(one) is int and 0 <= one < 2**63 for one in ids):
+    if not isinstance(ids, list) or not all(type(one) is int and abs(one) < 2**63 for one in ids):
         raise ValueError("detections: ids is no list of whole numbers")
-    bearing = _numbers(fields, "bearing", len(ids))
-    distance, sigma_range, sigma_bearing = (
-        _numbers(fields, key, len(ids), positive=True) for key in ("range", "sigma_range", "sigma_bearing")
-    )
-    return TagDetections(
-        _number(fields, "stamp"), np.array(ids, dtype=np.int64), distance, bearing, sigma_range, sigma_bearing
-    )
+    columns = (_numbers(fields, key, len(ids)) for key in ("range", "bearing", "sigma_range", "sigma_bearing"))
+    return TagDetections(_number(fields, "stamp"), np.array(ids, dtype=np.int64), *columns)
 
 
 def _scan(fields: dict[str, Any]) -> LaserScan:
@@ -73,15 +76,12 @@ def _scan(fields: dict[str, Any]) -> LaserScan:
     if not isinstance(ranges, list):
         raise ValueError("scan: ranges is no list of numbers")
     angles = _numbers(fields, "angles", len(ranges))
-    if (np.diff(angles) <= 0.0).any():
-        raise ValueError("scan: angles do not increase")
     hit = np.array([one is not None for one in ranges], dtype=bool)
     distances = np.full(len(ranges), math.inf)
     met = [one for one in ranges if one is not None]
-    distances[hit] = _numbers(fields | {"ranges": met}, "ranges", len(met), positive=True)
+    distances[hit] = _numbers(fields | {"ranges": met}, "ranges", len(met))
+    distances[distances == 0.0] = math.nan
     range_max, sigma = _number(fields, "range_max"), _number(fields, "sigma")
-    if range_max <= 0.0 or sigma <= 0.0:
-        raise ValueError("scan: range_max and sigma must be above 0")
     return LaserScan(_number(fields, "stamp"), angles, distances, range_max, sigma)
 
 
@@ -92,14 +92,13 @@ def _number(fields: dict[str, Any], key: str) -> float:
     return float(value)
 
 
-def _numbers(fields: dict[str, Any], key: str, count: int, positive: bool = False) -> FloatArray:
+def _numbers(fields: dict[str, Any], key: str, count: int) -> FloatArray:
     values = fields.get(key)
     if not isinstance(values, list) or not all(type(one) in (int, float) for one in values):
         raise ValueError(f"{fields['type']}: {key} is no list of numbers")
     array = np.array(values, dtype=float)
-    if len(array) != count or not np.isfinite(array).all() or (positive and (array <= 0.0).any()):
-        sign = " above 0" if positive else ""
-        raise ValueError(f"{fields['type']}: {key} must hold {count} finite numbers{sign}")
+    if len(array) != count or not np.isfinite(array).all():
+        raise ValueError(f"{fields['type']}: {key} must hold {count} finite numbers")
     return array
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -10,8 +9,6 @@ from typing import Any
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.ros.conversions import ros_time
 from tfg_drake.hardware.ros.preset import PUBLISHED, Publish, Topic
-
-_log = logging.getLogger(__name__)
 
 Send = Callable[[dict[str, Any]], None]
 
@@ -25,6 +22,7 @@ class Announcer:
         """advertise: a topic, which may raise DeviceError. robot_clock: ROS time, s, at the host's time, s."""
         self._names, self._advertise, self._robot_clock = names, advertise, robot_clock
         self._senders: dict[str, Send | None] = {}
+        self._remarks: list[str] = []
         self._lock = threading.Lock()
         self._closed = False
 
@@ -45,8 +43,14 @@ class Announcer:
         try:
             return self._advertise(topic)
         except DeviceError as error:
-            _log.warning("%s is not published: %s", topic.name, error)
+            self._remarks.append(f"{topic.name} is not published: {error}")
             return None
+
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        with self._lock:
+            remarks, self._remarks = self._remarks, []
+        return remarks
 
     def close(self) -> None:
         """Sends nothing more, so that the graph may be left."""

@@ -2,12 +2,14 @@
 
 A message is an object with attributes, as rclpy gives it, or a dictionary, as rosbridge does. REP 103: metres, radians,
 seconds; x forward, y left, counter-clockwise. REP 105: odometry is the pose of base_link in odom, our X_OB. A message
-that cannot be used raises ValueError with one line. `stamp` is always the host's time, s: see stamps.py.
+that cannot be used raises ValueError with one line; numbers and sizes are bounded before anything is computed of them,
+and whether what comes out is plausible is judged elsewhere. `stamp` is always the host's time, s: see stamps.py.
 """
 
 from __future__ import annotations
 
 import base64
+import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -16,6 +18,7 @@ import numpy as np
 
 from tfg_drake.datasets.square_pnp import square_centers
 from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
 
@@ -27,6 +30,22 @@ RIGHT, CENTRE, LEFT = 1, 2, 4
 COLUMNS = ("id", "range", "bearing", "sigma_range", "sigma_bearing")
 # sensor_msgs/PointField: its datatypes 1 to 8 as numpy's.
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+# Fields and bytes of a point in a PointCloud2, at most.
+_MOST_FIELDS, _LONGEST_POINT = 100, 4096
+# Greater than the id of any tag, and exact as a float.
+_GREATEST_ID = 2**62
+# No image is wider, nor a focal length longer, pixels.
+_WIDEST_IMAGE = 1e5
+# A ROS stamp is below that (the year 2242), s. Between two rays of a sweep lies less, s.
+_LAST_STAMP, _RAY_TIME = 2**33, 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """Of a camera's rectified image, pixels. focal: along x and y. centre: (x, y) of its axis."""
+
+    focal: tuple[float, float]
+    centre: tuple[float, float]
 
 
 def field(message: Any, path: str) -> Any:
@@ -40,6 +59,39 @@ def field(message: Any, path: str) -> Any:
     return value
 
 
+def number(message: Any, path: str, most: float = 1e9) -> float:
+    """The number at a dotted path; ValueError where it is none, or its magnitude more than `most`."""
+    return _bounded(field(message, path), path, most)
+
+
+def _bounded(value: Any, name: str, most: float) -> float:
+    try:
+        result = float(value)
+    except (TypeError, ValueError, OverflowError):
+        result = math.nan
+    if not abs(result) <= most:
+        raise ValueError(f"{name} is {str(value)[:40]!r}, no number up to {most:g}")
+    return result
+
+
+def count(message: Any, path: str, most: int, least: int = 0) -> int:
+    """The whole number at a dotted path; ValueError where it is none from `least` to `most`."""
+    value = number(message, path, max(abs(least), most))
+    if value < least or value != int(value):
+        raise ValueError(f"{path} is {value:g}, no whole number from {least} to {most}")
+    return int(value)
+
+
+def _sequence(message: Any, path: str, most: int) -> Any:
+    """What is at a dotted path, if it can be counted and is not longer than `most`; else ValueError."""
+    values = field(message, path)
+    if not hasattr(values, "__len__") or isinstance(values, Mapping):
+        raise ValueError(f"{path} is no list")
+    if len(values) > most:
+        raise ValueError(f"{path} has {len(values)} entries; {most} are the most that is plausible")
+    return values
+
+
 def ros_stamp(message: Any) -> float | None:
     """std_msgs/Header's stamp, s since the ROS clock's epoch; None of a message that has no header."""
     try:
@@ -47,7 +99,7 @@ def ros_stamp(message: Any) -> float | None:
     except ValueError:
         return None
     seconds, nanoseconds = ("secs", "nsecs") if isinstance(stamp, Mapping) and "secs" in stamp else ("sec", "nanosec")
-    return float(field(stamp, seconds)) + 1e-9 * float(field(stamp, nanoseconds))
+    return count(stamp, seconds, _LAST_STAMP) + 1e-9 * count(stamp, nanoseconds, 10**9)
 
 
 def odometry(message: Any, stamp: float, before: Odometry | None = None) -> Odometry:
@@ -55,22 +107,19 @@ def odometry(message: Any, stamp: float, before: Odometry | None = None) -> Odom
 
     before: the message before this one, which tells whether the robot stands.
     """
-    x, y, z, w = (float(field(message, f"pose.pose.orientation.{axis}")) for axis in "xyzw")
+    x, y, z, w = (number(message, f"pose.pose.orientation.{axis}") for axis in "xyzw")
     if not 0.99 < math.hypot(x, y, z, w) < 1.01:
         raise ValueError(f"odometry's orientation {x, y, z, w} is no unit quaternion")
     yaw = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    position = [float(field(message, f"pose.pose.position.{axis}")) for axis in "xy"]
-    V_B = np.array([field(message, "twist.twist.linear.x"), field(message, "twist.twist.angular.z")], dtype=float)
-    X_OB = np.array([*position, yaw])
-    if not (np.isfinite(X_OB).all() and np.isfinite(V_B).all()):
-        raise ValueError("odometry is not finite")
+    px, py = (number(message, f"pose.pose.position.{axis}", FARTHEST) for axis in "xy")
+    speed, turn_rate = number(message, "twist.twist.linear.x"), number(message, "twist.twist.angular.z")
     at_rest = (
         before is not None
-        and float(np.abs(X_OB[:2] - before.X_OB[:2]).max()) < REST
-        and abs(V_B[0]) < REST
-        and abs(V_B[1]) < REST_TURN_RATE
+        and max(abs(px - before.X_OB[0]), abs(py - before.X_OB[1])) < REST
+        and abs(speed) < REST
+        and abs(turn_rate) < REST_TURN_RATE
     )
-    return Odometry(stamp, X_OB, V_B, at_rest)
+    return Odometry(stamp, np.array([px, py, yaw]), np.array([speed, turn_rate]), bool(at_rest))
 
 
 def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) -> LaserScan:
@@ -78,21 +127,27 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
 
     stamp: of the first ray, as the definition has it; the result's is that of the middle. V_B: (2,) velocity of the
     body meanwhile, m/s and rad/s. REP 117: inf, or more than range_max, is nothing met within range_max; -inf is
-    something nearer than range_min, told as range_min; nan, and what is less than range_min (0 is what many drivers
-    write for no answer; null is what rosbridge's JSON makes of nan and inf), says nothing and is nan.
+    something nearer than range_min, told as range_min; nan, and what is less than range_min, says nothing and is nan.
+    nan, 0 (what many drivers write for no answer) and null (what rosbridge's JSON makes of nan and inf) are inf where
+    the scanner's `unanswered` says that what gives no answer is free.
     """
-    ranges = np.array(field(message, "ranges"), dtype=float)  # None becomes nan
-    least, greatest = float(field(message, "range_min")), float(field(message, "range_max"))
-    first, step = float(field(message, "angle_min")), float(field(message, "angle_increment"))
-    if not (math.isfinite(first) and math.isfinite(step) and step != 0.0 and 0.0 <= least < greatest < math.inf):
+    ranges = np.array(_sequence(message, "ranges", MOST_RAYS), dtype=float)  # None becomes nan
+    if ranges.ndim != 1:
+        raise ValueError("ranges is no list of numbers")
+    least, greatest = number(message, "range_min", SCAN_RANGE), number(message, "range_max", SCAN_RANGE)
+    first, step = (number(message, name, 4.0 * math.pi) for name in ("angle_min", "angle_increment"))
+    between = number(message, "time_increment", _RAY_TIME)
+    if not (step != 0.0 and 0.0 <= least < greatest):
         raise ValueError(f"scan of angles {first} + i * {step} and ranges from {least} to {greatest}")
+    if scanner.unanswered == "free":
+        ranges[np.isnan(ranges) | (ranges == 0.0)] = math.inf
     too_near = np.isneginf(ranges)
     ranges[ranges < least] = math.nan
     ranges[ranges > greatest] = math.inf
     ranges[too_near] = least
 
     n = len(ranges)
-    after_middle = (np.arange(n) - 0.5 * (n - 1)) * float(field(message, "time_increment"))
+    after_middle = (np.arange(n) - 0.5 * (n - 1)) * between
     reach = np.where(np.isfinite(ranges), ranges, greatest)
     direction = first + step * np.arange(n) + scanner.yaw
     x, y = scanner.x + reach * np.cos(direction), scanner.y + reach * np.sin(direction)
@@ -108,25 +163,29 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
     return LaserScan(middle, angles[order], ranges[order], greatest, scanner.sigma)
 
 
-def apriltag_detections(message: Any, camera_info: Any, stamp: float, camera: Camera) -> TagDetections:
-    """apriltag_msgs/AprilTagDetectionArray: corners in the rectified image, so sensor_msgs/CameraInfo's P applies.
+def calibration(camera_info: Any) -> Calibration:
+    """sensor_msgs/CameraInfo of either ROS: what its P says of the rectified image."""
+    P = list(_sequence(camera_info, "p" if _has(camera_info, "p") else "P", 12))
+    if len(P) != 12:
+        raise ValueError("camera_info's P does not have twelve numbers")
+    fx, cx, fy, cy = (_bounded(P[i], "camera_info's P", _WIDEST_IMAGE) for i in (0, 2, 5, 6))
+    if not (fx >= 1.0 and fy >= 1.0):
+        raise ValueError("camera_info holds no calibration (its P is zero)")
+    return Calibration((fx, fy), (cx, cy))
+
+
+def apriltag_detections(message: Any, calibrated: Calibration, stamp: float, camera: Camera) -> TagDetections:
+    """apriltag_msgs/AprilTagDetectionArray: corners in the rectified image.
 
     The optical frame is REP 103's: z forward, x right, y down. Standard deviations are those of camera.corner_sigma
     pixels at every corner. Tags whose pose cannot be found are left out.
     """
-    P = np.array(_either(camera_info, "p", "P"), dtype=float)
-    if P.size != 12 or P[0] <= 0.0 or P[5] <= 0.0:
-        raise ValueError("camera_info holds no calibration (its P is zero)")
-    found = list(field(message, "detections"))
-    ids = np.array([field(one, "id") for one in found], dtype=np.int64)
-    pixels = np.array([_corners(field(one, "corners")) for one in found], dtype=float).reshape(-1, 4, 2)
-    focal = P[[0, 5]]
-    corners = (pixels - P[[2, 6]]) / focal
-    sizes = np.full(len(ids), camera.tag_size)
-    try:
-        p_CT, covariance = square_centers(corners, sizes)
-    except np.linalg.LinAlgError:
-        raise ValueError(f"the corners of tags {ids.tolist()} are not those of squares") from None
+    found = list(_sequence(message, "detections", MOST_TAGS))
+    ids = np.array([_tag_id(field(one, "id")) for one in found], dtype=np.int64)
+    pixels = np.array([_corners(one) for one in found]).reshape(-1, 4, 2)
+    focal = np.array(calibrated.focal)
+    corners = (pixels - calibrated.centre) / focal
+    p_CT, covariance = square_centers(corners, np.full(len(ids), camera.tag_size))
     covariance = covariance * (camera.corner_sigma / focal.mean()) ** 2
 
     # Rows: the body's x and y as directions in the optical frame; pitch is downward.
@@ -135,7 +194,7 @@ def apriltag_detections(message: Any, camera_info: Any, stamp: float, camera: Ca
     p_BT = p_CT @ R_BC.T + [camera.x, camera.y]
     covariance = R_BC @ covariance @ R_BC.T
     distance = np.hypot(p_BT[:, 0], p_BT[:, 1])
-    good = np.isfinite(p_CT).all(axis=1) & (p_CT[:, 2] > 0.0) & (distance > 0.0)
+    good = (p_CT[:, 2] > 0.0) & (distance > 0.0)
     p_BT, covariance, distance = p_BT[good], covariance[good], distance[good]
     along = p_BT / distance[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -149,17 +208,25 @@ def apriltag_detections(message: Any, camera_info: Any, stamp: float, camera: Ca
     )
 
 
-def _corners(corners: Any) -> list[float]:
-    """Eight numbers, of apriltag_msgs' float64[8] or of a list of points."""
-    return [float(v) for c in corners for v in ((c,) if isinstance(c, int | float) else (field(c, "x"), field(c, "y")))]
+def _tag_id(value: Any) -> int:
+    """An id as it is told, -1 for what is no whole number; who judges leaves out what is none of a tag."""
+    return min(max(value, -_GREATEST_ID), _GREATEST_ID) if isinstance(value, int) else -1
 
 
-def _either(message: Any, name: str, old: str) -> Any:
-    """A field by its ROS 2 name, or its ROS 1 name."""
-    try:
-        return field(message, name)
-    except ValueError:
-        return field(message, old)
+def _corners(detection: Any) -> list[float]:
+    """Eight numbers, of apriltag_msgs' float64[8] or of a list of points; nan where they cannot be corners of an image,
+    so that one bad sighting costs no other."""
+    corners = []
+    for one in _sequence(detection, "corners", 8):
+        point = (field(one, "x"), field(one, "y")) if _has(one, "x") else (one,)
+        corners += [float(v) if isinstance(v, int | float) and abs(v) <= _WIDEST_IMAGE else math.nan for v in point]
+    if len(corners) != 8:
+        raise ValueError(f"a tag of {len(corners)} coordinates; four corners have 8")
+    return corners
+
+
+def _has(message: Any, name: str) -> bool:
+    return name in message if isinstance(message, Mapping) else hasattr(message, name)
 
 
 def plain_detections(message: Any, stamp: float) -> TagDetections:
@@ -169,27 +236,31 @@ def plain_detections(message: Any, stamp: float) -> TagDetections:
     base_link's x axis, counter-clockwise. sigma_range, sigma_bearing: standard deviations, m and rad. The datatypes are
     the sender's choice. Over rosbridge `data` is base64, as its protocol has it.
     """
-    formats = {str(field(one, "name")): one for one in field(message, "fields")}
+    formats = {str(field(one, "name")): one for one in _sequence(message, "fields", _MOST_FIELDS)}
     if missing := [name for name in COLUMNS if name not in formats]:
         raise ValueError(f"detections without the field {missing[0]}; they need {', '.join(COLUMNS)}")
     order = ">" if field(message, "is_bigendian") else "<"
     layout = np.dtype(
         {
             "names": list(COLUMNS),
-            "formats": [order + _DATATYPES[int(field(formats[name], "datatype"))] for name in COLUMNS],
-            "offsets": [int(field(formats[name], "offset")) for name in COLUMNS],
-            "itemsize": int(field(message, "point_step")),
+            "formats": [order + _DATATYPES[count(formats[name], "datatype", 8, 1)] for name in COLUMNS],
+            "offsets": [count(formats[name], "offset", _LONGEST_POINT) for name in COLUMNS],
+            "itemsize": count(message, "point_step", _LONGEST_POINT, 1),
         }
     )
-    data = field(message, "data")
-    count = int(field(message, "width")) * int(field(message, "height"))
-    points = np.frombuffer(base64.b64decode(data) if isinstance(data, str) else bytes(data), layout, count)
-    ids = points["id"].astype(np.int64)
-    columns = {name: points[name].astype(float) for name in COLUMNS[1:]}
-    values = np.array(list(columns.values()))
-    if not (np.isfinite(values).all() and (values[[0, 2, 3]] > 0.0).all()):
-        raise ValueError("detections that are not finite, or whose range or sigmas are not above 0")
-    return TagDetections(stamp, ids, **columns | {"bearing": wrap_angle(columns["bearing"])})
+    n = count(message, "width", MOST_TAGS) * count(message, "height", MOST_TAGS)
+    if n > MOST_TAGS:
+        raise ValueError(f"{n} points; {MOST_TAGS} are the most that is plausible")
+    data = _sequence(message, "data", 2 * MOST_TAGS * _LONGEST_POINT)
+    points = np.frombuffer(base64.b64decode(data) if isinstance(data, str) else bytes(data), layout, n)
+    columns = {name: points[name].astype(float) for name in COLUMNS}
+    ids = columns.pop("id")
+    bearing = columns["bearing"]
+    # Who judges leaves out what is no angle, and what is no id.
+    ids = np.where(np.isfinite(ids), np.clip(ids, -_GREATEST_ID, _GREATEST_ID), -1.0)
+    turns = np.abs(bearing) <= 2.0 * math.pi
+    columns["bearing"] = np.where(turns, wrap_angle(np.where(turns, bearing, 0.0)), bearing)
+    return TagDetections(stamp, ids.astype(np.int64), **columns)
 
 
 def hazards(kind: str, message: Any, stamp: float, before: Hazards) -> Hazards:
@@ -203,20 +274,20 @@ def hazards(kind: str, message: Any, stamp: float, before: Hazards) -> Hazards:
 
 
 def _kobuki_event(name: str, sensor: str, bits: tuple[int, ...], message: Any, before: Hazards) -> Hazards:
-    bit = bits[int(field(message, sensor))]
+    bit = bits[count(message, sensor, len(bits) - 1)]
     old = getattr(before, name)
-    return replace(before, **{name: old | bit if int(field(message, "state")) else old & ~bit})
+    return replace(before, **{name: old | bit if number(message, "state") else old & ~bit})
 
 
 def _turtlebot3(message: Any, before: Hazards) -> Hazards:
-    return replace(before, bumper=int(field(message, "bumper")), cliff=int(field(message, "cliff")))
+    return replace(before, bumper=int(number(message, "bumper")), cliff=int(number(message, "cliff")))
 
 
 def _create3(message: Any, before: Hazards) -> Hazards:
     bits = {"bumper": 0, "cliff": 0, "wheel_drop": 0}
     names = {1: "bumper", 2: "cliff", 3: "bumper", 4: "wheel_drop"}
-    for one in field(message, "detections"):
-        if name := names.get(int(field(one, "type"))):
+    for one in _sequence(message, "detections", MOST_TAGS):
+        if name := names.get(count(one, "type", 255)):
             frame = str(field(one, "header.frame_id")).rsplit("/", 1)[-1]
             bits[name] |= LEFT if "left" in frame else RIGHT if "right" in frame else CENTRE
     return replace(before, **bits)

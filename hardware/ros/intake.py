@@ -2,73 +2,82 @@
 
 from __future__ import annotations
 
-import logging
 import math
+import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from tfg_drake.geometry.se2 import compose, inverse
 from tfg_drake.hardware.device import Message
+from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.stamps import SENSOR_SILENCE, ClockJump, StampClock
-from tfg_drake.messages import Hazards, Odometry, replace
-
-_log = logging.getLogger(__name__)
+from tfg_drake.messages import FloatArray, Hazards, Odometry, replace
 
 # No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset.
 FASTEST, LEAP = 1.5, 0.5
 
 
 class Intake:
-    """Converts ROS messages of either transport; one thread may use it."""
+    """Converts ROS messages of either transport; one thread may use it.
 
-    def __init__(self, preset: Preset, sensors: list[tuple[str, Topic]] | None = None) -> None:
-        """sensors: topics by key, "scan", "detections" or "camera_info", of a robot whose base is elsewhere: the clock
-        is learned from them all, there being no odometry. None for all of the preset's."""
-        self.clock = StampClock() if sensors is None else StampClock(SENSOR_SILENCE)
-        self._preset, self._sensors = preset, sensors
+    clock_source: the topic that the clock is learned from, None where it is learned from them all.
+    """
+
+    def __init__(self, preset: Preset, topics: list[tuple[str, Topic]]) -> None:
+        """topics: of a base "odometry" and "hazards", of sensors "scan", "detections" and "camera_info". Sensors' clock
+        and the robot's velocity are learned from the odometry where they have "clock", else the clock from them all.
+        """
+        self.clock_source = next((topic.name for key, topic in topics if key in ("odometry", "clock")), None)
+        self.clock = StampClock(SENSOR_SILENCE) if self.clock_source is None else StampClock()
+        self._preset = preset
         self._messages: list[Message] = []
+        self._V_B = np.zeros(2)
         # The newest odometry, as it is passed on and as it was told, in frames O and R.
         self._odometry: Odometry | None = None
         self._odometry_told: Odometry | None = None
-        self._X_OR = np.zeros(3)
+        self._X_OR = (0.0, 0.0, 0.0)
         self._hazards = Hazards(-math.inf, 0, 0, 0)
-        self._camera_info: Any = None
+        self._camera: conversions.Calibration | None = None
         self._fault: str | None = None
-        self._refused: set[str] = set()
+        self._remarks: list[str] = []
+        self.refusals = Refusals()
         self.arrived: set[str] = set()
 
-    def topics(self) -> list[tuple[str, Topic]]:
-        """What to subscribe to: (key for `receive`, topic)."""
-        if self._sensors is not None:
-            return self._sensors
-        topics = self._preset.topics
-        one_each = [(key, getattr(topics, key)) for key in ("odometry", "scan", "detections", "camera_info")]
-        return [(key, t) for key, t in one_each if t is not None] + [("hazards", topic) for topic in topics.hazards]
-
     def receive(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
-        """Takes a message in that arrived at `arrival` (host's monotonic clock, s)."""
+        """Takes a message in that arrived at `arrival` (host's monotonic clock, s). One that cannot be used is refused,
+        whatever it holds."""
         self.arrived.add(topic.name)
-        if key == "camera_info":
-            self._camera_info = message
-            return
         try:
-            if (stamp := self._host_stamp(key, topic, message, arrival)) is not None:
-                self._messages.append(self._convert(key, topic, message, stamp))
+            with np.errstate(all="ignore"):
+                self._take_in(key, topic, message, arrival)
         except ClockJump as jump:
-            self._fault = str(jump)
-        except (ValueError, TypeError, LookupError) as error:
-            if topic.name not in self._refused:
-                _log.warning("%s: messages are not used: %s", topic.name, error)
-            self._refused.add(topic.name)
+            if key in ("odometry", "hazards"):
+                self._fault = str(jump)
+            else:
+                self.refusals.add(topic.name, "clock", f"{jump}; the clock is learned anew")
+        except Exception as error:  # who drives a robot must not end because of what one message holds
+            self.refusals.add(topic.name, _kind(error), f"messages are not used: {error}")
+
+    def _take_in(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
+        if key == "camera_info":
+            self._camera = conversions.calibration(message)
+        elif key == "detections" and topic.type.startswith("apriltag") and self._camera is None:
+            pass  # the camera says its calibration with its first image
+        elif (stamp := self._host_stamp(key, topic, message, arrival)) is None:
+            pass
+        elif key == "clock":
+            self._V_B = conversions.odometry(message, stamp).V_B
+        else:
+            self._messages.append(self._convert(key, topic, message, stamp))
 
     def _host_stamp(self, key: str, topic: Topic, message: Any, arrival: float) -> float | None:
         stamp = conversions.ros_stamp(message)
-        if key == "odometry" and stamp is not None:
+        if key in ("odometry", "clock") and stamp is not None:
             return self.clock.odometry(topic.name, stamp, arrival)
-        if self._sensors is not None and stamp is not None:
+        if self.clock_source is None and stamp is not None:
             return self.clock.learn(topic.name, stamp, arrival)
         if stamp is None:
             # An alarm without a stamp is of now, and comes once: it must not be lost.
@@ -81,36 +90,38 @@ class Intake:
                 self._check_frame(topic, message)
             return self._continued(topic, conversions.odometry(message, stamp, self._odometry_told))
         if key == "scan":
-            V_B = np.zeros(2) if self._odometry is None else self._odometry.V_B
-            return conversions.laser_scan(message, stamp, self._preset.scanner, V_B)
+            return conversions.laser_scan(message, stamp, self._preset.scanner, self._V_B)
         if key == "hazards":
             self._hazards = conversions.hazards(topic.type, message, stamp, self._hazards)
             return self._hazards
         if topic.type == "sensor_msgs/msg/PointCloud2":
             return conversions.plain_detections(message, stamp)
-        if self._camera_info is None:
-            raise ValueError("no camera_info yet")
-        return conversions.apriltag_detections(message, self._camera_info, stamp, self._preset.camera)
+        assert self._camera is not None
+        return conversions.apriltag_detections(message, self._camera, stamp, self._preset.camera)
 
     def _continued(self, topic: Topic, told: Odometry) -> Odometry:
         """The odometry, going on where it was when the base has begun to count anew."""
         before = self._odometry
         if before is not None and self._odometry_told is not None:
             reach = FASTEST * max(0.0, told.stamp - before.stamp) + LEAP
-            if np.hypot(*(told.X_OB[:2] - self._odometry_told.X_OB[:2])) > reach:
+            if math.dist(told.X_OB[:2], self._odometry_told.X_OB[:2]) > reach:
                 self._fault = (
                     f"{topic.name} was reset, its base was started anew; see that the robot stands where it was"
                 )
-                self._X_OR = compose(before.X_OB, inverse(told.X_OB))
+                turn = before.X_OB[2] - told.X_OB[2]
+                x, y, _ = _composed((0.0, 0.0, turn), told.X_OB)
+                self._X_OR = (before.X_OB[0] - x, before.X_OB[1] - y, turn)
         self._odometry_told = told
-        self._odometry = replace(told, X_OB=compose(self._X_OR, told.X_OB))
+        self._odometry = replace(told, X_OB=np.array(_composed(self._X_OR, told.X_OB)))
         return self._odometry
 
     def _check_frame(self, topic: Topic, message: Any) -> None:
         """Where the odometry is in another frame than the preset says, our map -> odom would join nothing."""
         frame, expected = str(conversions.field(message, "header.frame_id")), self._preset.frames.odom
         if frame.lstrip("/") != expected:
-            _log.warning("%s is in the frame %s, the preset has %s: set its frames.odom", topic.name, frame, expected)
+            self._remarks.append(
+                f"{topic.name} is in the frame {frame[:100]}, the preset has {expected}: set its frames.odom"
+            )
 
     def take(self) -> list[Message]:
         """The messages since the last call."""
@@ -122,28 +133,19 @@ class Intake:
         fault, self._fault = self._fault, None
         return fault
 
-    def nobody(self, topic: Topic, graph: list[tuple[str, str]], verb: str) -> str:
-        """The complaint that a topic has no other end: nobody "publishes" or "listens to" it.
-
-        graph: (name, type) of every topic there is.
-        """
-        ours = {one.name for _, one in self.topics()} | {self._preset.topics.command.name}
-        return f"nobody {verb} {topic.name} ({topic.type}); {seen_instead((topic.type,), graph, ours)}"
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        remarks, self._remarks = self._remarks, []
+        return [*remarks, *self.refusals.take()]
 
 
-def seen_instead(kinds: tuple[str, ...], graph: list[tuple[str, str]], ours: set[str]) -> str:
-    """Topics of a graph (name, type) to name to who asked for one that is not there: of its kinds if there are some.
-
-    ours: names that are there only because we asked for them.
-    """
-    others = [(name, kind) for name, kind in graph if name not in ours | {"/rosout", "/parameter_events"}]
-    alike = [name for name, kind in others if kind in kinds]
-    seen = (alike or [name for name, _ in others])[:5]
-    return f"seen instead: {', '.join(seen) or 'no other topic (check ROS_DOMAIN_ID and the network)'}"
+def _composed(X_AB: Sequence[float] | FloatArray, X_BC: FloatArray) -> tuple[float, float, float]:
+    """X_AC, in plain numbers: who drives a robot must not wait until tfg_drake.geometry.se2 is compiled."""
+    c, s = math.cos(X_AB[2]), math.sin(X_AB[2])
+    theta = math.pi - (math.pi - X_AB[2] - X_BC[2]) % (2.0 * math.pi)
+    return X_AB[0] + c * X_BC[0] - s * X_BC[1], X_AB[1] + s * X_BC[0] + c * X_BC[1], theta
 
 
-def mistyped(topic: Topic, types: list[str]) -> str | None:
-    """The complaint that the graph has the topic, but with other types only; None when it has it not, or rightly."""
-    if not types or topic.type in types:
-        return None
-    return f"{topic.name} is {types[0]}, the preset has {topic.type}: set its type"
+def _kind(error: Exception) -> str:
+    """What an error complains of: its words without what differs from message to message."""
+    return re.sub(r"[^a-z_ ]+", "", str(error).partition(":")[0].partition("'")[0])

@@ -29,7 +29,7 @@ _KINDS = {
 
 
 class PublishingDevice(Protocol):
-    """A tfg_drake.hardware.device.Device whose driver publishes."""
+    """Such as a tfg_drake.hardware.sensor_source.SensorSource on a ROS graph."""
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
         """Publishes a message by its key in the preset's `publish`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import types
 import typing
 from pathlib import Path
@@ -43,12 +42,17 @@ class Topics:
 
 @dataclasses.dataclass(frozen=True)
 class Scanner:
-    """X_BS, the pose of the scan's frame in base_link (m, rad), and the standard deviation of a range (m)."""
+    """X_BS, the pose of the scan's frame in base_link (m, rad), and the standard deviation of a range (m).
+
+    unanswered: what a ray says that gives no answer, one of UNANSWERED. least_range: nothing nearer is seen, m.
+    """
 
     x: float = 0.0
     y: float = 0.0
     yaw: float = 0.0
     sigma: float = 0.015
+    unanswered: str = "unknown"
+    least_range: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,9 +129,13 @@ TYPES = {
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
 }
 QOS = ("sensor_data", "reliable")
+# Nothing is known there, or nothing was met.
+UNANSWERED = ("unknown", "free")
 # In the whole network, as ROS 2 does by itself, or on this machine only.
 DISCOVERY = ("subnet", "localhost")
 _POSITIVE = ("limits.", "scanner.sigma", "camera.tag_size", "camera.corner_sigma")
+# No number in a preset is greater.
+_GREATEST = 1e6
 
 
 def load_preset(name_or_path: str | Path) -> Preset:
@@ -139,13 +147,17 @@ def load_preset(name_or_path: str | Path) -> Preset:
         raise PresetError(f"{name_or_path}: no such file or preset; name a YAML file or one of {names}")
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
         raise PresetError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     try:
         preset: Preset = _read(tree, Preset, "")
         _check(preset.topics)
         if preset.discovery not in DISCOVERY:
             raise PresetError(f"discovery: unknown range {preset.discovery}; known are {', '.join(DISCOVERY)}")
+        if preset.scanner.unanswered not in UNANSWERED:
+            raise PresetError(
+                f"scanner.unanswered: unknown value {preset.scanner.unanswered}; known are {', '.join(UNANSWERED)}"
+            )
     except PresetError as error:
         raise PresetError(f"{path}: {error}") from None
     return preset
@@ -162,10 +174,12 @@ def _read(value: Any, schema: Any, place: str) -> Any:
     if dataclasses.is_dataclass(schema):
         return _section(value, schema, place)
     if schema is float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _GREATEST:
             raise PresetError(f"{place}: expected a number, found {value!r}")
         if place.startswith(_POSITIVE) and value <= 0.0:
             raise PresetError(f"{place}: expected a number above 0, found {value!r}")
+        if place == "scanner.least_range" and value < 0.0:
+            raise PresetError(f"{place}: expected a number of 0 or more, found {value!r}")
         return float(value)
     if not isinstance(value, str) or not value:
         raise PresetError(f"{place}: expected text, found {value!r}")

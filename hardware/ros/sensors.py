@@ -1,90 +1,91 @@
-"""Tags and scans of a ROS graph whose base is not ours to drive: topics only, their types as the graph has them."""
+"""Tags and scans of a ROS graph, and what the explorer says there; the base has a process of its own."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
-from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.ros import graph_driver
+from tfg_drake.hardware.ros.announcer import Announcer
 from tfg_drake.hardware.ros.graph_driver import Graph, GraphDriver
-from tfg_drake.hardware.ros.intake import Intake, seen_instead
 from tfg_drake.hardware.ros.preset import TYPES, Preset, Topic
 from tfg_drake.hardware.watchdog import TICK, Limits
+from tfg_drake.messages import LaserScan, TagDetections
 
-# How long to look for the topics, and for their first messages, s.
-PATIENCE = 10.0
-# By what a topic is wanted for: its key in a preset's `topics`.
-KEYS = {"tags": "detections", "scan": "scan"}
-
-
-class SearchableGraph(Graph, Protocol):
-    """A transport, used by one thread; label is its name."""
-
-    label: str
-
-    def names(self) -> list[tuple[str, str]] | None:
-        """(name, type) of every topic; None where that cannot be told."""
-
-    def types(self, name: str) -> list[str] | None:
-        """The types that a topic is published with; None where that cannot be told."""
-
-    def subscribe(self, topic: Topic, receive: Callable[[Any, float], None]) -> None:
-        """receive(message, arrival), by `spin`; arrival s of the host's clock."""
+# By what a topic is wanted for: its key in a preset's `topics`, and the kind of its messages.
+KEYS = {"tags": ("detections", TagDetections), "scan": ("scan", LaserScan)}
 
 
 @dataclasses.dataclass(frozen=True)
 class SensorConfig:
-    """What the process is told. topics: (what for, name), "tags" or "scan". host: of rosbridge, None for ROS 2.
+    """What the process is told.
 
-    preset: where the scanner and the camera are mounted, and the topic of the camera's calibration.
+    topics: (what for, topic), "tags" or "scan"; of one that is a name only, the graph has the type. preset: where the
+    scanner and the camera are mounted, and the topic of the camera's calibration. base: the robot's base is on this
+    graph, so its odometry tells the clock and how the robot moves. host: of rosbridge, None for ROS 2.
     """
 
-    topics: tuple[tuple[str, str], ...]
+    topics: tuple[tuple[str, str | Topic], ...]
     preset: Preset
+    base: bool = False
     host: str | None = None
     port: int = 9090
 
     def open(self) -> SensorDriver:
         """The driver; raises DeviceError."""
+        return SensorDriver(self._graph(), self.topics, self.preset, self.base)
+
+    def _graph(self) -> Graph:
         if self.host is None:
             from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
-            return SensorDriver(Ros2Graph(discovery=self.preset.discovery), self.topics, self.preset)
+            return Ros2Graph("tfg_drake_sensors", self.preset.discovery)
         from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
 
-        return SensorDriver(RosbridgeGraph(self.host, self.port), self.topics, self.preset)
+        return RosbridgeGraph(self.host, self.port)
 
 
 class SensorDriver(GraphDriver):
-    """Listens, and drives nothing; see tfg_drake.hardware.device.Driver."""
+    """Listens, and drives nothing; see tfg_drake.hardware.device.Driver. It publishes what the explorer knows, see
+    tfg_drake.hardware.announcements.Publisher."""
 
     limits = Limits()
 
-    _graph: SearchableGraph
-
-    def __init__(self, graph: SearchableGraph, topics: tuple[tuple[str, str], ...], preset: Preset) -> None:
+    def __init__(
+        self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool = False
+    ) -> None:
         """Waits until every topic is there and has sent a message; raises DeviceError."""
-        self._graph = graph
+        super().__init__(graph, preset)
+        self._announcer = Announcer(preset.publish, graph.publisher, lambda now: self._intake.clock.robot(now))
+        self.sources: dict[type, str] = {}
         try:
-            found = [self._find(use, name) for use, name in topics]
-            if any(topic.type.startswith("apriltag") for _, topic in found):
+            needed = []
+            for use, named in topics:
+                (key, kind), topic = KEYS[use], named if isinstance(named, Topic) else self._named(use, named)
+                self.sources[kind] = f"{use} of {topic.name}"
+                needed.append((key, topic))
+            if any(topic.type.startswith("apriltag") for _, topic in needed):
                 if preset.topics.camera_info is None:
                     raise DeviceError(f"{graph.label}: corners of tags say nothing without the preset's camera_info")
-                found.append(("camera_info", preset.topics.camera_info))
-            self._intake = Intake(preset, found)
-            for key, topic in found:
-                graph.subscribe(topic, partial(self._intake.receive, key, topic))
-            self._wait({topic.name for _, topic in found})
+                needed.append(("camera_info", preset.topics.camera_info))
+            if base:
+                needed.append(("clock", preset.topics.odometry))
+            for _, topic in needed:
+                graph.require(topic)
+            for _, topic in needed:
+                self._find(topic)
+            self._listen(needed)
+            self._wait({topic.name for _, topic in needed})
         except DeviceError:
             self.close()
             raise
 
-    def _find(self, use: str, name: str) -> tuple[str, Topic]:
-        graph, known = self._graph, TYPES[KEYS[use]]
-        end = time.monotonic() + PATIENCE
+    def _named(self, use: str, name: str) -> Topic:
+        """The topic of this name, of the type that the graph has it with; raises DeviceError."""
+        graph, known = self._graph, TYPES[KEYS[use][0]]
+        end = time.monotonic() + graph_driver.PATIENCE
         while not (types := graph.types(name)):
             if types is None:
                 raise DeviceError(
@@ -92,30 +93,26 @@ class SensorDriver(GraphDriver):
                     "robot with `ros2 launch rosbridge_server rosbridge_websocket_launch.xml`"
                 )
             if time.monotonic() > end:
-                raise DeviceError(f"{graph.label}: nobody publishes {name}; {self._instead(name, known)}")
-            graph.spin(10 * TICK)
+                raise DeviceError(f"{graph.label}: nobody publishes {name}; {self._instead(known, name)}")
+            graph.spin(10.0 * TICK)
         if not (fitting := [kind for kind in types if kind in known]):
             raise DeviceError(
                 f"{graph.label}: {name} is {types[0]}; {use} come as {' or '.join(known)}: name a topic of that type"
             )
-        return KEYS[use], Topic(name, fitting[0])
+        return Topic(name, fitting[0])
 
-    def _instead(self, name: str, known: tuple[str, ...]) -> str:
-        return seen_instead(known, self._graph.names() or [], {name})
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message on the preset's topic for it."""
+        self._announcer.publish(key, message)
 
-    def _wait(self, names: set[str]) -> None:
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and not (self._intake.clock.ready and names <= self._intake.arrived):
-            self._graph.spin(TICK)
-        if silent := sorted(names - self._intake.arrived):
-            raise DeviceError(f"{self._graph.label}: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: start it")
-        if not self._intake.clock.ready:
-            raise DeviceError(f"{self._graph.label}: too little arrives in {PATIENCE:.0f} s: it needs 2 Hz or more")
-        if line := self._intake.clock.skew():
-            raise DeviceError(f"{self._graph.label}: {line}")
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        return [*super().remarks(), *self._announcer.remarks()]
 
     def send(self, speed: float, turn_rate: float) -> None:
         """There is nothing to drive."""
 
-    def show(self, enabled: bool) -> None:
-        """A sensor has nothing to show."""
+    def close(self) -> None:
+        """Leaves the graph."""
+        self._announcer.close()
+        super().close()

@@ -7,6 +7,7 @@ from tfg_drake.hardware import robot_devices
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import open_devices
 from tfg_drake.hardware.ros.preset import load_preset
+from tfg_drake.hardware.sensor_source import SourceSpec
 from tfg_drake.hardware.watchdog import Limits
 
 TAGS, SCAN = "ros2:/detections", "ros2:/scan"
@@ -27,11 +28,11 @@ def opened(monkeypatch):
     """What the base and the sources were opened with."""
     given = {"source": Nothing(), "base": Nothing()}
 
-    def sources(specs, preset):
-        given["specs"], given["sensors"] = specs, preset
-        return dict.fromkeys(specs, given["source"])
+    def sources(specs, preset, graph):
+        given["specs"], given["sensors"], given["graph"] = specs, preset, graph
+        return dict.fromkeys(("tags", "scan") if graph is None else ("tags", "scan", "base"), given["source"])
 
-    def base(config, preset, limits):
+    def base(config, preset, limits, graph):
         given["driven"], given["limits"] = preset, limits
         return given["base"]
 
@@ -46,15 +47,40 @@ def test_sources_on_ros_have_the_calibration_and_the_mounts_of_the_robot(opened)
     assert opened["sensors"] == load_preset("turtlebot2")
     assert opened["sensors"].topics.camera_info is not None
     assert (devices.base, devices.tags, devices.scan) == (opened["base"], opened["source"], opened["source"])
-    assert devices.frames is None
+    assert (devices.publisher, devices.frames) == (None, None)
+    assert opened["graph"] is None
 
 
-def test_a_base_on_ros_does_not_wait_for_tags_that_come_from_elsewhere(opened):
-    devices = open_devices(HardwareConfig(robot="ros2", tags="ros2:/other"), RobotConfig())
-    assert opened["sensors"].topics == load_preset("turtlebot4").topics
-    assert opened["driven"].topics.detections is None
-    assert (devices.tags, devices.scan) == (opened["source"], opened["base"])
+@pytest.mark.parametrize(
+    ("config", "graph"),
+    [
+        (HardwareConfig(robot="ros2", tags="ros2:/other"), SourceSpec("ros2")),
+        (HardwareConfig(robot="rosbridge", bridge="10.0.0.7:9091"), SourceSpec("rosbridge", "10.0.0.7", 9091)),
+    ],
+)
+def test_a_base_on_ros_has_its_sensors_and_what_publishes_in_another_process(opened, config, graph):
+    devices = open_devices(config, RobotConfig())
+    assert opened["graph"] == graph
+    assert devices.base is opened["base"]
+    assert [devices.tags, devices.scan, devices.publisher] == [opened["source"]] * 3
     assert devices.frames == load_preset("turtlebot4").frames
+    devices.close()
+    assert opened["base"].closed
+    assert opened["source"].closed
+
+
+def test_a_bridge_without_a_port(opened):
+    with pytest.raises(
+        DeviceError, match=r"^rosbridge: robot is no HOST:PORT; name the server such as localhost:9090$"
+    ):
+        open_devices(HardwareConfig(robot="rosbridge", bridge="robot"), RobotConfig())
+
+
+def test_how_near_the_scanner_sees_is_the_presets_but_for_a_socket(opened):
+    socket = "socket:127.0.0.1:5000"
+    for scan, least in ((SCAN, 0.45), (socket, 0.0)):
+        config = HardwareConfig(robot="kobuki", tags=TAGS, scan=scan)
+        assert open_devices(config, RobotConfig()).least_range == least
 
 
 def test_the_lowest_limit_holds(opened):
@@ -68,14 +94,14 @@ def test_the_lowest_limit_holds(opened):
     assert opened["limits"] == Limits(0.5, 1.0, 0.5, 3.5)
 
 
-def test_a_base_that_cannot_be_opened_leaves_no_source_open(opened, monkeypatch):
+def test_sources_that_cannot_be_opened_leave_no_base_open(opened, monkeypatch):
     def fail(*_):
-        raise DeviceError("no base")
+        raise DeviceError("no source")
 
-    monkeypatch.setattr(robot_devices, "_open_base", fail)
-    with pytest.raises(DeviceError, match="no base"):
+    monkeypatch.setattr(robot_devices, "open_sources", fail)
+    with pytest.raises(DeviceError, match="no source"):
         open_devices(HardwareConfig(robot="kobuki", tags=TAGS, scan=SCAN), RobotConfig())
-    assert opened["source"].closed
+    assert opened["base"].closed
 
 
 def test_an_unknown_preset(opened):

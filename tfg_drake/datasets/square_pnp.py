@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
 from tfg_drake.messages import FloatArray
 
 # Newton and Gauss-Newton steps: each converges to rounding in fewer.
 STEPS = 12
+# No lens sees a corner farther out on the plane z = 1 (89.4 degrees).
+WIDEST = 100.0
 
 
 def undistort(pixels: FloatArray, intrinsics: FloatArray, model: str, coefficients: FloatArray) -> FloatArray:
@@ -47,8 +51,22 @@ def square_centers(corners: FloatArray, sizes: FloatArray) -> tuple[FloatArray, 
 
     corners: (n, 4, 2) on the plane z = 1, in order round the tag, either way. sizes: (n,) side, m. The covariance is
     that of independent errors of the corners with standard deviation 1 on that plane. A homography gives the first
-    pose (Zhang 2000), Gauss-Newton on the corners the rest.
+    pose (Zhang 2000), Gauss-Newton on the corners the rest. Rows are nan where the corners are no square's, or not
+    within WIDEST: infinite ones would hang the singular value decomposition.
     """
+    centers, covariance = np.full((len(corners), 3), np.nan), np.full((len(corners), 3, 3), np.nan)
+    rows = np.flatnonzero((np.abs(corners) <= WIDEST).all(axis=(1, 2)) & (sizes > 0.0) & (sizes < np.inf))
+    try:
+        centers[rows], covariance[rows] = _solved(corners[rows], sizes[rows])
+    except np.linalg.LinAlgError:
+        for row in rows[:, None]:
+            with contextlib.suppress(np.linalg.LinAlgError):
+                centers[row], covariance[row] = _solved(corners[row], sizes[row])
+    return centers, covariance
+
+
+def _solved(corners: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The centres and covariances of corners that are finite; raises LinAlgError where one of them is no square's."""
     square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     points = sizes[:, None, None] * np.column_stack([square, np.zeros(4)])
     R, t = _from_homography(corners, points)
@@ -77,7 +95,10 @@ def _from_homography(corners: FloatArray, points: FloatArray) -> tuple[FloatArra
     A[:, 0::2, 6:9], A[:, 1::2, 6:9] = -corners[..., :1] * X, -corners[..., 1:] * X
     H = np.linalg.svd(A)[2][:, -1].reshape(n, 3, 3)
     scale = 0.5 * (np.linalg.norm(H[:, :, 0], axis=1) + np.linalg.norm(H[:, :, 1], axis=1))
-    H = H / (np.sign(H[:, 2, 2]) * scale)[:, None, None]  # in front of the camera
+    with np.errstate(all="ignore"):
+        H = H / (np.sign(H[:, 2, 2]) * scale)[:, None, None]  # in front of the camera
+    if not (np.abs(H) < 1e100).all():
+        raise np.linalg.LinAlgError("corners on a line")
     U, _, Vt = np.linalg.svd(np.stack([H[:, :, 0], H[:, :, 1], np.cross(H[:, :, 0], H[:, :, 1])], axis=2))
     U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
     return np.asarray(U @ Vt), np.asarray(H[:, :, 2])

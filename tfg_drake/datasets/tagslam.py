@@ -184,6 +184,8 @@ def _detections(
     p = (R_BR @ p_RT[kept, :, None])[:, :2, 0]
     P = (R_BR @ covariance[kept] @ np.swapaxes(R_BR, 1, 2))[:, :2, :2]
     distance = np.hypot(p[:, 0], p[:, 1])
+    if lost := int(np.count_nonzero(np.isnan(distance))):
+        notes.append(f"{lost} detections whose corners are no square's were left out")
     far = distance > LEAST_RANGE
     p, P, distance, kept = p[far], P[far], distance[far], kept[far]
     radial = p / distance[:, None]

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 from tfg_drake.hardware.ros.preset import load_preset
+from tfg_drake.hardware.sensor_source import SourceSpec, open_sources
 from tfg_drake.messages import Odometry
 
 HERE = Path(__file__).parent
@@ -36,8 +37,18 @@ class Transport:
 
     @functools.cached_property
     def device(self):
-        """One to share."""
+        """The base, to share."""
         return self.connect()
+
+    @functools.cached_property
+    def source(self):
+        """The tags and scans, and what publishes, to share."""
+        return open_sources({}, self.preset, self.graph)["base"]
+
+    @property
+    def graph(self):
+        """Where the robot is."""
+        return SourceSpec("ros2") if self.port is None else SourceSpec("rosbridge", "localhost", self.port)
 
     def arguments(self):
         """Of connect, besides the preset."""
@@ -76,9 +87,10 @@ class Transport:
         return last - fault
 
     def close(self):
-        """Ends the robot, and the shared device if there is one."""
-        if "device" in self.__dict__:
-            self.device.close()
+        """Ends the robot, and what was shared."""
+        for shared in ("device", "source"):
+            if shared in self.__dict__:
+                self.__dict__[shared].close()
         self._connection.close()
         self._process.wait(10.0)
 
@@ -147,6 +159,12 @@ def room():
 def device(transport):
     """The device that the tests of a transport share."""
     return transport.device
+
+
+@pytest.fixture
+def source(transport):
+    """The tags and scans that the tests of a transport share."""
+    return transport.source
 
 
 @pytest.fixture

@@ -69,13 +69,16 @@ def test_the_stamp_of_ros_1():
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"x": math.nan}, "odometry is not finite"),
-        ({"v": math.inf}, "odometry is not finite"),
-        ({"yaw": math.nan}, "odometry's orientation (0.0, 0.0, nan, nan) is no unit quaternion"),
+        ({"x": math.nan}, "pose.pose.position.x is 'nan', no number up to 100000"),
+        ({"x": 1e200}, "pose.pose.position.x is '1e+200', no number up to 100000"),
+        ({"x": 10**400}, f"pose.pose.position.x is '{10**39}', no number up to 100000"),
+        ({"v": math.inf}, "twist.twist.linear.x is 'inf', no number up to 1e+09"),
+        ({"v": None}, "twist.twist.linear.x is 'None', no number up to 1e+09"),
+        ({"yaw": math.nan}, "pose.pose.orientation.z is 'nan', no number up to 1e+09"),
     ],
 )
 def test_odometry_that_is_refused(change, line):
-    with pytest.raises(ValueError, match="odometry") as error:
+    with pytest.raises(ValueError, match="no number") as error:
         conversions.odometry(odometry_message(**change), 0.0)
     assert str(error.value) == line
 
@@ -112,6 +115,8 @@ def test_what_ranges_say():
     nothing = [math.inf, 12.5, -math.inf, math.nan, None, 0.0, 0.1]
     scan = conversions.laser_scan(scan_message(nothing, 0.0, 0.1), 0.0, Scanner(), STILL)
     np.testing.assert_allclose(scan.ranges, [math.inf, math.inf, 0.15, *[math.nan] * 4])
+    free = conversions.laser_scan(scan_message(nothing, 0.0, 0.1), 0.0, Scanner(unanswered="free"), STILL)
+    np.testing.assert_allclose(free.ranges, [math.inf, math.inf, 0.15, *[math.inf] * 3, math.nan])
 
 
 def test_a_scan_is_seen_from_the_body():
@@ -144,14 +149,34 @@ def test_a_sweep_is_told_as_of_its_middle():
     assert np.abs(still.angles - np.arctan2(0.3, 2.0)).max() > 0.04
 
 
-@pytest.mark.parametrize("change", [{"angle_increment": 0.0}, {"range_max": math.nan}, {"range_min": 13.0}])
-def test_a_scan_without_sense_is_refused(change):
-    with pytest.raises(ValueError, match=r"^scan of angles"):
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"angle_increment": 0.0}, "scan of angles 0.0 + i * 0.0 and ranges from 0.15 to 12.0"),
+        ({"range_min": 13.0}, "scan of angles 0.0 + i * 0.1 and ranges from 13.0 to 12.0"),
+        ({"range_max": math.nan}, "range_max is 'nan', no number up to 1000"),
+        ({"range_max": 1e300}, "range_max is '1e+300', no number up to 1000"),
+        ({"time_increment": math.inf}, "time_increment is 'inf', no number up to 1"),
+        ({"ranges": 3.0}, "ranges is no list"),
+        ({"ranges": [[1.0]]}, "ranges is no list of numbers"),
+        ({"ranges": range(10**9)}, "ranges has 1000000000 entries; 50000 are the most that is plausible"),
+    ],
+)
+def test_a_scan_without_sense_is_refused(change, line):
+    with pytest.raises(ValueError, match=r".") as error:
         conversions.laser_scan(scan_message([1.0], 0.0, 0.1) | change, 0.0, Scanner(), STILL)
+    assert str(error.value) == line
+
+
+def test_a_stamp_without_sense_is_refused():
+    for stamp in ({"sec": math.inf, "nanosec": 0}, {"sec": 1, "nanosec": -5}, {"sec": 2**40, "nanosec": 0}):
+        with pytest.raises(ValueError, match="number"):
+            conversions.ros_stamp({"header": {"stamp": stamp}})
 
 
 CAMERA = Camera(x=0.1, y=0.02, yaw=0.3, pitch=-0.2, tag_size=0.2, corner_sigma=0.5)
 INFO = {"p": [600.0, 0.0, 320.0, 0.0, 0.0, 590.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]}
+CALIBRATED = conversions.calibration(INFO)
 
 
 def seen(p_BT, height, facing):
@@ -177,7 +202,8 @@ def test_tags_from_their_corners(as_sent):
         {"id": 7, "corners": seen(places[0], 0.3, 3.4)},
         {"id": 3, "corners": seen(places[1], 0.2, 3.0)},
     ]
-    found = conversions.apriltag_detections(as_sent({"detections": detections}), as_sent(INFO), 5.0, CAMERA)
+    calibrated = conversions.calibration(as_sent(INFO))
+    found = conversions.apriltag_detections(as_sent({"detections": detections}), calibrated, 5.0, CAMERA)
     assert found.ids.tolist() == [7, 3]
     np.testing.assert_allclose(found.range, np.hypot(*places.T), atol=1e-8)
     np.testing.assert_allclose(found.bearing, np.arctan2(places[:, 1], places[:, 0]), atol=1e-8)
@@ -190,18 +216,35 @@ def test_the_sigmas_of_tags_are_those_of_their_corners():
     random = np.random.default_rng(0)
     exact = np.array(seen([2.0, 1.0], 0.3, 3.4))
     draws = [{"id": 0, "corners": (exact + 0.5 * random.normal(size=8)).tolist()} for _ in range(2000)]
-    found = conversions.apriltag_detections({"detections": draws}, INFO, 0.0, CAMERA)
+    found = conversions.apriltag_detections({"detections": draws}, CALIBRATED, 0.0, CAMERA)
     assert found.range.std() == pytest.approx(found.sigma_range[0], rel=0.2)
     assert found.bearing.std() == pytest.approx(found.sigma_bearing[0], rel=0.2)
 
 
 def test_no_tags():
-    assert len(conversions.apriltag_detections({"detections": []}, INFO, 0.0, CAMERA).ids) == 0
+    assert len(conversions.apriltag_detections({"detections": []}, CALIBRATED, 0.0, CAMERA).ids) == 0
+
+
+@pytest.mark.parametrize("bad", [math.inf, -math.inf, math.nan, 1e200, None, "x"])
+def test_a_corner_that_is_none_costs_one_sighting(bad):
+    good = seen([2.0, 1.0], 0.3, 3.4)
+    detections = [
+        {"id": 1, "corners": [bad, *good[1:]]},
+        {"id": 2, "corners": good},
+        {"id": 3, "corners": good[:2] * 4},
+    ]
+    found = conversions.apriltag_detections({"detections": detections}, CALIBRATED, 0.0, CAMERA)
+    assert 2 in found.ids
+    assert 1 not in found.ids
 
 
 def test_a_camera_without_calibration_is_refused():
     with pytest.raises(ValueError, match="camera_info holds no calibration"):
-        conversions.apriltag_detections({"detections": []}, {"p": [0.0] * 12}, 0.0, CAMERA)
+        conversions.calibration({"p": [0.0] * 12})
+    with pytest.raises(ValueError, match="camera_info's P is 'inf', no number up to 100000"):
+        conversions.calibration({"P": [math.inf] * 12})
+    with pytest.raises(ValueError, match="does not have twelve numbers"):
+        conversions.calibration({"p": [1.0] * 3})
 
 
 def cloud(rows, order="<"):
@@ -234,10 +277,16 @@ def test_plain_detections_over_rosbridge():
 
 
 def test_plain_detections_that_are_refused():
-    with pytest.raises(ValueError, match="not finite"):
-        conversions.plain_detections(cloud([(1, math.nan, 0.0, 0.1, 0.1)]), 0.0)
-    with pytest.raises(ValueError, match="above 0"):
-        conversions.plain_detections(cloud([(1, 1.0, 0.0, 0.0, 0.1)]), 0.0)
+    for change, line in (
+        ({"width": -1}, "width is -1, no whole number from 0 to 2000"),
+        ({"width": math.inf}, "width is 'inf', no number up to 2000"),
+        ({"width": 1000, "height": 1000}, "1000000 points; 2000 are the most that is plausible"),
+        ({"point_step": 10**9}, "point_step is '1000000000', no number up to 4096"),
+        ({"data": 10**12}, "data is no list"),
+    ):
+        with pytest.raises(ValueError, match=r".") as error:
+            conversions.plain_detections(cloud(ROWS) | change, 0.0)
+        assert str(error.value) == line
     with pytest.raises(ValueError, match="without the field id; they need id, range"):
         conversions.plain_detections(cloud([]) | {"fields": []}, 0.0)
 

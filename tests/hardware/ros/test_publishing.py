@@ -16,21 +16,20 @@ from tests.hardware.fake_robot import SameClock
 from tfg_drake.geometry import se2
 from tfg_drake.hardware.announcements import Publisher
 from tfg_drake.hardware.ros import map_messages
+from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
-from tfg_drake.hardware.ros.ros2 import Ros2Driver
-from tfg_drake.hardware.ros.rosbridge import RosbridgeDriver
+from tfg_drake.hardware.ros.sensors import SensorDriver
 from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import Odometry
 
 PUBLISHED = {"/map", "/tfg/markers", "/tfg/path", "/tfg/pose"}
 
 
-def publish(device, frames, room, duration):
+def publish(transport, room, duration):
     """Lets the explorer of room.py publish for `duration` s; the odometry is the robot's. Its messages."""
-    device.take(Odometry, math.inf)
-    odometry = device.newest(Odometry)
+    odometry = transport.device.first(Odometry)
     messages = room.messages(odometry.stamp) | {"odometry": odometry}
-    publisher = MapPublisher(device, frames, SameClock())
+    publisher = MapPublisher(transport.source, transport.preset.frames, SameClock())
     simulator = Simulator(publisher)
     for name, message in messages.items():
         publisher.GetInputPort(name).FixValue(simulator.get_mutable_context(), AbstractValue.Make(message))
@@ -72,15 +71,14 @@ def seconds(header):
 
 
 def test_a_late_listener_of_ros_2(ros2, room):
-    device = ros2.device
-    ros2.wait_for(lambda: ros2.fresh(device))
-    messages = publish(device, ros2.preset.frames, room, 0.5)
+    ros2.wait_for(lambda: ros2.fresh(ros2.device))
+    messages = publish(ros2, room, 0.5)
     ours, theirs = Pipe()
     listener = Path(__file__).with_name("listener.py")
     process = subprocess.Popen([sys.executable, str(listener), str(theirs.fileno()), "20"], pass_fds=[theirs.fileno()])
     while not ours.poll(0.1):
         # The map is not said again.
-        device.publish("pose", map_messages.pose(messages["pose"], ros2.preset.frames))
+        ros2.source.publish("pose", map_messages.pose(messages["pose"], ros2.preset.frames))
     heard = ours.recv()
     assert process.wait(20.0) == 0
     assert set(heard) == PUBLISHED | {"/odom"}
@@ -93,9 +91,8 @@ def test_a_late_listener_of_ros_2(ros2, room):
 
 
 def test_rosbridge(rosbridge, room):
-    device = rosbridge.device
-    rosbridge.wait_for(lambda: rosbridge.fresh(device))
-    messages = publish(device, rosbridge.preset.frames, room, 0.5)
+    rosbridge.wait_for(lambda: rosbridge.fresh(rosbridge.device))
+    messages = publish(rosbridge, room, 0.5)
     rosbridge.wait_for(lambda: {*PUBLISHED, "/tf"} <= rosbridge.order("heard").keys())
     heard = rosbridge.order("heard")
     check({topic: one["msg"] for topic, one in heard.items() if topic in PUBLISHED}, room)
@@ -116,7 +113,7 @@ def test_rosbridge(rosbridge, room):
     np.testing.assert_allclose(X_MB, messages["pose"].X_MB, atol=1e-9)
 
 
-def test_who_publishes():
-    assert issubclass(Ros2Driver, Publisher)
-    assert issubclass(RosbridgeDriver, Publisher)
+def test_the_process_of_the_watchdog_publishes_nothing():
+    assert issubclass(SensorDriver, Publisher)
+    assert not issubclass(GraphBaseDriver, Publisher)
     assert not issubclass(SocketDriver, Publisher)

@@ -6,15 +6,23 @@ import sys
 import pytest
 
 from tfg_drake.hardware.device import Device, DeviceError
+from tfg_drake.hardware.ros import graph_driver, stamps
 from tfg_drake.hardware.ros import ros2 as transport
-from tfg_drake.hardware.ros import stamps
 from tfg_drake.hardware.ros.preset import Topic, load_preset
+from tfg_drake.hardware.ros.sensors import SensorConfig
 
 
 def complaint(preset):
-    """What opening a preset's driver in this process says."""
+    """What opening the driver of a preset's base in this process says."""
     with pytest.raises(DeviceError) as error:
         transport.Ros2Config(preset).open()
+    return str(error.value)
+
+
+def complaint_of_scan(preset):
+    """What opening the driver of its scanner says."""
+    with pytest.raises(DeviceError) as error:
+        SensorConfig((("scan", preset.topics.scan),), preset, base=True).open()
     return str(error.value)
 
 
@@ -33,21 +41,25 @@ def test_without_ros(monkeypatch):
 
 def test_a_package_that_is_not_there(ros_domain):
     assert complaint(load_preset("turtlebot3")) == (
-        "ros2: /detections needs the package apriltag_msgs, which this ROS lacks: install "
-        "ros-$ROS_DISTRO-apriltag-msgs and source ROS again, or take the topic out of the preset"
+        "ros2: /sensor_state needs the package turtlebot3_msgs, which this ROS lacks: install "
+        "ros-$ROS_DISTRO-turtlebot3-msgs and source ROS again, or take the topic out of the preset"
     )
 
 
 def test_the_line_comes_through_the_process(ros_domain):
-    with pytest.raises(DeviceError, match=r"^ros2: /detections needs the package apriltag_msgs"):
+    with pytest.raises(DeviceError, match=r"^ros2: /hazard_detection needs the package irobot_create_msgs"):
         Device(transport.Ros2Config(load_preset("turtlebot4")))
 
 
 def test_nobody_publishes(ros2, monkeypatch):
-    monkeypatch.setattr(transport, "PATIENCE", 6.0)
+    monkeypatch.setattr(graph_driver, "PATIENCE", 6.0)
     elsewhere = Topic("/robot7/odom", "nav_msgs/msg/Odometry")
     assert complaint(changed(ros2.preset, odometry=elsewhere)) == (
         "ros2: nobody publishes /robot7/odom (nav_msgs/msg/Odometry); seen instead: /odom"
+    )
+    elsewhere = Topic("/robot7/scan", "sensor_msgs/msg/LaserScan")
+    assert complaint_of_scan(changed(ros2.preset, scan=elsewhere)) == (
+        "ros2: nobody publishes /robot7/scan (sensor_msgs/msg/LaserScan); seen instead: /scan"
     )
 
 
@@ -56,11 +68,15 @@ def test_another_type(ros2):
     assert complaint(changed(ros2.preset, command=unstamped)) == (
         "ros2: /cmd_vel is geometry_msgs/msg/TwistStamped, the preset has geometry_msgs/msg/Twist: set its type"
     )
+    cloud = Topic("/scan", "sensor_msgs/msg/PointCloud2")
+    assert complaint_of_scan(changed(ros2.preset, scan=cloud)) == (
+        "ros2: /scan is sensor_msgs/msg/LaserScan, the preset has sensor_msgs/msg/PointCloud2: set its type"
+    )
 
 
 def test_another_quality_of_service(ros2):
     reliable = dataclasses.replace(ros2.preset.topics.scan, qos="reliable")
-    assert complaint(changed(ros2.preset, scan=reliable)) == (
+    assert complaint_of_scan(changed(ros2.preset, scan=reliable)) == (
         "ros2: /scan is published best effort, the preset has reliable: set its qos to sensor_data"
     )
 

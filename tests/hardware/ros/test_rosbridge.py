@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.ros import graph_driver
 from tfg_drake.hardware.ros import rosbridge as transport
 from tfg_drake.hardware.ros.preset import Topic
 
@@ -55,7 +56,8 @@ def test_no_server(rosbridge, monkeypatch):
         ),
     ],
 )
-def test_topics_that_differ(rosbridge, topics, line):
+def test_topics_that_differ(rosbridge, topics, line, monkeypatch):
+    monkeypatch.setattr(graph_driver, "PATIENCE", 1.0)
     assert complaint(changed(rosbridge.preset, **topics), rosbridge.port) == f"rosbridge: {line}"
 
 

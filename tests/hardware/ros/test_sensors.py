@@ -9,7 +9,7 @@ import pytest
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.ros import sensors
+from tfg_drake.hardware.ros import graph_driver
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.ros.sensors import SensorDriver
 from tfg_drake.hardware.sensor_source import open_sources
@@ -86,6 +86,15 @@ class Graph:
             return None
         return [self._types[name]] if name in self._types else []
 
+    def require(self, topic):
+        pass
+
+    def best_effort(self, name):
+        return False
+
+    def publisher(self, topic):
+        raise AssertionError("nothing is to be published")
+
     def subscribe(self, topic, receive):
         self._receivers[topic.name] = receive
 
@@ -104,13 +113,13 @@ class Graph:
 APRILTAG = "apriltag_msgs/msg/AprilTagDetectionArray"
 PRESET = load_preset("turtlebot4")
 INFO = PRESET.topics.camera_info.name
+CAMERA = {"p": [600.0, 0.0, 320.0, 0.0, 0.0, 600.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]}
 
 
 def test_corners_of_tags_bring_their_camera():
-    info = {"p": [600.0, 0.0, 320.0, 0.0, 0.0, 600.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]}
     # 16 cm wide and 2 m ahead of the camera: 48 pixels.
     corners = [296.0, 216.0, 344.0, 216.0, 344.0, 264.0, 296.0, 264.0]
-    messages = {"/tags": {"detections": [{"id": 5, "corners": corners}]}, INFO: info}
+    messages = {"/tags": {"detections": [{"id": 5, "corners": corners}]}, INFO: CAMERA}
     graph = Graph({"/tags": APRILTAG, INFO: "sensor_msgs/msg/CameraInfo"}, messages)
     driver = SensorDriver(graph, (("tags", "/tags"),), PRESET)
     newest = driver.take()[-1]
@@ -126,7 +135,11 @@ def test_corners_of_tags_bring_their_camera():
             Graph({"/other": "sensor_msgs/msg/PointCloud2", "/tags": "std_msgs/msg/String"}),
             "nobody publishes /here; seen instead: /other",
         ),
-        (Graph({"/here": APRILTAG}), "nothing arrives on /here in 0 s: start it"),
+        (Graph({"/here": APRILTAG}), f"nobody publishes {INFO} (sensor_msgs/msg/CameraInfo); seen instead: /here"),
+        (
+            Graph({"/here": APRILTAG, INFO: "sensor_msgs/msg/CameraInfo"}, {INFO: CAMERA}),
+            "nothing arrives on /here in 0 s: start its driver",
+        ),
         (
             Graph({}, rosapi=False),
             "what /here is cannot be told, because rosapi does not answer: start it on the robot with "
@@ -135,7 +148,7 @@ def test_corners_of_tags_bring_their_camera():
     ],
 )
 def test_topics_that_are_not_there(graph, line, monkeypatch):
-    monkeypatch.setattr(sensors, "PATIENCE", 0.2)
+    monkeypatch.setattr(graph_driver, "PATIENCE", 0.2)
     with pytest.raises(DeviceError) as error:
         SensorDriver(graph, (("tags", "/here"),), PRESET)
     assert str(error.value) == f"ros2: {line}"

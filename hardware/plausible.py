@@ -1,0 +1,191 @@
+"""What of a robot's messages can be believed: every message of every source is judged here before anybody uses it.
+
+Comparisons with bounds that no ground robot, scanner or camera leaves; no other numerics. What is refused is counted,
+and told once for each source and kind of reason.
+"""
+
+from __future__ import annotations
+
+import collections
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.hardware.device import Message
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
+
+# A stamp may be so far ahead of the host's clock, and so old when it arrives, s.
+AHEAD, OLD = 0.25, 30.0
+# How far a base can be from where it was switched on, m; how fast it drives and turns, m/s and rad/s.
+FARTHEST, FASTEST, FASTEST_TURN = 1e5, 5.0, 20.0
+# Of one message: sightings of tags, and rays.
+MOST_TAGS, MOST_RAYS = 2000, 50_000
+# A tag is seen within this, m; its id is below that.
+TAG_RANGE, IDS = 100.0, 2**31
+# Standard deviations that a sensor may state: m of a range to a tag, rad of its bearing, m of a ray's range.
+SIGMA_RANGE, SIGMA_BEARING, SIGMA_RAY = (1e-4, 10.0), (1e-5, 1.0), (1e-4, 1.0)
+# A scanner's range_max is at most this, m; a return this many of its standard deviations farther away is none.
+SCAN_RANGE, BEYOND = 1000.0, 6.0
+# Angles are in (-pi, pi], but for rounding, rad.
+_HALF_TURN = math.pi + 1e-6
+# All bits of an alarm.
+_ALL_BITS = 7
+# How what is wrong with a sighting is told.
+_TOLD = {
+    "ids": "id {:d}",
+    "range": "range {:g} m",
+    "bearing": "bearing {:g} rad",
+    "sigma_range": "deviation {:g} m of a range",
+    "sigma_bearing": "deviation {:g} rad of a bearing",
+}
+
+# Kinds of reasons that are told of one source, so that nonsense fills no screen, and characters of a line.
+_KINDS, _LONGEST = 5, 300
+
+
+class Refusals:
+    """What was refused. counts: by source and kind of reason."""
+
+    def __init__(self) -> None:
+        self.counts: collections.Counter[tuple[str, str]] = collections.Counter()
+        self._lines: list[str] = []
+
+    def add(self, source: str, kind: str, why: str) -> None:
+        """Counts what was refused of a source, and tells the first of its kind: why, in words."""
+        known = (source, kind) in self.counts
+        if not known and sum(name == source for name, _ in self.counts) >= _KINDS:
+            kind = "other"
+            known = True
+        self.counts[source, kind] += 1
+        if not known:
+            self._lines.append(" ".join(f"{source}: {why}".split())[:_LONGEST])
+
+    def take(self) -> list[str]:
+        """The lines since the last call."""
+        lines, self._lines = self._lines, []
+        return lines
+
+
+class Judge:
+    """Judges what one driver takes in; sensors' messages must come in order, too."""
+
+    def __init__(self, sources: Mapping[type, str]) -> None:
+        """sources: what the messages of a kind are called in what is told, such as "tags of /detections"."""
+        self.refusals = Refusals()
+        self._sources = sources
+        self._newest: dict[type, float] = {}
+
+    def judged(self, message: Message, now: float) -> Message | None:
+        """What can be believed of a message at `now`, s of the host's clock; None of one that is refused."""
+        kind = type(message)
+        believed, reasons = judged(message, now)
+        for reason, why in reasons.items():
+            self.refusals.add(self._sources.get(kind, kind.__name__), reason, why)
+        if believed is not None and kind in (LaserScan, TagDetections):
+            if believed.stamp <= self._newest.get(kind, -math.inf):
+                return None
+            self._newest[kind] = believed.stamp
+        return believed
+
+
+def judged(message: Message, now: float) -> tuple[Message | None, dict[str, str]]:
+    """What can be believed of a message at `now` (s of the host's clock), None for nothing; and why the rest cannot, in
+    words by kind of reason."""
+    if not message.stamp <= now + AHEAD:
+        return None, {
+            "stamp": f"stamp {message.stamp:g} s is {message.stamp - now:.6g} s ahead of this machine's clock"
+        }
+    if not message.stamp >= now - OLD:
+        return None, {"stamp": f"stamp {message.stamp:g} s is {now - message.stamp:.6g} s old"}
+    judge = _JUDGES.get(type(message))
+    return (message, {}) if judge is None else judge(message)
+
+
+def _odometry(message: Odometry) -> tuple[Odometry | None, dict[str, str]]:
+    x, y, theta = (float(value) for value in message.X_OB)
+    v, w = (float(value) for value in message.V_B)
+    if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(theta) <= _HALF_TURN):
+        return None, {"pose": f"pose ({x:g} m, {y:g} m, {theta:g} rad) is not plausible; check the base's driver"}
+    if not (abs(v) <= FASTEST and abs(w) <= FASTEST_TURN):
+        return None, {"speed": f"speed ({v:g} m/s, {w:g} rad/s) is not plausible; check the base's driver"}
+    return message, {}
+
+
+def _hazards(message: Hazards) -> tuple[Hazards, dict[str, str]]:
+    """Bits that are none may be an alarm: they count as all."""
+    reasons = {}
+    for name in ("bumper", "cliff", "wheel_drop"):
+        bits = getattr(message, name)
+        if not 0 <= bits <= _ALL_BITS:
+            message = replace(message, **{name: _ALL_BITS})
+            reasons[name] = f"{name} {bits:g} is no set of bits; it counts as an alarm on every side"
+    return message, reasons
+
+
+def _detections(message: TagDetections) -> tuple[TagDetections | None, dict[str, str]]:
+    """A single bad sighting is left out."""
+    columns = {name: getattr(message, name) for name in ("ids", "range", "bearing", "sigma_range", "sigma_bearing")}
+    n = len(message.ids)
+    if any(values.shape != (n,) for values in columns.values()):
+        return None, {"shape": "ids, ranges, bearings and deviations are not as many of each; check the detector"}
+    if n > MOST_TAGS:
+        return None, {"number": f"{n} sightings in one message are not plausible; check the detector"}
+    plausible = {
+        "ids": (columns["ids"] >= 0) & (columns["ids"] < IDS),
+        "range": (columns["range"] > 0.0) & (columns["range"] <= TAG_RANGE),
+        "bearing": np.abs(columns["bearing"]) <= _HALF_TURN,
+        "sigma_range": _within(columns["sigma_range"], *SIGMA_RANGE),
+        "sigma_bearing": _within(columns["sigma_bearing"], *SIGMA_BEARING),
+    }
+    reasons = {}
+    for name, good in plausible.items():
+        if not good.all():
+            worst = _TOLD[name].format(columns[name][~good][0])
+            reasons[name] = (
+                f"{n - int(good.sum())} of {n} sightings refused: {worst} is not plausible; check the detector; "
+                "the others are used"
+            )
+    if not reasons:
+        return message, {}
+    kept = np.logical_and.reduce(list(plausible.values()))
+    return replace(message, **{name: values[kept] for name, values in columns.items()}), reasons
+
+
+def _scan(message: LaserScan) -> tuple[LaserScan | None, dict[str, str]]:
+    """A single range that is nonsense becomes nan, which says that nothing is known."""
+    angles, ranges, farthest, sigma = message.angles, message.ranges, message.range_max, message.sigma
+    n = len(angles)
+    if angles.shape != (n,) or ranges.shape != (n,):
+        return None, {"shape": "not as many ranges as angles; check the scanner's driver"}
+    if n > MOST_RAYS:
+        return None, {"number": f"{n} rays in one message are not plausible; check the scanner's driver"}
+    if not (np.abs(angles) <= _HALF_TURN).all() or (n and not (angles[1:] > angles[:-1]).all()):
+        return None, {"angles": "angles do not increase within (-pi, pi]; check the scanner's driver"}
+    if not 0.0 < farthest <= SCAN_RANGE:
+        return None, {"range_max": f"range_max {farthest:g} m is not plausible; check the scanner's driver"}
+    if not SIGMA_RAY[0] <= sigma <= SIGMA_RAY[1]:
+        return None, {"sigma": f"deviation {sigma:g} m of a range is not plausible; check the preset or the server"}
+    known = ranges > 0.0
+    known &= (ranges <= farthest + BEYOND * sigma) | (ranges == math.inf)
+    nonsense = ~known & ~np.isnan(ranges) & (ranges != 0.0)
+    if known.all():
+        return message, {}
+    reasons = {}
+    if nonsense.any():
+        worst, bad = ranges[nonsense][0], int(nonsense.sum())
+        reasons["ranges"] = f"{bad} of {n} ranges are none ({worst:g} m); nothing is taken as known there"
+    return replace(message, ranges=np.where(known, ranges, math.nan)), reasons
+
+
+def _within(values: FloatArray, least: float, most: float) -> Any:
+    return (values >= least) & (values <= most)
+
+
+_JUDGES: dict[type, Callable[[Any], tuple[Any, dict[str, str]]]] = {
+    Odometry: _odometry,
+    Hazards: _hazards,
+    TagDetections: _detections,
+    LaserScan: _scan,
+}
