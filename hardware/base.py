@@ -124,7 +124,7 @@ class HardwareBase(LeafSystem):
         # Due at this time of the host: where the station is late the base does not obey what is out of date.
         self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time))
         watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
-        for line in lines:
+        for line in [*lines, *self.devices.take_remarks()]:
             _log.warning("%.2f s: %s", time, line)
         set_state_message(state, self._state, replace(now, watch=watch))
         return EventStatus.Succeeded()

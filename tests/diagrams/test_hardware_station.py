@@ -218,13 +218,16 @@ def test_the_operator_is_told_once_what_happens_to_the_base(caplog):
     with caplog.at_level(logging.WARNING, "tfg_drake.hardware"):
         station.run(2.0)
         station.device.state = base_state(2.0, battery_level="low")
+        station.run(3.0)
+        station.device.remarks = ["tags of 127.0.0.1:5000: started again"]
         station.run(10.0)
     lines = [record.getMessage().partition(" s: ") for record in caplog.records]
     assert [line for _, _, line in lines] == [
         "bumper left: the robot backs away and looks for another way",
+        "tags of 127.0.0.1:5000: started again",
         "the battery is low, 13.8 V: the mission ends, at home if explorer.return_home is set",
     ]
-    assert [float(time) for time, _, _ in lines] == pytest.approx([1.0, 7.0], abs=0.1)
+    assert [float(time) for time, _, _ in lines] == pytest.approx([1.0, 3.0, 7.0], abs=0.1)
 
 
 def test_the_simulated_base_obeys_enable_too():

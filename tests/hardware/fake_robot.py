@@ -42,7 +42,8 @@ class FakeDevice:
         if kind is TagDetections:
             one = np.ones(1)
             return TagDetections(stamp, np.array([number]), one, one, one, one)
-        return LaserScan(stamp, np.array([0.0]), np.array([number * 1.0 + 5.0]), 1e6, 0.01)
+        angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+        return LaserScan(stamp, angles, np.full(360, number + 5.0), 1e6, 0.01)
 
     def first(self, kind):
         self.begin = 0.0
