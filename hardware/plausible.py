@@ -142,9 +142,9 @@ def _detections(message: TagDetections) -> tuple[TagDetections | None, dict[str,
     reasons = {}
     for name, good in plausible.items():
         if not good.all():
-            worst = _TOLD[name].format(columns[name][~good][0])
+            first = _TOLD[name].format(columns[name][~good][0])
             reasons[name] = (
-                f"{n - int(good.sum())} of {n} sightings refused: {worst} is not plausible; check the detector; "
+                f"{n - int(good.sum())} of {n} sightings refused: {first} is not plausible; check the detector; "
                 "the others are used"
             )
     if not reasons:
@@ -169,13 +169,13 @@ def _scan(message: LaserScan) -> tuple[LaserScan | None, dict[str, str]]:
         return None, {"sigma": f"deviation {sigma:g} m of a range is not plausible; check the preset or the server"}
     known = ranges > 0.0
     known &= (ranges <= farthest + BEYOND * sigma) | (ranges == math.inf)
-    nonsense = ~known & ~np.isnan(ranges) & (ranges != 0.0)
-    if known.all():
+    if (known | np.isnan(ranges)).all():
         return message, {}
+    nonsense = ~known & ~np.isnan(ranges) & (ranges != 0.0)
     reasons = {}
     if nonsense.any():
-        worst, bad = ranges[nonsense][0], int(nonsense.sum())
-        reasons["ranges"] = f"{bad} of {n} ranges are none ({worst:g} m); nothing is taken as known there"
+        first, bad = ranges[nonsense][0], int(nonsense.sum())
+        reasons["ranges"] = f"{bad} of {n} ranges are none ({first:g} m); nothing is taken as known there"
     return replace(message, ranges=np.where(known, ranges, math.nan)), reasons
 
 

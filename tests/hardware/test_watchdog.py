@@ -94,6 +94,15 @@ def test_a_late_tick_does_not_jump():
     assert robot.run(TICK)[0][0] <= 0.5 * 3.0 * TICK + 1e-12
 
 
+def test_who_was_held_up_has_not_watched(driving):
+    """Odometry that has come meanwhile does not tell how the robot moved."""
+    driving.now += 3.0
+    assert still(driving.run(1.0))
+    assert driving.watchdog.locked == "no odometry for more than 0.5 s"
+    driving.watchdog.enable(driving.now)
+    assert driving.run(1.0)[-1] == pytest.approx((0.3, 0.0))
+
+
 def test_commands_stop(driving):
     driving.command = None
     sent = driving.run(1.0)

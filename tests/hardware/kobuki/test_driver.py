@@ -250,15 +250,33 @@ def test_it_stops_when_its_process_freezes(emulator, driving):
         os.kill(driving.process_id, signal.SIGCONT)
 
 
-def test_it_stops_without_its_guardian(emulator, driving):
+def test_a_frozen_process_ends_nothing_and_moves_nothing_when_it_runs_again(emulator, driving):
+    os.kill(driving.process_id, signal.SIGSTOP)
+    drive(driving, 0.2, 0.0, 4.0)  # more commands than its pipe holds
+    assert driving.locked == "the robot's process does not answer"
+    with pytest.raises(DeviceError, match=r"^the robot is not enabled: the robot's process does not answer$"):
+        driving.enable()
+    begin = time.monotonic()
+    os.kill(driving.process_id, signal.SIGCONT)
+    drive(driving, 0.2, 0.0, 1.0)
+    assert told_since(emulator, begin) == {STOP}
+    assert driving.locked
+    wait_for(lambda: time.monotonic() - driving.newest(Odometry).stamp < 0.3)
+    driving.enable()
+    drive(driving, 0.2, 0.0, 0.3)
+    assert moves(emulator)
+
+
+@pytest.mark.parametrize(("how", "what"), [(signal.SIGKILL, "has ended"), (signal.SIGSTOP, "does not answer")])
+def test_it_stops_without_its_guardian(emulator, driving, how, what):
     children = f"/proc/{driving.process_id}/task/{driving.process_id}/children"
     with open(children) as file:
         (guardian,) = file.read().split()
-    os.kill(int(guardian), signal.SIGKILL)
     begin = time.monotonic()
-    drive(driving, 0.2, 0.0, 0.5)
+    os.kill(int(guardian), how)
+    drive(driving, 0.2, 0.0, 0.8)
     assert_stops(emulator, begin)
-    assert "in an emergency has ended; enable the base again" in driving.locked
+    assert f"in an emergency {what}; enable the base again" in driving.locked
 
 
 def test_it_stops_at_the_end(emulator, driving):

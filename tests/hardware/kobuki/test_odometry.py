@@ -96,6 +96,66 @@ def test_a_base_that_counts_from_anew_costs_a_second_at_most():
     assert state.stamp == pytest.approx(99 * PERIOD)
 
 
+def faults(times, received=None, turns=None):
+    """The faults, frame by frame, of a base that drives ahead, its clock at `times` and the host's at `received`, s;
+    turns: what its wheels have turned it by, rad, which the gyro does not notice."""
+    state, found = None, []
+    for k, time in enumerate(times):
+        at, turned = 50.0 + (time if received is None else received[k]), 0.0 if turns is None else turns[k]
+        half = 0.5 * o.WHEEL_BASE * turned
+        parts = frame(time, 0.002 * k - half, 0.002 * k + half, 0.0)
+        before, state = state, o.first(*parts, at) if state is None else o.advanced(state, *parts, at)
+        found.append(None if state is before else state.fault)
+    return found
+
+
+STEADY = [PERIOD * k for k in range(50)]
+
+
+@pytest.mark.parametrize("begin", [0.0, 65.1, 1000.3])
+def test_a_clock_that_goes_on_is_no_fault(begin):
+    assert set(faults([begin + time for time in STEADY])) == {None}
+    # Nor is one whose frames come twice, late, or not at all.
+    assert set(faults([begin + time for time in STEADY for _ in range(2)])) == {None}
+    assert set(
+        faults([begin + time for time in STEADY], [time + 0.2 * (k % 7 == 3) for k, time in enumerate(STEADY)])
+    ) == {None}
+    assert set(faults([begin + time for time in STEADY if not 0.3 < time < 0.7])) == {None}
+    assert set(faults([begin + time + 3.0 * (time > 0.5) for time in STEADY])) == {None}
+
+
+@pytest.mark.parametrize(("jump", "what"), [(-2.0, "went back by 1.98 s"), (3.0, "is 3.00 s ahead of this machine's")])
+def test_a_clock_that_jumps_is_a_fault_once(jump, what):
+    found = faults([time + jump * (k >= 20) for k, time in enumerate(STEADY)], STEADY)
+    line = f"the base's clock {what}: it was started anew, or frames arrive out of order; enable it again"
+    assert found == [line if k == 20 else None for k in range(50)]
+
+
+def test_frames_out_of_order_are_a_fault():
+    times = STEADY.copy()
+    times[30], times[20] = times[20], times[30]
+    assert "went back by 0.18 s" in faults(times, STEADY)[21]
+
+
+def test_odometry_goes_on_after_a_jump():
+    state, moved = o.first(*frame(9.0, 0.0, 0.0, 0.0), 50.0), 0.0
+    for k in range(1, 50):
+        moved += 0.002
+        jump = -2.0 if k >= 25 else 0.0
+        before, state = state, o.advanced(state, *frame(9.0 + k * PERIOD + jump, moved, moved, 0.0), 50.0 + k * PERIOD)
+        assert state.stamp > before.stamp
+    assert pytest.approx((48 * 0.002, 0.0, 0.0), abs=1e-3) == state.X_OB
+    assert state.stamp == pytest.approx(50.0 + 49 * PERIOD, abs=1e-3)
+
+
+def test_a_gyro_that_does_not_notice_a_turn_is_a_fault():
+    found = faults(STEADY, turns=[0.8 * time for time in STEADY])
+    assert [k for k, fault in enumerate(found) if fault] == [10, 20, 30, 40]
+    assert found[10] == "the gyro does not turn with the wheels: it is stuck, or they slip; look at the base"
+    # Wheels that are not quite alike, straight ahead.
+    assert set(faults(STEADY, turns=[0.1 * time for time in STEADY])) == {None}
+
+
 def test_after_a_reconnection_everything_counts_from_the_new_frame():
     before = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0)
     before = o.advanced(before, *frame(0.02, 0.01, 0.01, 0.0), 0.02)
