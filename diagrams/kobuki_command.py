@@ -78,7 +78,7 @@ def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
         ("firmware", state.firmware),
         ("hardware", state.hardware),
         ("id", state.unique_id),
-        ("battery", f"{state.battery:.1f} V{low}"),
+        ("battery", f"{state.battery:.1f} V{low}" if state.battery > 0.0 else "says nothing of its voltage"),
         ("charger", charger),
         ("overcurrent", where(state.overcurrent)),
         ("bumper", where(hazards.bumper)),

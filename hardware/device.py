@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import math
 import select
 import subprocess
 import sys
@@ -28,27 +29,28 @@ from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, mess
 class BaseState:
     """How a base is, where it says so: about every second, and at once where anything lasting changes.
 
-    stamp: s. battery: V, 0 where it is not known. battery_level: "good" (also where it is not known), "low" or
-    "dangerous". charger: what it hangs on, "dock" or "adapter", "" for nothing. charging: its battery is not full yet.
-    overcurrent: wheels that draw too much current, by the bits of Hazards. buttons: bits of those that are pressed
-    (Kobuki: B0 1, B1 2, B2 4). firmware, hardware: versions such as "1.1.4". unique_id: in hexadecimal. frames: heard
-    since the connection began. bad_frames: beginnings of frames that were garbled on the way, lost_frames: about how
-    many never came, since then.
+    stamp: s. battery: V. charge: share of the battery's charge that is left; both nan where they are not known.
+    battery_level: "good" (also where it is not known), "low" or "dangerous". charger: what it hangs on, "dock",
+    "adapter" or "charger", "" for nothing. charging: its battery is not full yet. overcurrent: wheels that draw too
+    much current, by the bits of Hazards. buttons: bits of those that are pressed (Kobuki: B0 1, B1 2, B2 4). firmware,
+    hardware: versions such as "1.1.4". unique_id: in hexadecimal. frames: heard since the connection began. bad_frames:
+    beginnings of frames that were garbled on the way, lost_frames: about how many never came, since then.
     """
 
     stamp: float
-    battery: float
-    battery_level: str
-    charger: str
-    charging: bool
-    overcurrent: int
-    buttons: int
-    firmware: str
-    hardware: str
-    unique_id: str
-    frames: int
-    bad_frames: int
-    lost_frames: int
+    battery: float = math.nan
+    charge: float = math.nan
+    battery_level: str = "good"
+    charger: str = ""
+    charging: bool = False
+    overcurrent: int = 0
+    buttons: int = 0
+    firmware: str = ""
+    hardware: str = ""
+    unique_id: str = ""
+    frames: int = 0
+    bad_frames: int = 0
+    lost_frames: int = 0
 
 
 Message = Odometry | LaserScan | Hazards | TagDetections | BaseState

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import operator
 from collections.abc import Mapping, Sequence
 
@@ -86,11 +87,12 @@ def where(bits: int) -> str:
 
 def battery(state: BaseState) -> dict[str, Remark]:
     """What is to be told of a battery: "battery low", "battery dangerous" or nothing."""
+    left = f"{100.0 * state.charge:.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
     if state.battery_level == "low":
-        line = f"the battery is low, {state.battery:.1f} V: the mission ends, at home if explorer.return_home is set"
+        line = f"the battery is low, {left}: the mission ends, at home if explorer.return_home is set"
         return {"battery low": Remark(line, LOW_LASTS)}
     if state.battery_level == "dangerous":
-        line = f"the battery is nearly empty, {state.battery:.1f} V: the robot stops and the mission ends; charge it"
+        line = f"the battery is nearly empty, {left}: the robot stops and the mission ends; charge it"
         return {"battery dangerous": Remark(line, DANGEROUS_LASTS)}
     return {}
 

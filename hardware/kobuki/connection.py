@@ -128,7 +128,7 @@ class Connection:
         bad, due = self._deframer.bad, 1.0 + _FRAME_RATE * (stamp - self._begun)
         state = BaseState(
             stamp=stamp,
-            battery=round(0.1 * core.battery, 1),
+            battery=round(0.1 * core.battery, 1) if core.battery else math.nan,
             battery_level=alarms.battery_level(core),
             charger=alarms.charger(core),
             charging=core.charger & 4 != 0,

@@ -18,6 +18,7 @@ import numpy as np
 
 from tfg_drake.datasets.square_pnp import square_centers
 from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
@@ -36,6 +37,10 @@ _MOST_FIELDS, _LONGEST_POINT = 100, 4096
 _GREATEST_ID = 2**62
 # No image is wider, nor a focal length longer, pixels.
 _WIDEST_IMAGE = 1e5
+# A battery whose charge is at most such a share is low, or dangerously so. More than the last is told in percent.
+LOW_CHARGE, DANGEROUS_CHARGE, GREATEST_SHARE = 0.15, 0.05, 1.5
+# sensor_msgs/BatteryState.power_supply_status.
+_CHARGING = 1
 # A ROS stamp is below that (the year 2242), s. Between two rays of a sweep lies less, s.
 _LAST_STAMP, _RAY_TIME = 2**33, 1.0
 
@@ -305,6 +310,21 @@ HAZARDS = {
     "turtlebot3_msgs/msg/SensorState": _turtlebot3,
     "irobot_create_msgs/msg/HazardDetectionVector": _create3,
 }
+
+
+def battery(message: Any, stamp: float) -> BaseState:
+    """sensor_msgs/BatteryState, by its percentage: a share from 0 to 1, or to 100, as some drivers have it. Its voltage
+    says little where nobody knows the battery. nan, null and 0 say nothing: a driver that does not know writes any."""
+    volts, charge = (_known(message, name) for name in ("voltage", "percentage"))
+    charge = charge if charge <= GREATEST_SHARE else 0.01 * charge
+    charging = count(message, "power_supply_status", 255) == _CHARGING
+    level = "good" if charging or not charge <= LOW_CHARGE else "low" if charge > DANGEROUS_CHARGE else "dangerous"
+    return BaseState(stamp, volts, charge, level, "charger" if charging else "", charging)
+
+
+def _known(message: Any, path: str) -> float:
+    value = field(message, path)
+    return math.nan if value is None or value != value or value == 0 else _bounded(value, path, 1e4)
 
 
 def twist(speed: float, turn_rate: float) -> dict[str, dict[str, float]]:

@@ -136,8 +136,8 @@ class GraphDriver:
 
 
 class GraphBaseDriver(GraphDriver):
-    """Drives a base by a preset's command and listens to its odometry and alarms, and to nothing else: its process is
-    the watchdog's, too."""
+    """Drives a base by a preset's command and listens to its odometry, alarms and battery, and to nothing else: its
+    process is the watchdog's, too."""
 
     def __init__(self, graph: Graph, preset: Preset) -> None:
         """Waits until odometry arrives; raises DeviceError."""
@@ -146,6 +146,8 @@ class GraphBaseDriver(GraphDriver):
         topics, command = preset.topics, preset.topics.command
         alarms = ", ".join(topic.name for topic in topics.hazards)
         self.sources = {Odometry: f"odometry of {topics.odometry.name}", Hazards: f"alarms of {alarms}"}
+        # It may be missing: a robot of the same kind whose battery nobody publishes can be driven all the same.
+        battery = [("battery", topics.battery)] if topics.battery is not None else []
         try:
             heard = [("odometry", topics.odometry), *(("hazards", topic) for topic in topics.hazards)]
             for _, topic in heard:
@@ -153,12 +155,16 @@ class GraphBaseDriver(GraphDriver):
             for _, topic in heard:
                 self._find(topic)
             self._find(command, listened=True)
-            self._listen(heard)
+            self._listen([*heard, *battery])
             self._send = graph.publisher(command)
             self._wait({topics.odometry.name})
         except DeviceError:
             self.close()
             raise
+
+    def fault(self) -> str | None:
+        """Why the robot must stop until it is enabled anew, once, or as long as its battery says so."""
+        return super().fault() or self._intake.alarm
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Publishes a velocity, m/s and rad/s."""

@@ -18,17 +18,24 @@ from tfg_drake.messages import FloatArray, Hazards, Odometry, replace
 
 # No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset.
 FASTEST, LEAP = 1.5, 0.5
+# Why a base must not drive, by its charger or the level of its battery.
+_ALARMS = {
+    "charger": "the base is charging: take it off its dock or its cable, then enable it",
+    "dangerous": f"the battery is down to {100.0 * conversions.DANGEROUS_CHARGE:g} %: charge it, then enable the base",
+}
 
 
 class Intake:
     """Converts ROS messages of either transport; one thread may use it.
 
-    clock_source: the topic that the clock is learned from, None where it is learned from them all.
+    clock_source: the topic that the clock is learned from, None where it is learned from them all. alarm: why the base
+    must not drive for its battery, None where it may.
     """
 
     def __init__(self, preset: Preset, topics: list[tuple[str, Topic]]) -> None:
-        """topics: of a base "odometry" and "hazards", of sensors "scan", "detections" and "camera_info". Sensors' clock
-        and the robot's velocity are learned from the odometry where they have "clock", else the clock from them all.
+        """topics: of a base "odometry", "hazards" and "battery", of sensors "scan", "detections" and "camera_info".
+        Sensors' clock and the robot's velocity are learned from the odometry where they have "clock", else the clock
+        from them all.
         """
         self.clock_source = next((topic.name for key, topic in topics if key in ("odometry", "clock")), None)
         self.clock = StampClock(SENSOR_SILENCE) if self.clock_source is None else StampClock()
@@ -42,6 +49,7 @@ class Intake:
         self._hazards = Hazards(-math.inf, 0, 0, 0)
         self._camera: conversions.Calibration | None = None
         self._fault: str | None = None
+        self.alarm: str | None = None
         self._remarks: list[str] = []
         self.refusals = Refusals()
         self.arrived: set[str] = set()
@@ -64,6 +72,11 @@ class Intake:
     def _take_in(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
         if key == "camera_info":
             self._camera = conversions.calibration(message)
+        elif key == "battery":
+            # Of now, whatever its stamp: nothing is reckoned with it.
+            state = conversions.battery(message, arrival)
+            self.alarm = _ALARMS.get(state.charger or state.battery_level)
+            self._messages.append(state)
         elif key == "detections" and topic.type.startswith("apriltag") and self._camera is None:
             pass  # the camera says its calibration with its first image
         elif (stamp := self._host_stamp(key, topic, message, arrival)) is None:

@@ -30,12 +30,13 @@ class Topic:
 
 @dataclasses.dataclass(frozen=True)
 class Topics:
-    """The topics of one robot; those of the tags and hazards may be absent. camera_info: needed by apriltag_msgs."""
+    """The topics of one robot; those of tags, hazards and battery may be absent. camera_info: for apriltag_msgs."""
 
     odometry: Topic
     scan: Topic
     command: Topic
     hazards: tuple[Topic, ...] = ()
+    battery: Topic | None = None
     detections: Topic | None = None
     camera_info: Topic | None = None
 
@@ -125,6 +126,7 @@ TYPES = {
         "kobuki_ros_interfaces/msg/WheelDropEvent",
         "turtlebot3_msgs/msg/SensorState",
     ),
+    "battery": ("sensor_msgs/msg/BatteryState",),
     "detections": ("apriltag_msgs/msg/AprilTagDetectionArray", "sensor_msgs/msg/PointCloud2"),
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
 }

@@ -10,8 +10,7 @@ from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, repl
 
 def base_state(stamp, **changes):
     """What a base says of itself where nothing is wrong with it, but for some fields."""
-    usual = BaseState(stamp, 13.8, "good", "", False, 0, 0, "1.1.4", "1.0.4", "1", 0, 0, 0)
-    return replace(usual, **changes)
+    return replace(BaseState(stamp, 13.8), **changes)
 
 
 class FakeDevice:

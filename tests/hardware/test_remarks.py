@@ -86,6 +86,11 @@ def test_a_battery_that_stays_low_is_told_and_one_that_sags_is_not():
     assert line == "the battery is nearly empty, 13.8 V: the robot stops and the mission ends; charge it"
 
 
+def test_what_is_left_is_told_as_it_is_known():
+    looks = [(float(i), [], base_state(float(i), charge=0.12, battery_level="low")) for i in range(20)]
+    assert lines(looks)[0].startswith("the battery is low, 12 %: ")
+
+
 def frames(*counts):
     """What is told of frames heard, corrupt and lost, counted every second since the connection began."""
     looks = [(float(i), [], base_state(float(i), frames=f, bad_frames=b, lost_frames=lost))

@@ -1,5 +1,7 @@
 """What both transports do with what they receive."""
 
+import math
+
 import pytest
 
 from tfg_drake.hardware.ros.intake import Intake
@@ -42,6 +44,47 @@ def test_a_base_that_counts_anew_goes_on_where_it_was():
     assert [one.X_OB[0] for one in intake.take()][-21:] == pytest.approx(
         [5.19] + [5.19 + 0.01 * i for i in range(20)], abs=1e-9
     )
+
+
+def battery(percentage, status=2, voltage=12.0):
+    """sensor_msgs/BatteryState; status 1 is charging, 2 discharging."""
+    return {"voltage": voltage, "percentage": percentage, "power_supply_status": status}
+
+
+@pytest.mark.parametrize(
+    ("message", "level", "alarm"),
+    [
+        (battery(0.8), "good", None),
+        (battery(0.15), "low", None),
+        (battery(12.0), "low", None),  # percent
+        (battery(0.05), "dangerous", "the battery is down to 5 %: charge it, then enable the base"),
+        (battery(3.0), "dangerous", "the battery is down to 5 %: charge it, then enable the base"),
+        (battery(104.0), "good", None),
+        (battery(0.03, status=1), "good", "the base is charging: take it off its dock or its cable, then enable it"),
+        (battery(math.nan), "good", None),
+        (battery(None), "good", None),
+        (battery(0.0, 0, 0.0), "good", None),  # a base that has not looked yet
+        (battery(0.03, 2, None), "dangerous", "the battery is down to 5 %: charge it, then enable the base"),
+    ],
+)
+def test_a_battery_is_judged_by_its_percentage(message, level, alarm):
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("odometry", preset.topics.odometry), ("battery", preset.topics.battery)])
+    intake.receive("battery", preset.topics.battery, message, 5.0)
+    assert [(one.stamp, one.battery_level) for one in intake.take()] == [(5.0, level)]
+    assert intake.alarm == alarm
+    assert intake.fault() is None
+    intake.receive("battery", preset.topics.battery, battery(0.8), 6.0)
+    assert intake.alarm is None
+
+
+def test_a_battery_that_makes_no_sense_is_refused_and_told_once():
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("odometry", preset.topics.odometry), ("battery", preset.topics.battery)])
+    for _ in range(5):
+        intake.receive("battery", preset.topics.battery, battery("much"), 5.0)
+    assert intake.take() == []
+    assert len(intake.remarks()) == 1
 
 
 def test_an_alarm_without_a_stamp_is_not_lost_while_the_clock_is_learned():
