@@ -18,6 +18,7 @@ from tfg_drake.messages import LaserScan, TagDetections
 PATIENCE = 5.0
 # A line that is longer than this is none, bytes.
 LONGEST_LINE = 1_000_000
+_TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
 # Between two attempts to connect again, s: the first and the last.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
 
@@ -117,12 +118,16 @@ class SocketDriver:
         *lines, rest = self._pending.split(b"\n")
         self._pending = rest
         for line in lines:
-            self._read(bytes(line))
+            self.read(bytes(line))
         if len(self._pending) > LONGEST_LINE:
             self._pending.clear()  # what is left of it will be malformed, too
-            self._refuse(f"a line of more than {LONGEST_LINE} bytes")
+            self._refuse(_TOO_LONG)
 
-    def _read(self, line: bytes) -> None:
+    def read(self, line: bytes) -> None:
+        """Takes in a line; one that says no message is refused, whatever it holds."""
+        if len(line) > LONGEST_LINE:
+            self._refuse(_TOO_LONG)
+            return
         try:
             message = message_of(line)
         except Exception as error:  # whatever a line holds, the next one may be good

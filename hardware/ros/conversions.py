@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import math
+import reprlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -75,7 +76,7 @@ def _bounded(value: Any, name: str, most: float) -> float:
     except (TypeError, ValueError, OverflowError):
         result = math.nan
     if not abs(result) <= most:
-        raise ValueError(f"{name} is {str(value)[:40]!r}, no number up to {most:g}")
+        raise ValueError(f"{name} is {reprlib.repr(value)}, no number up to {most:g}")
     return result
 
 

@@ -69,12 +69,12 @@ def test_the_stamp_of_ros_1():
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"x": math.nan}, "pose.pose.position.x is 'nan', no number up to 100000"),
-        ({"x": 1e200}, "pose.pose.position.x is '1e+200', no number up to 100000"),
-        ({"x": 10**400}, f"pose.pose.position.x is '{10**39}', no number up to 100000"),
-        ({"v": math.inf}, "twist.twist.linear.x is 'inf', no number up to 1e+09"),
-        ({"v": None}, "twist.twist.linear.x is 'None', no number up to 1e+09"),
-        ({"yaw": math.nan}, "pose.pose.orientation.z is 'nan', no number up to 1e+09"),
+        ({"x": math.nan}, "pose.pose.position.x is nan, no number up to 100000"),
+        ({"x": 1e200}, "pose.pose.position.x is 1e+200, no number up to 100000"),
+        ({"x": 10**400}, f"pose.pose.position.x is 1{'0' * 17}...{'0' * 19}, no number up to 100000"),
+        ({"v": math.inf}, "twist.twist.linear.x is inf, no number up to 1e+09"),
+        ({"v": None}, "twist.twist.linear.x is None, no number up to 1e+09"),
+        ({"yaw": math.nan}, "pose.pose.orientation.z is nan, no number up to 1e+09"),
     ],
 )
 def test_odometry_that_is_refused(change, line):
@@ -154,9 +154,9 @@ def test_a_sweep_is_told_as_of_its_middle():
     [
         ({"angle_increment": 0.0}, "scan of angles 0.0 + i * 0.0 and ranges from 0.15 to 12.0"),
         ({"range_min": 13.0}, "scan of angles 0.0 + i * 0.1 and ranges from 13.0 to 12.0"),
-        ({"range_max": math.nan}, "range_max is 'nan', no number up to 1000"),
-        ({"range_max": 1e300}, "range_max is '1e+300', no number up to 1000"),
-        ({"time_increment": math.inf}, "time_increment is 'inf', no number up to 1"),
+        ({"range_max": math.nan}, "range_max is nan, no number up to 1000"),
+        ({"range_max": 1e300}, "range_max is 1e+300, no number up to 1000"),
+        ({"time_increment": math.inf}, "time_increment is inf, no number up to 1"),
         ({"ranges": 3.0}, "ranges is no list"),
         ({"ranges": [[1.0]]}, "ranges is no list of numbers"),
         ({"ranges": range(10**9)}, "ranges has 1000000000 entries; 50000 are the most that is plausible"),
@@ -241,7 +241,7 @@ def test_a_corner_that_is_none_costs_one_sighting(bad):
 def test_a_camera_without_calibration_is_refused():
     with pytest.raises(ValueError, match="camera_info holds no calibration"):
         conversions.calibration({"p": [0.0] * 12})
-    with pytest.raises(ValueError, match="camera_info's P is 'inf', no number up to 100000"):
+    with pytest.raises(ValueError, match="camera_info's P is inf, no number up to 100000"):
         conversions.calibration({"P": [math.inf] * 12})
     with pytest.raises(ValueError, match="does not have twelve numbers"):
         conversions.calibration({"p": [1.0] * 3})
@@ -279,9 +279,9 @@ def test_plain_detections_over_rosbridge():
 def test_plain_detections_that_are_refused():
     for change, line in (
         ({"width": -1}, "width is -1, no whole number from 0 to 2000"),
-        ({"width": math.inf}, "width is 'inf', no number up to 2000"),
+        ({"width": math.inf}, "width is inf, no number up to 2000"),
         ({"width": 1000, "height": 1000}, "1000000 points; 2000 are the most that is plausible"),
-        ({"point_step": 10**9}, "point_step is '1000000000', no number up to 4096"),
+        ({"point_step": 10**9}, "point_step is 1000000000, no number up to 4096"),
         ({"data": 10**12}, "data is no list"),
     ):
         with pytest.raises(ValueError, match=r".") as error:
