@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tfg_drake.diagrams import explore_command
+from tfg_drake.diagrams import explore_command, run_folder
 from tfg_drake.diagrams.command_line import BadInput, wait_for_enter
 from tfg_drake.diagrams.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.kobuki_command import kobuki_app
@@ -136,7 +136,8 @@ def explore(
     from tfg_drake.diagrams import run
 
     opened = explore_command.open_robot(robot, loaded, explorer, meshcat, _interrupted, _interrupt)
-    with opened as (driven, loaded), explore_command.ProgressDisplay() as show:
+    shown = explore_command.remarks_on_screen()
+    with shown, opened as (driven, loaded), explore_command.ProgressDisplay() as show:
         try:
             result = run.explore(
                 loaded,
@@ -153,7 +154,8 @@ def explore(
             )
         except OSError as error:
             _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
-    for name, value in [*explore_command.table_rows(result.summary), ("files", str(result.folder))]:
+    rows = [*explore_command.table_rows(result.summary), *explore_command.unwritten_rows(result.unwritten)]
+    for name, value in [*rows, ("files", str(result.folder))]:
         print(f"{name:<12}{value}")
     if result.summary["outcome"] == "fault":
         log = result.folder / "log.txt"
@@ -162,7 +164,8 @@ def explore(
         wait_for_enter()
     if as_json:
         print(json.dumps(result.summary), flush=True)
-    raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
+    kept = explore_command.is_kept(result.unwritten)
+    raise typer.Exit(EXIT_CODES[result.summary["outcome"]] if kept else explore_command.NOT_WRITTEN)
 
 
 @app.command()
@@ -199,7 +202,6 @@ def compare(
         _bad_input("--jobs and --ray exclude each other; a cluster knows how many missions it can run")
 
     from tfg_drake.diagrams import compare_command, comparison_report
-    from tfg_drake.diagrams.run_folder import make_run_folder
     from tfg_drake.diagrams.sweep import SweepError, Task, parse_methods
 
     name = explore_command.run_name(scenario, world)
@@ -213,14 +215,15 @@ def compare(
         tasks = [Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names]
         if out is not None:
             _make_writable(out)
-        folder = make_run_folder(out, f"compare-{name}")
+        folder = run_folder.make_run_folder(out, f"compare-{name}")
         _announce_compilation()
-        runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted)
         given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", methods)]
         given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
         words = [str(word) for option, value in given if value is not None for word in (option, value)]
         command = shlex.join(["tfg-drake", "compare", scenario, *words])
-        comparison_report.write_comparison(runs, tasks, folder, command)
+        with run_folder.claimed(folder):
+            runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted)
+            comparison_report.write_comparison(runs, tasks, folder, command)
     except SweepError as error:
         _bad_input(str(error))
     except OSError as error:
@@ -282,9 +285,10 @@ def figures(
         return _interrupted.is_set()
 
     try:
-        files = write_figures(out, on_stage)
-        if not _interrupted.is_set():
-            files.append(write_tables(out, _interrupted))
+        with run_folder.claimed(out):
+            files = write_figures(out, on_stage)
+            if not _interrupted.is_set():
+                files.append(write_tables(out, _interrupted))
     except SweepError as error:
         _bad_input(str(error))
     except OSError as error:
@@ -361,6 +365,11 @@ def _make_writable(folder: Path) -> None:
         _bad_input(f"--out {folder}: {(error.strerror or str(error)).lower()}; name a folder that can be written")
     if not os.access(folder, os.W_OK | os.X_OK):
         _bad_input(f"--out {folder}: permission denied; name a folder that can be written")
+    try:
+        with run_folder.claimed(folder):
+            pass  # Better now than when the robot is connected.
+    except BlockingIOError as error:
+        _bad_input(f"--out {folder}: {error.strerror}")
 
 
 def _parse_start(text: str | None) -> tuple[float, float, float] | None:

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.run import Progress
     from tfg_drake.diagrams.scenario import Scenario
 
+# Exit code where the map or the summary could not be written.
+NOT_WRITTEN = 4
+# What remarks what an operator is to see at once.
+REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording")
 # Wall time between two lines of progress where there is no terminal, s.
 LINE_INTERVAL = 10.0
 
@@ -113,19 +117,18 @@ def open_robot(
         for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what is known is written
             signal.signal(number, on_signal)
         Rehearse(scenario, method, interrupted)
-        stack.enter_context(_remarks_on_screen())
         print(HELP, flush=True)
         yield opened
 
 
 @contextlib.contextmanager
-def _remarks_on_screen() -> Iterator[None]:
-    """What base, operator and picture remark is shown, too."""
+def remarks_on_screen() -> Iterator[None]:
+    """What base, operator, picture and the run's files remark is shown, too."""
     import logging
 
     handler = logging.StreamHandler(sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
-    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in ("hardware", "operator", "picture")]
+    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING]
     for logger in loggers:
         logger.addHandler(handler)
     try:
@@ -174,8 +177,8 @@ class ProgressDisplay:
             self._next_line = time.monotonic() + LINE_INTERVAL
             try:
                 print(progress_line(progress), flush=True)
-            except BrokenPipeError:
-                self._next_line = math.inf  # Nobody reads on; the mission's folder is still wanted.
+            except OSError:
+                self._next_line = math.inf  # Nobody reads on, or the disk is full; the mission's map is still wanted.
 
 
 def progress_line(progress: Progress) -> str:
@@ -189,6 +192,16 @@ def progress_line(progress: Progress) -> str:
         f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
         f" {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
     )
+
+
+def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
+    """What the closing table says of files that could not be written, name by name, and why."""
+    return [("not written", f"{name}: {reason}") for name, reason in unwritten.items()]
+
+
+def is_kept(unwritten: dict[str, str]) -> bool:
+    """Whether the map and the summary of a run are on the disk."""
+    return not unwritten.keys() & {"map.npz", "grid.npz", "summary.json"}
 
 
 def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:

@@ -86,22 +86,26 @@ def AssembleExplorer(systems: Mapping[str, LeafSystem]) -> Diagram:
     return diagram
 
 
-def MapOfExplorer(explorer: Diagram, context: Context, X_WM: FloatArray) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
+def MapOfExplorer(
+    explorer: Diagram, context: Context, X_WM: FloatArray, *, final: bool = True
+) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
     """The map of a running explorer, to be kept with `tfg_drake.mapfile.saved_map.save_map`, its estimate and TFG.
 
-    A large map, of which the estimator solves a window at a time, is solved as a whole here.
-
     Args:
+        final: a large map, of which the estimator solves a window at a time, is solved as a whole; else it is taken as
+            it is.
         explorer: with a slam_estimator and a tfg_builder, context: its own.
         X_WM: (3,) pose of the map frame in the world, m and rad: the true start pose, zeros where none is known.
 
     Returns None before the first goal is in the map and its surfaces are.
     """
     estimator, builder = explorer.GetSubsystemByName("slam_estimator"), explorer.GetSubsystemByName("tfg_builder")
-    state = settled(estimator.estimator(explorer.GetSubsystemContext(estimator, context)))
+    state = estimator.estimator(explorer.GetSubsystemContext(estimator, context))
+    if final:
+        state = settled(state)
     builder_context = explorer.GetSubsystemContext(builder, context)
     tfg_graph = builder.graph(builder_context)
     if state.map is None or tfg_graph.stage == 0:
         return None
-    tfg = builder.tfg(builder_context, state.map)
+    tfg = builder.tfg(builder_context, state.map) if final else explorer.GetOutputPort("tfg").Eval(context)
     return saved_map(X_WM, state, tfg_graph, tfg), state.map, tfg

@@ -12,6 +12,7 @@ import numpy as np
 
 from tfg_drake import __version__
 from tfg_drake.diagrams.errors import KnownWorld, path_length, pose_errors
+from tfg_drake.diagrams.run_folder import RunFolder
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.figure import draw_run
 from tfg_drake.files import write_atomic
@@ -27,36 +28,25 @@ SCHEMA = 1
 NO_POSES = np.zeros((0, 3))
 
 
-def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, world_name: str) -> dict[str, Any]:
-    """Write map.npz, trajectory.tum, truth.tum, summary.json and figure.png, and return the summary.
+def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
+    """Write map.npz or grid.npz, summary.json, trajectory.tum, truth.tum and figure.png, and return the summary.
 
     What would take the world or the truth is null where that is not known, and there is no truth.tum. The distance is
-    that of the estimate then, and every landmark of the map counts as mapped.
-
-    Raises:
-        OSError: a file cannot be written.
+    that of the estimate then, and every landmark of the map counts as mapped. A file that cannot be written is told to
+    the folder, and the others are written all the same.
     """
-    tfg, estimate = mission.tfg, mission.map
+    tfg, estimate, grid = mission.tfg, mission.map, mission.grid
     map_bytes = 0
     final = mission.final_map()
     if final is not None:
         saved, estimate, tfg = final
-        save_map(folder / "map.npz", saved)
-        map_bytes = (folder / "map.npz").stat().st_size
-    else:
-        (folder / "map.npz").unlink(missing_ok=True)  # of an earlier run in this folder
-    if mission.grid is not None:
-        save_grid(folder / "grid.npz", mission.grid)
-        map_bytes = (folder / "grid.npz").stat().st_size
-    else:
-        (folder / "grid.npz").unlink(missing_ok=True)
+        folder.attempt("map.npz", lambda path: save_map(path, saved))
+        map_bytes = _size(folder.path / "map.npz")
+    if grid is not None:
+        folder.attempt("grid.npz", lambda path: save_grid(path, grid))
+        map_bytes = _size(folder.path / "grid.npz")
     stamps, X_WB = mission.estimated_poses()
-    write_tum(folder / "trajectory.tum", stamps, X_WB)
     true_poses = mission.true_poses()
-    if true_poses is not None:
-        write_tum(folder / "truth.tum", *true_poses)
-    else:
-        (folder / "truth.tum").unlink(missing_ok=True)
 
     summary: dict[str, Any] = {
         "schema": SCHEMA,
@@ -109,12 +99,19 @@ def write_report(mission: Mission, scenario: Scenario, folder: Path, name: str, 
     if mission.truth is not None:
         summary |= {"contacts": mission.truth.contacts, "min_clearance_m": mission.truth.clearance}
     summary = _null_where_not_finite(summary)
-    write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    folder.attempt("summary.json", lambda path: write_atomic(path, text))
+    folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
+    if true_poses is not None:
+        folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
     X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
-    draw_run(
-        folder / "figure.png", _title(summary), mission.world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable
-    )
+    seen = (mission.world, estimate, tfg, grid, X_WB, X_WB_true, reachable)
+    folder.attempt("figure.png", lambda path: draw_run(path, _title(summary), *seen))
     return summary
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
 
 
 def _landmarks_mapped(mission: Mission, estimate: MapEstimate | None) -> int | None:

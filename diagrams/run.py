@@ -2,7 +2,8 @@
 
 A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
 trajectory.tum (in W), truth.tum where the truth is known, ports.mcap (what the station's ports carried), figure.png,
-scenario.yaml (resolved) and log.txt.
+scenario.yaml (resolved) and log.txt. The map is there while it grows, at most a stage old. A file that cannot be
+written, as to a full disk, ends no mission.
 """
 
 from __future__ import annotations
@@ -34,19 +35,21 @@ from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.report import write_report
 from tfg_drake.diagrams.robots import SIMULATED, Robot
-from tfg_drake.diagrams.run_folder import logging_to, make_run_folder
+from tfg_drake.diagrams.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.truth import Truth
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
-from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.grid.saved_grid import save_grid
+from tfg_drake.mapfile.saved_map import SavedMap, save_map
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.port_recording import FILE_NAME, PortWriter
 from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
+from tfg_drake.systems.picture import Picture
 from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.visualizer import TfgVisualizer
@@ -75,6 +78,9 @@ STEP = 1.0
 REAL_STEP = 0.25
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
 AREA_INTERVAL = 5.0
+# A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
+QUICKLY_KEPT = 0.02
+KEPT_SHARE = 0.01
 # A robot that observes this near to its goal was there, m.
 AT_GOAL = 0.3
 
@@ -98,11 +104,13 @@ class Progress:
 
 @dataclasses.dataclass(frozen=True)
 class RunResult:
-    """A finished mission: the contents of summary.json and stages.jsonl, and the folder they are in."""
+    """A finished mission: the contents of summary.json and stages.jsonl, the folder they are in, and the files there
+    that could not be written, with the reason."""
 
     summary: dict[str, Any]
     stages: list[dict[str, Any]]
     folder: Path
+    unwritten: dict[str, str]
 
 
 def explore(
@@ -112,7 +120,7 @@ def explore(
     robot: Robot = SIMULATED,
     name: str = "scenario",
     world_name: str | None = None,
-    meshcat: Meshcat | None = None,
+    meshcat: Meshcat | Picture | None = None,
     realtime_rate: float = 0.0,
     max_time: float = 3600.0,
     out_dir: Path | None = None,
@@ -133,31 +141,67 @@ def explore(
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
         on_progress: called about once a simulated second, and once more before the files of the run are written.
         interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
-        record: what the station's ports carry goes to ports.mcap, to be played again.
+        record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
+            grows; not for what a seed gives again.
 
     The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
     the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
     there is gets written.
 
     Raises:
-        OSError: the folder cannot be written.
+        OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
+            later is told in the log and in the result.
     """
-    folder = make_run_folder(out_dir, f"{name}-{scenario.seed}")
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with threadpool_limits(limits=1), logging_to(folder / "log.txt"):
-        write_atomic(folder / "scenario.yaml", yaml_dump_typed(scenario))
+    with (
+        threadpool_limits(limits=1),
+        open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder,
+        folder.logging(),
+    ):
+        write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         title = name if method.name == "tfg" else f"{name}, {method.name}"
-        (folder / FILE_NAME).unlink(missing_ok=True)  # of an earlier run in this folder
         with contextlib.ExitStack() as stack:
-            writer = stack.enter_context(PortWriter(folder / FILE_NAME, robot.name)) if record else None
+            writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name)) if record else None
+            folder.keep_reserve()
             stop = interrupted if interrupted is not None else stack.enter_context(_interrupts())
             mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}", robot, writer)
-            with (folder / "stages.jsonl").open("w", buffering=1) as stages_file:
-                mission.run(realtime_rate, max_time, stop, stages_file.write, on_progress)
+            folder.append("stages.jsonl", "")
+            keep = _Keeper(mission, folder) if record else None
+            mission.run(
+                realtime_rate, max_time, stop, lambda line: folder.append("stages.jsonl", line), on_progress, keep
+            )
+            folder.give_up_reserve()
             summary = write_report(mission, scenario, folder, name, world_name or name)
+        if writer is not None and writer.failure is not None:
+            folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
+        folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
-    return RunResult(summary, mission.stages, folder)
+    return RunResult(summary, mission.stages, folder.path, folder.unwritten)
+
+
+class _Keeper:
+    """Keeps the map of a mission under way on the disk: that of the newest stage, unless that takes too long."""
+
+    def __init__(self, mission: Mission, folder: RunFolder) -> None:
+        self._mission, self._folder = mission, folder
+        self._stage, self._again = 0, 0.0
+
+    def __call__(self) -> None:
+        mission = self._mission
+        newest = mission.tfg if mission.tfg is not None else mission.grid
+        if newest is None or newest.stage <= self._stage or time.monotonic() < self._again:
+            return
+        start = time.thread_time()
+        grid, found = mission.grid, mission.newest_map()
+        if grid is not None:
+            self._folder.attempt("grid.npz", lambda path: save_grid(path, grid, final=False))
+        elif found is not None:
+            self._folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
+        self._stage = newest.stage
+        spent = time.thread_time() - start
+        if spent > QUICKLY_KEPT:
+            self._again = time.monotonic() + spent / KEPT_SHARE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,7 +228,7 @@ class Mission:
         self,
         scenario: Scenario,
         method: Method,
-        meshcat: Meshcat | None,
+        meshcat: Meshcat | Picture | None,
         title: str,
         robot: Robot = SIMULATED,
         writer: PortWriter | None = None,
@@ -218,8 +262,10 @@ class Mission:
         interrupted: threading.Event,
         write: Callable[[str], object],
         on_progress: Callable[[Progress], None] | None,
+        keep: Callable[[], None] | None = None,
     ) -> None:
-        """Simulate until the mission ends, for a reason."""
+        """Simulate until the mission ends, for a reason. write: takes a line a stage. keep: called now and then, to
+        keep what there is; what these two raise ends the mission."""
         wall_start = time.monotonic()
         try:
             self._build()
@@ -233,6 +279,8 @@ class Mission:
                 status = self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
                 terminated = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
                 self._observe(write)
+                if keep is not None:
+                    keep()
                 if on_progress is not None:
                     on_progress(self._progress(time.monotonic() - wall_start))
             if not terminated:
@@ -289,6 +337,14 @@ class Mission:
         if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
         return MapOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context), self.X_WM)
+
+    def newest_map(self) -> SavedMap | None:
+        """The map as it is while the mission runs, to be kept; None before the first goal, and of a grid."""
+        if self._context is None or not self._explorer.HasOutputPort("map"):
+            return None
+        context = self._explorer.GetMyContextFromRoot(self._context)
+        found = MapOfExplorer(self._explorer, context, self.X_WM, final=False)
+        return found[0] if found is not None else None
 
     def _build(self) -> None:
         diagram, truth_log, self._pose_log = MakeMissionDiagram(
@@ -415,7 +471,7 @@ class Mission:
 def MakeMissionDiagram(
     scenario: Scenario,
     world: World | None,
-    meshcat: Meshcat | None,
+    meshcat: Meshcat | Picture | None,
     title: str,
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
     robot: Robot = SIMULATED,

@@ -24,7 +24,7 @@ from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.online import run_online
 from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
-from tfg_drake.diagrams.run_folder import logging_to, make_run_folder
+from tfg_drake.diagrams.run_folder import open_run_folder
 from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.slam.batch_smoother import smooth
@@ -91,30 +91,29 @@ def run_slam(
 
     Raises:
         DatasetError: the data set cannot be used; nothing is written.
-        OSError: the folder cannot be written.
+        OSError: the folder cannot be written, or another run is at work in it.
     """
     report = on_progress or (lambda _part, _share: None)
     cpu, wall = time.process_time(), time.monotonic()
     loaded = load_dataset(dataset, robot)
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
-    folder = make_run_folder(out, name)
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with threadpool_limits(limits=1), logging_to(folder / "log.txt"):
+    with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
         if isinstance(loaded, PoseGraph):
-            figures = _solve_graph(loaded, dataset, name, folder, report)
+            figures = _solve_graph(loaded, dataset, name, folder.path, report)
         else:
-            figures = _run_recording(loaded, folder, report)
-    summary = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "dataset": str(dataset),
-        "name": name,
-        **figures,
-        "cpu_time_s": time.process_time() - cpu,
-        "wall_time_s": time.monotonic() - wall,
-    }
-    write_atomic(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
-    return SlamResult(summary, folder)
+            figures = _run_recording(loaded, folder.path, report)
+        summary = {
+            "schema": SCHEMA,
+            "version": __version__,
+            "dataset": str(dataset),
+            "name": name,
+            **figures,
+            "cpu_time_s": time.process_time() - cpu,
+            "wall_time_s": time.monotonic() - wall,
+        }
+        write_atomic(folder.path / "summary.json", json.dumps(summary, indent=2) + "\n")
+    return SlamResult(summary, folder.path)
 
 
 def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:

@@ -27,11 +27,11 @@ class MeshcatButtons:
         self._picture = picture_of(meshcat)
         self._opened = 0  # which Meshcat has them
         self._clicks: dict[str, int] = {}
-        self._picture.attempt(self._read, [])
+        self._picture.attempt(self._read, list[Request]())
 
     def requests(self) -> list[Request]:
         """What was asked for since the last call; nothing while the picture is lost."""
-        return self._picture.attempt(self._read, [])
+        return self._picture.attempt(self._read, list[Request]())
 
     def _read(self) -> list[Request]:
         meshcat = self._picture.meshcat

@@ -7,12 +7,14 @@ import tempfile
 from pathlib import Path
 
 
-def write_atomic(path: Path, data: bytes | str) -> None:
+def write_atomic(path: Path, data: bytes | str, *, durable: bool = True) -> None:
     """Write a file by way of a temporary neighbour and a rename, so that no reader ever meets half of it.
 
     Args:
         path: the file; its folder must exist.
         data: the contents, text as UTF-8.
+        durable: they are on the disk, not only on their way there, when this returns. Without it the file outlives the
+            program all the same, and nobody waits for a disk; a power cut may cost it.
 
     Raises:
         OSError: the file cannot be written; what was there before is untouched.
@@ -22,8 +24,9 @@ def write_atomic(path: Path, data: bytes | str) -> None:
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(contents)
-            file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)  # mkstemp makes it private

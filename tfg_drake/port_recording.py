@@ -89,12 +89,13 @@ class PortWriter:
     """A recording being written, a context manager: closing it makes the file whole.
 
     What cannot be written after the beginning, as to a full disk, ends the recording with a line in the log, and not
-    the run.
+    the run; failure: what ended it, None where nothing did.
     """
 
     def __init__(self, path: Path, robot: str) -> None:
         """robot: what was driven. Raises OSError where the file cannot be written."""
         self._path = path
+        self.failure: OSError | None = None
         self._file = path.open("wb")
         self._writer: Writer | None = Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
         self._writer.start(library="tfg_drake")
@@ -174,7 +175,7 @@ class PortWriter:
 
     def _give_up(self, error: OSError) -> None:
         _log.error("%s: cannot be written: %s; the run is not recorded any further", self._path, error.strerror)
-        self._writer = None
+        self._writer, self.failure = None, error
         try:
             self._file.close()
         except OSError:

@@ -11,10 +11,12 @@ from tfg_drake.files import write_atomic
 from tfg_drake.messages import GridMap
 
 
-def save_grid(path: Path, grid: GridMap) -> None:
-    """Write a grid, atomically; raises OSError where it cannot be written."""
+def save_grid(path: Path, grid: GridMap, *, final: bool = True) -> None:
+    """Write a grid, atomically; one that is not final neither compressed nor durable. Raises OSError where it cannot
+    be written."""
     buffer = io.BytesIO()
-    np.savez_compressed(
+    save = np.savez_compressed if final else np.savez
+    save(
         buffer,
         stage=grid.stage,
         stamp=grid.stamp,
@@ -22,7 +24,7 @@ def save_grid(path: Path, grid: GridMap) -> None:
         origin=grid.origin,
         probability=grid.probability,
     )
-    write_atomic(path, buffer.getvalue())
+    write_atomic(path, buffer.getvalue(), durable=final)
 
 
 def load_grid(path: Path) -> GridMap:

@@ -228,15 +228,16 @@ def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
     )
 
 
-def save_map(path: Path, saved: SavedMap) -> None:
-    """Write a map, atomically.
+def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
+    """Write a map, atomically; one that is not final in a quarter of the time, neither compressed nor durable.
 
     Raises:
         OSError: the file cannot be written.
     """
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, schema=np.int64(SCHEMA), **to_arrays(saved, REGISTRY))  # type: ignore[arg-type]
-    write_atomic(path, buffer.getvalue())
+    save = np.savez_compressed if final else np.savez
+    save(buffer, schema=np.int64(SCHEMA), **to_arrays(saved, REGISTRY))  # type: ignore[arg-type]
+    write_atomic(path, buffer.getvalue(), durable=final)
 
 
 def load_map(path: Path) -> SavedMap:
