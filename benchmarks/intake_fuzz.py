@@ -36,7 +36,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
-from tfg_drake.hardware.device import Device
+from tfg_drake.hardware.device import BaseState, Device
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.codec import HEADER, MAX_PAYLOAD, checksum, encode
 from tfg_drake.hardware.kobuki.connection import Connection
@@ -66,8 +66,11 @@ TYPES = {
     "PointCloud2": "sensor_msgs/msg/PointCloud2",
     "apriltag": "apriltag_msgs/msg/AprilTagDetectionArray",
     "camera_info": "sensor_msgs/msg/CameraInfo",
+    "battery": "sensor_msgs/msg/BatteryState",
 }
 PRESET = load_preset("turtlebot2")
+# What the process of the base listens to.
+BASE = ("odometry", "hazards", "battery")
 
 Row = dict[str, float]
 
@@ -111,6 +114,7 @@ GOOD: dict[str, Callable[[float], dict[str, Any]]] = {
     "PointCloud2": _cloud,
     "apriltag": _corners,
     "camera_info": _camera,
+    "battery": lambda stamp: {"header": _header(stamp), "voltage": 12.1, "percentage": 0.8, "power_supply_status": 2},
     "kobuki_ros_interfaces/msg/BumperEvent": lambda _: {"bumper": 1, "state": 1},
     "kobuki_ros_interfaces/msg/CliffEvent": lambda _: {"sensor": 2, "state": 1, "bottom": 9},
     "kobuki_ros_interfaces/msg/WheelDropEvent": lambda _: {"wheel": 0, "state": 1},
@@ -185,7 +189,7 @@ class Ros:
         self._tags = Topic("/tags", TYPES["apriltag"])
         topics = [(self._use, self._topic), ("detections", self._tags)]
         if self._use != "odometry":
-            topics.append(("odometry" if self._use == "hazards" else "clock", self._clock))
+            topics.append(("odometry" if self._use in BASE else "clock", self._clock))
         self._intake = Intake(PRESET, topics)
         for _ in range(50):
             self._steady()
@@ -193,7 +197,7 @@ class Ros:
 
     def _steady(self) -> None:
         self._now += PERIOD
-        key = "odometry" if self._use in ("odometry", "hazards") else "clock"
+        key = "odometry" if self._use in BASE else "clock"
         self._intake.receive(key, self._topic if key == self._use else self._clock, _odometry(self._now), self._now)
         self._intake.receive("camera_info", self._camera, _camera(self._now), self._now)
 
@@ -212,11 +216,8 @@ class Ros:
             self._intake.receive("detections", self._tags, _corners(arrival), arrival)
 
     def take(self) -> list[Any]:
-        taken = [
-            one for one in self._intake.take() if self._use in ("odometry", "hazards") or type(one) is not Odometry
-        ]
+        taken = self._intake.take()
         self._steady()
-        self._intake.take() if self._use != "odometry" else taken.extend(self._intake.take())
         self._intake.fault()
         return taken
 
@@ -355,7 +356,8 @@ def sound(message: Any, now: float) -> bool:
             and 1e-5 < message.sigma < 2.0
             and all(r != r or r == math.inf or 0.0 < r < message.range_max + 10.0 for r in ranges)
         )
-    return True  # a base's state drives nothing
+    assert isinstance(message, BaseState)
+    return all(value != value or 0.0 <= value < 1e5 for value in (message.battery, message.charge))
 
 
 def fuzz(make: Callable[[str, int], Any], name: str, messages: int, seed: int) -> Row:

@@ -315,7 +315,8 @@ HAZARDS = {
 
 def battery(message: Any, stamp: float) -> BaseState:
     """sensor_msgs/BatteryState, by its percentage: a share from 0 to 1, or to 100, as some drivers have it. Its voltage
-    says little where nobody knows the battery. nan, null and 0 say nothing: a driver that does not know writes any."""
+    says little where nobody knows the battery. nan, null and what is not above 0 say nothing: a driver that does not
+    know writes any."""
     volts, charge = (_known(message, name) for name in ("voltage", "percentage"))
     charge = charge if charge <= GREATEST_SHARE else 0.01 * charge
     charging = count(message, "power_supply_status", 255) == _CHARGING
@@ -325,7 +326,7 @@ def battery(message: Any, stamp: float) -> BaseState:
 
 def _known(message: Any, path: str) -> float:
     value = field(message, path)
-    return math.nan if value is None or value != value or value == 0 else _bounded(value, path, 1e4)
+    return math.nan if value is None or value != value or value <= 0 else _bounded(value, path, 1e4)
 
 
 def twist(speed: float, turn_rate: float) -> dict[str, dict[str, float]]:

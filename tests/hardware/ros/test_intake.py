@@ -6,6 +6,7 @@ import pytest
 
 from tfg_drake.hardware.ros.intake import Intake
 from tfg_drake.hardware.ros.preset import load_preset
+from tfg_drake.messages import LaserScan
 
 
 def odometry(stamp, frame="odom", x=0.0):
@@ -94,3 +95,50 @@ def test_an_alarm_without_a_stamp_is_not_lost_while_the_clock_is_learned():
     fields = {"bumper": 1, "cliff": 0.0, "sonar": 0.0, "illumination": 0.0, "led": 0, "button": 0, "torque": True}
     intake.receive("hazards", topic, fields | {"left_encoder": 0, "right_encoder": 0, "battery": 12.0}, 5.0)
     assert [one.bumper != 0 for one in intake.take()] == [True]
+
+
+class Raises:
+    """A message that raises whatever is asked of it."""
+
+    def __init__(self, error):
+        self._error = error
+
+    def __getattr__(self, name):
+        raise self._error
+
+
+@pytest.mark.parametrize(
+    "error", [OverflowError("too large"), RecursionError("deep"), ZeroDivisionError(), MemoryError()]
+)
+def test_whatever_a_message_raises_it_is_refused_and_told_once(error):
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("scan", preset.topics.scan), ("clock", preset.topics.odometry)])
+    for i in range(3):
+        intake.receive("scan", preset.topics.scan, Raises(error), 5.0 + i)
+    assert intake.remarks() == [f"/scan: messages are not used: {error}".strip()]
+    assert intake.remarks() == []
+    assert intake.refusals.counts.total() == 3
+
+
+def test_the_odometry_tells_sensors_the_clock_and_is_not_theirs_to_say():
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("scan", preset.topics.scan), ("clock", preset.topics.odometry)])
+    scan = {"ranges": [1.0, 2.0], "angle_min": 0.0, "angle_increment": 0.1, "time_increment": 0.0}
+    scan |= {"range_min": 0.1, "range_max": 12.0}
+    for i in range(20):
+        intake.receive("clock", preset.topics.odometry, odometry(100.0 + 0.1 * i), 5.0 + 0.1 * i)
+        late = {"header": odometry(100.0 + 0.1 * i)["header"]} | scan
+        intake.receive("scan", preset.topics.scan, late, 5.0 + 0.1 * i + 0.06)
+    taken = intake.take()
+    assert {type(one) for one in taken} == {LaserScan}
+    assert taken[-1].stamp == pytest.approx(5.0 + 0.1 * 19, abs=1e-6)
+
+
+def test_a_sensors_clock_that_jumps_stops_no_base_but_is_told():
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("scan", preset.topics.scan), ("clock", preset.topics.odometry)])
+    for i in range(20):
+        jump = 5.0 if i == 15 else 0.0
+        intake.receive("clock", preset.topics.odometry, odometry(100.0 + jump + 0.1 * i), 5.0 + 0.1 * i)
+    assert intake.fault() is None
+    assert intake.remarks() == ["/odom: the clock of /odom has jumped; the clock is learned anew"]

@@ -65,6 +65,9 @@ def test_a_file_of_ones_own(tmp_path):
         (("frames",), {"base": ""}, "frames.base: expected text, found ''"),
         (("limits", "speed"), "fast", "limits.speed: expected a number, found 'fast'"),
         (("limits", "speed"), -0.1, "limits.speed: expected a number above 0, found -0.1"),
+        (("scanner", "unanswered"), "far", "scanner.unanswered: unknown value far; known are unknown, free"),
+        (("scanner", "least_range"), -0.1, "scanner.least_range: expected a number of 0 or more, found -0.1"),
+        (("camera", "x"), 10**400, f"camera.x: expected a number, found {10**400}"),
         (("scanner", "yaw"), float("nan"), "scanner.yaw: expected a number, found nan"),
         (("limits",), 3, "limits: expected the keys speed, turn_rate, acceleration, turn_acceleration, found 3"),
         (("topics", "odometry", "name"), 4, "topics.odometry.name: expected text, found 4"),
@@ -109,3 +112,22 @@ def test_broken_yaml(tmp_path):
     path.write_text("topics: [", encoding="utf-8")
     with pytest.raises(PresetError, match=r"broken\.yaml: cannot be read: while parsing"):
         load_preset(path)
+
+
+def test_lists_without_end_are_one_line(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("[" * 5000, encoding="utf-8")
+    with pytest.raises(PresetError, match=r"cannot be read") as error:
+        load_preset(path)
+    assert "\n" not in str(error.value)
+
+
+def test_what_the_scanners_see():
+    scanners = {name: load_preset(name).scanner for name in NAMES}
+    assert {name: scanner.unanswered for name, scanner in scanners.items()} == {
+        "emulated": "unknown",
+        "turtlebot2": "unknown",
+        "turtlebot3": "free",
+        "turtlebot4": "free",
+    }
+    assert scanners["turtlebot2"].least_range == 0.45
