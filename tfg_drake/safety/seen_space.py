@@ -35,24 +35,29 @@ _BEFORE_RETURN = 0.5 * CELL
 class SeenSpace:
     """The memory. corner: (2,) the window's lowest cell, in cells of O's axes. seen: (CELLS, CELLS) when each cell was
     seen last, s, -inf never; the cell (i, j) of O is at [i % CELLS, j % CELLS]. met: (CELLS, CELLS) something was there
-    then, else it was free.
+    then, else it was free. p_OM: (CELLS, CELLS, 2) where it was, m.
     """
 
     corner: IntArray
     seen: FloatArray
     met: BoolArray
+    p_OM: FloatArray
 
 
 def nothing_seen() -> SeenSpace:
     """The memory before the first scan."""
     shape = (CELLS, CELLS)
-    return SeenSpace(np.zeros(2, dtype=np.int64), np.full(shape, -np.inf), np.zeros(shape, dtype=np.bool_))
+    return SeenSpace(
+        np.zeros(2, dtype=np.int64), np.full(shape, -np.inf), np.zeros(shape, dtype=np.bool_), np.zeros((*shape, 2))
+    )
 
 
 def remembered(space: SeenSpace, scan: LaserScan, X_OB: FloatArray, radius: float) -> SeenSpace:
     """The memory with a scan taken at X_OB (3,) by a round robot of this radius (m), which stands on free ground."""
     return SeenSpace(
-        *_remembered(space.corner, space.seen, space.met, scan.angles, scan.ranges, scan.stamp, X_OB, radius)
+        *_remembered(
+            space.corner, space.seen, space.met, space.p_OM, scan.angles, scan.ranges, scan.stamp, X_OB, radius
+        )
     )
 
 
@@ -61,13 +66,14 @@ def _remembered(
     corner: IntArray,
     seen: FloatArray,
     met: BoolArray,
+    p_OM: FloatArray,
     angles: FloatArray,
     ranges: FloatArray,
     stamp: float,
     X_OB: FloatArray,
     radius: float,
-) -> tuple[IntArray, FloatArray, BoolArray]:
-    after, occupied = seen.copy(), met.copy()
+) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
+    after, occupied, where = seen.copy(), met.copy(), p_OM.copy()
     i0, j0 = math.floor(X_OB[0] / CELL) - HALF, math.floor(X_OB[1] / CELL) - HALF
     # Cells that came into the window were never seen.
     for a in range(CELLS):
@@ -78,6 +84,7 @@ def _remembered(
     # Rays a cell: that went through it, ended in it, or would have come there if a gap of them had not been lost.
     passed = np.zeros((CELLS, CELLS), dtype=np.int32)
     ended, lost = np.zeros_like(passed), np.zeros_like(passed)
+    total = np.zeros((CELLS, CELLS, 2))
     step = 0.5 * CELL
     reach = (HALF - 1) * CELL
     gap_begin = gap_end = 0
@@ -100,9 +107,11 @@ def _remembered(
                 counted[i % CELLS, j % CELLS] += 1
                 last_i, last_j = i, j
         if ranges[k] < reach:
-            i = math.floor((X_OB[0] + ranges[k] * cosine) / CELL)
-            j = math.floor((X_OB[1] + ranges[k] * sine) / CELL)
+            x, y = X_OB[0] + ranges[k] * cosine, X_OB[1] + ranges[k] * sine
+            i, j = math.floor(x / CELL), math.floor(y / CELL)
             ended[i % CELLS, j % CELLS] += 1
+            total[i % CELLS, j % CELLS, 0] += x
+            total[i % CELLS, j % CELLS, 1] += y
             if i == last_i and j == last_j:
                 passed[i % CELLS, j % CELLS] -= 1
     beneath = radius - CELL
@@ -113,12 +122,15 @@ def _remembered(
             count = passed[a, b] + ended[a, b]
             if x * x + y * y < beneath * beneath:
                 after[a, b], occupied[a, b] = stamp, False
+            elif occupied[a, b] and lost[a, b] > 0:
+                # Past the edge of what is too near to be seen rays pass, or end in what noise has moved away.
+                continue
             elif ended[a, b] > _MET_SHARE * count:
                 after[a, b], occupied[a, b] = stamp, True
-            elif passed[a, b] > lost[a, b] and not (occupied[a, b] and lost[a, b]):
-                # Past the edge of what is too near to be seen rays pass, too: what was met is gone when none is lost.
+                where[a, b] = total[a, b] / ended[a, b]
+            elif passed[a, b] > lost[a, b]:
                 after[a, b], occupied[a, b] = stamp, False
-    return np.array([i0, j0]), after, occupied
+    return np.array([i0, j0]), after, occupied, where
 
 
 def open_distance(
@@ -129,10 +141,19 @@ def open_distance(
     X_OB: (3,) its pose. curvature: of the arc, 1/m. radius: of the base, m. reach: farther than this (m) makes no
     difference. newest: stamp of the newest scan in the memory, s: what that one met is left to who has its exact place.
     inf if nothing within reach is in doubt. Cells that were never seen, or not for MEMORY, count if they lie one cell
-    within the outline's way: beside it a wall may stand that no ray passes. Those in which something was met count all.
+    within the outline's way: beside it a wall may stand that no ray passes. What was met may reach half a cell farther
+    than where it was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see.
     """
     distance: float = _open_distance(
-        space.corner, space.seen, space.met, X_OB, curvature, radius, radius + reach + CELL, newest
+        space.corner,
+        space.seen,
+        space.met,
+        space.p_OM,
+        X_OB,
+        curvature,
+        radius,
+        radius + reach + 2.0 * CELL,
+        newest,
     )
     return distance
 
@@ -142,6 +163,7 @@ def _open_distance(
     corner: IntArray,
     seen: FloatArray,
     met: BoolArray,
+    p_OM: FloatArray,
     X_OB: FloatArray,
     curvature: float,
     radius: float,
@@ -153,15 +175,16 @@ def _open_distance(
     for i in range(math.floor((X_OB[0] - span) / CELL), math.floor((X_OB[0] + span) / CELL) + 1):
         for j in range(math.floor((X_OB[1] - span) / CELL), math.floor((X_OB[1] + span) / CELL) + 1):
             a, b = i % CELLS, j % CELLS
-            corridor = radius - CELL
+            dx, dy = (i + 0.5) * CELL - X_OB[0], (j + 0.5) * CELL - X_OB[1]
+            outline, corridor = radius, radius - CELL
             if 0 <= i - corner[0] < CELLS and 0 <= j - corner[1] < CELLS:
                 if seen[a, b] == newest or (seen[a, b] >= newest - MEMORY and not met[a, b]):
                     continue
                 if met[a, b]:
-                    corridor = radius + 0.5 * CELL
-            dx, dy = (i + 0.5) * CELL - X_OB[0], (j + 0.5) * CELL - X_OB[1]
+                    dx, dy = p_OM[a, b, 0] - X_OB[0], p_OM[a, b, 1] - X_OB[1]
+                    outline = corridor = radius + 0.5 * CELL
             # What is beneath the base is free.
             if radius * radius < dx * dx + dy * dy < span * span:
                 x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
-                least = min(least, touch_distance(x, y, curvature, radius, corridor))
+                least = min(least, touch_distance(x, y, curvature, outline, corridor) - CELL)
     return least

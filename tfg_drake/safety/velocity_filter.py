@@ -11,7 +11,7 @@ from tfg_drake.config import RobotConfig, SafetyConfig
 from tfg_drake.messages import FloatArray, Hazards, LaserScan
 from tfg_drake.safety.corridor import touch_distance
 from tfg_drake.safety.scan_watch import ScanWatch
-from tfg_drake.safety.seen_space import CELL, open_distance
+from tfg_drake.safety.seen_space import open_distance
 from tfg_drake.simulation.differential_drive import advance
 
 # Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
@@ -203,11 +203,9 @@ def _room(
 ) -> float:
     """How far (m) the base may drive on the arc of a velocity (m/s, rad/s), inf if nothing limits it."""
     met = free_distance(scan, X_SB, speed, turn_rate, robot.radius, safety.side_margin) - safety.stop_distance
-    # A cell's place is known to half of its side, that of what was met in it likewise.
-    kept = safety.stop_distance + CELL
-    reach = kept + speed * 2.0 * period + 0.5 * speed**2 / robot.max_acceleration
-    newest = watch.newest
-    return min(met, open_distance(watch.space, X_OB, turn_rate / speed, robot.radius, reach, newest) - kept)
+    reach = safety.stop_distance + speed * 2.0 * period + 0.5 * speed**2 / robot.max_acceleration
+    unseen = open_distance(watch.space, X_OB, turn_rate / speed, robot.radius, reach, watch.newest)
+    return min(met, unseen - safety.stop_distance)
 
 
 def _speed_allowed(room: float, robot: RobotConfig, period: float) -> float:
