@@ -10,7 +10,7 @@ which line was shown meanwhile; and whether the mission goes on.
 
 Every trial is a line of JSON in the folder `--out`, and those that are there already are not run again. Prints a line a
 row: "bad" counts the trials in which anything was not as it should be, and below the row stand what was not, and the
-newest line shown. Rows without a number were right before there was a list of faults.
+first line that the newest trial showed. Rows without a number were right before there was a list of faults.
 """
 
 from __future__ import annotations
@@ -163,17 +163,19 @@ class Explorer:
         self.folder = folder
         self.lines: list[tuple[float, str]] = []
         short = ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
-        self.process = subprocess.Popen(
-            [*CLI, "explore", "--robot", *arguments, "--headless", *short, "--max-time", "100000", "--out", folder],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
+        errors = folder.with_suffix(".err")
+        with errors.open("w") as stream:
+            self.process = subprocess.Popen(
+                [*CLI, "explore", "--robot", *arguments, "--headless", *short, "--max-time", "100000", "--out", folder],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stream,
+                text=True,
+            )
         threading.Thread(target=self._listen, daemon=True).start()
         while not any(line.startswith("nothing moves before") for _, line in list(self.lines)):
             if self.process.poll() is not None:
-                raise RuntimeError(f"the explorer does not begin: {[line for _, line in self.lines]}")
+                raise RuntimeError(f"the explorer does not begin: {errors.read_text()}")
             time.sleep(0.1)
 
     def _listen(self) -> None:
@@ -520,8 +522,7 @@ def trial(fault: Fault, robot: Any, explorer: Explorer) -> dict[str, Any]:
         with contextlib.suppress(subprocess.TimeoutExpired):
             explorer.process.wait(PATIENCE)
         after = explorer.ended() or "goes on"
-    during = [line for when, line in explorer.lines if began < when <= mended]
-    later = [line for when, line in explorer.lines if mended < when]
+    lines = [line for when, line in explorer.lines if when > began]
     touched = robot.contacts() - contacts
     if stood is not None and stood > fault.bound:
         wrongs.append("does not stand" if stood == math.inf else "stands too late")
@@ -529,7 +530,7 @@ def trial(fault: Fault, robot: Any, explorer: Explorer) -> dict[str, Any]:
         wrongs.append("moves before it is enabled")
     if touched:
         wrongs.append("touches a wall")
-    if fault.told and not during + later:
+    if fault.told and not lines:
         wrongs.append("no line")
     if not fault.fatal and not after.startswith("goes on"):
         wrongs.append("does not go on")
@@ -540,8 +541,7 @@ def trial(fault: Fault, robot: Any, explorer: Explorer) -> dict[str, Any]:
         "early": early,
         "contacts": touched,
         "after": after,
-        "line": (during or later or [""])[-1],
-        "lines": during + later,
+        "lines": lines,
         "wrong": [one for one in wrongs if isinstance(one, str) and one],
         "seconds": round(time.monotonic() - began, 1),
     }
@@ -574,7 +574,8 @@ def run_row(row: Fault | Check, count: int, out: Path) -> None:
                 wrong, line = row.run(Path(temporary) / str(number))
                 seconds = round(time.monotonic() - began, 1)
                 after = "the first goes on"
-                keep({"stands": None, "after": after, "line": line, "wrong": [wrong] * bool(wrong), "seconds": seconds})
+                wrongs, lines = [wrong] * bool(wrong), [line] * bool(line)
+                keep({"stands": None, "after": after, "lines": lines, "wrong": wrongs, "seconds": seconds})
             return
         robot, explorer = None, None
         try:
@@ -613,14 +614,14 @@ HEADER += f"{'told':>6}{'bad':>5}  then"
 
 
 def table_row(row: Fault | Check, trials: Sequence[dict[str, Any]]) -> str:
-    """A row of the table, and below it what was wrong and the newest line."""
+    """A row of the table, and below it what was wrong and what the newest trial told first."""
     stands = f"{'-':>10}{'-':>9}{'-':>9}"
     if isinstance(row, Fault) and row.stands:
         times = [math.inf if one["stands"] == "never" else one["stands"] for one in trials]
         stands = f"{statistics.median(times):10.2f}{max(times):9.2f}{row.bound:9.1f}"
     early = sum(one.get("early", False) for one in trials)
     contacts = sum(one.get("contacts", 0) for one in trials)
-    told = sum(bool(one["line"]) for one in trials) / len(trials)
+    told = sum(bool(one["lines"]) for one in trials) / len(trials)
     bad = sum(bool(one["wrong"]) for one in trials)
 
     def counted(what: Sequence[str]) -> str:
@@ -632,14 +633,15 @@ def table_row(row: Fault | Check, trials: Sequence[dict[str, Any]]) -> str:
     ]
     if wrong := counted([what for one in trials for what in one["wrong"]]):
         lines.append(f"   ! {wrong}")
-    if shown := [one["line"] for one in trials if one["line"]]:
+    if shown := [one["lines"][0] for one in trials if one["lines"]]:
         lines.append(f"   > {shown[-1]}")
     return "\n".join(lines)
 
 
 def run_rows(rows: Sequence[Fault | Check], options: argparse.Namespace) -> None:
     """Each row in a process of its own, some at a time."""
-    waiting, going = list(rows), []
+    waiting: list[Fault | Check] = list(rows)
+    going: list[subprocess.Popen[bytes]] = []
     same = ["--trials", str(options.trials), "--out", str(options.out)]
     try:
         while waiting or going:
