@@ -81,7 +81,7 @@ class TagSensorConfig:
 class ScanConfig:
     """The planar laser scanner."""
 
-    # Greatest range, m, and the least: nearer it sees nothing, as a depth camera (some 0.45 m). Planner and filter know.
+    # Greatest range, m, and the least: nearer it sees nothing, as a depth camera within some 0.45 m.
     range: float = 10.0
     least_range: float = 0.0
     # Field of view, rad (124 degrees).
