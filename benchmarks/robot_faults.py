@@ -69,7 +69,6 @@ class Kobuki:
 
     def __init__(self) -> None:
         self.emulator = Emulator(MakeWorld(SCENARIO.world))
-        self.base = self.emulator.base
         self.faults = self.emulator.faults
         self.emulator.start()
         host, port = self.emulator.sensors
@@ -199,10 +198,10 @@ class Explorer:
             return f"{summary['outcome']}: {summary['reason']}"
         return f"exit code {self.process.returncode}, no summary"
 
-    def descendants(self, parent: int | None = None) -> dict[int, tuple[int, str]]:
+    def descendants(self) -> dict[int, tuple[int, str]]:
         """(parent, command line) of its processes, by their ids."""
         found: dict[int, tuple[int, str]] = {}
-        parents = [self.process.pid if parent is None else parent]
+        parents = [self.process.pid]
         processes = _processes()
         while parents:
             one = parents.pop()
@@ -253,9 +252,10 @@ class Fault:
     """number: in the list of faults. Robot: what has it. wrong(robot, explorer), mend(robot, explorer): a text that
     either returns is something that was not as it should be.
 
-    stands: what must stand: "all", "ahead" (no way forward) or "" for nothing. enabling: one is due afterwards; None
-    where either will do. lasts: s. bound: until it stands, s. told: a line must be shown. turning: it goes wrong while
-    the robot turns in place. ends: the mission may end. fatal: the explorer does not live on.
+    stands: what must stand: "all", "ahead" (no way forward), "once" (all, but the explorer may mend it and drive on) or
+    "" for nothing. enabling: one is due afterwards; None where either will do. lasts: s. bound: until it stands, s.
+    told: a line must be shown. turning: it goes wrong while the robot turns in place. ends: the mission may end. fatal:
+    the explorer does not live on.
     """
 
     number: int
@@ -380,7 +380,7 @@ ROWS: tuple[Fault | Check, ...] = (
     _ordered(7, "wheel drop", "drop wheel", "raise wheel", stands="all", enabling=False),
     _ordered(7, "30 % of frames corrupt", "corrupt 0.3", "corrupt 0", lasts=7.0),
     _ordered(7, "60 % of frames lost", "lost 0.6", "lost 0", lasts=7.0),
-    _process(8, "sensors' process killed", signal.SIGKILL, "sensors", stands="all", enabling=False),
+    _process(8, "sensors' process killed", signal.SIGKILL, "sensors", stands="once", enabling=False),
     _process(8, "base's driver frozen", signal.SIGSTOP, "base", lasts=3.0, **LOCKED),
     _sensor(9, Kobuki, "tags", "range", 1e200),
     _sensor(9, Kobuki, "tags", "sigma", 1e-200),
@@ -481,6 +481,11 @@ def stands_after(robot: Any, how: Callable[[Command], bool], began: float, until
     return max(0.0, stop - began)
 
 
+def _first_stop(robot: Any, began: float, until: float) -> float:
+    """When the wheels are first told to stand after `began`, or `until`."""
+    return min((one[0] for one in robot.commands() if one[0] > began and not moving(one)), default=until)
+
+
 def started(fault: Fault, robot: Any, explorer: Explorer | None, folder: Path) -> Explorer:
     """An explorer whose robot drives as the fault wants it; the one that there is, if it does."""
     how = turning if fault.turning else travelling
@@ -505,7 +510,10 @@ def trial(fault: Fault, robot: Any, explorer: Explorer) -> dict[str, Any]:
     wrongs = [fault.wrong(robot, explorer)]
     time.sleep(max(0.0, began + fault.lasts - time.monotonic()))
     mended = time.monotonic()
-    stood = stands_after(robot, ahead if fault.stands == "ahead" else moving, began, mended) if fault.stands else None
+    stood = None
+    if fault.stands:
+        until = _first_stop(robot, began, mended) if fault.stands == "once" else mended
+        stood = stands_after(robot, ahead if fault.stands == "ahead" else moving, began, until)
     wrongs.append(fault.mend(robot, explorer))
     early, after = False, "ended"
     if fault.enabling:
@@ -573,9 +581,8 @@ def run_row(row: Fault | Check, count: int, out: Path) -> None:
                 began = time.monotonic()
                 wrong, line = row.run(Path(temporary) / str(number))
                 seconds = round(time.monotonic() - began, 1)
-                after = "the first goes on"
                 wrongs, lines = [wrong] * bool(wrong), [line] * bool(line)
-                keep({"stands": None, "after": after, "lines": lines, "wrong": wrongs, "seconds": seconds})
+                keep({"after": wrong or "goes on", "lines": lines, "wrong": wrongs, "seconds": seconds})
             return
         robot, explorer = None, None
         try:
