@@ -27,8 +27,8 @@ def scan(
 ) -> LaserScan:
     """One scan of the walls (n, 4) from the true pose X_WB (3,).
 
-    angles: (m,) rad in B. standard_normal: (m,) numbers. A return that noise carries beyond the range is inf, one nearer
-    than the least range nan.
+    angles: (m,) rad in B. standard_normal: (m,) numbers. A return that noise carries beyond the range is inf, one
+    nearer than the least range nan.
     """
     ranges = cast_rays(walls, X_WB[:2], angles + X_WB[2], config.range)
     ranges = np.maximum(0.0, ranges + config.noise * standard_normal)
