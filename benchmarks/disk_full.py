@@ -24,7 +24,7 @@ from tfg_drake.mapfile.saved_map import MapFileError, load_map
 CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
 # Of the disk, bytes: the reserve of a run and its recording fit.
 SIZE = 64 * 2**20
-TOLD = ("cannot be written", "no room", "not written", "Traceback", "Exception")
+TOLD = ("cannot be written", "no room", "not whole", "Traceback", "Exception")
 
 
 @contextlib.contextmanager

@@ -195,8 +195,8 @@ def progress_line(progress: Progress) -> str:
 
 
 def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
-    """What the closing table says of files that could not be written, name by name, and why."""
-    return [("not written", f"{name}: {reason}") for name, reason in unwritten.items()]
+    """What the closing table says of files that could not be written, or not all of them: which, and why."""
+    return [("not whole", f"{name}: {reason}") for name, reason in unwritten.items()]
 
 
 def is_kept(unwritten: dict[str, str]) -> bool:

@@ -25,6 +25,7 @@ class MeshcatButtons:
     def __init__(self, meshcat: Meshcat | Picture) -> None:
         """meshcat: where they are, also where it is lost and comes back."""
         self._picture = picture_of(meshcat)
+        self._picture.advice = ", STOP is on the terminal (space)"
         self._opened = 0  # which Meshcat has them
         self._clicks: dict[str, int] = {}
         self._picture.attempt(self._read, list[Request]())

@@ -50,6 +50,7 @@ class Picture:
         self._pause = FIRST_PAUSE
         self._since = self._again = time.monotonic()
         self.opened = 1
+        self.advice = ""  # to an operator, where the picture is lost
 
     @property
     def meshcat(self) -> Meshcat:
@@ -78,7 +79,7 @@ class Picture:
         now = time.monotonic()
         if self._meshcat is not None:
             reason = " ".join(str(error).split()) or type(error).__name__
-            _log.warning("the picture is lost: %s; the mission goes on; STOP is on the terminal, too", reason)
+            _log.warning("the picture is lost: %s; the mission goes on%s", reason, self.advice)
             if now - self._since > LONGEST_PAUSE:
                 self._pause = FIRST_PAUSE
         self._meshcat = None

@@ -187,8 +187,8 @@ def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monk
     arguments = ["explore", tmp_path / "room.yaml", "--tag-spacing", 1, "--headless", "--max-time", 30, "--json"]
     code, out, _ = call(*arguments, "--out", tmp_path / "run")
     assert code == (4 if lost[0] in ("map.npz", "summary.json") else 0)
-    rows = [line for line in out.splitlines() if line.startswith("not written")]
-    assert rows == [f"not written {name}: {FULL}" for name in lost]
+    rows = [line for line in out.splitlines() if line.startswith("not whole")]
+    assert rows == [f"not whole   {name}: {FULL}" for name in lost]
     summary = json.loads(out.splitlines()[-1])
     assert summary["outcome"] == "time_limit"
     # Of the map there is that of the last stage or the one before, as it was kept then.
