@@ -130,7 +130,7 @@ class Mission:
 
 
 def pester(mission: Mission, messages: int, seed: int) -> int:
-    """Sends nonsense while the mission goes on; how many messages found somebody who listened."""
+    """Sends nonsense while the mission goes on; how much of it found somebody who listened."""
     rng, port, arrived = random.Random(seed), mission.port, 0
     while arrived < messages and mission.process.poll() is None:
         came = send(port, nonsense(rng))

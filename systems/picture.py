@@ -13,9 +13,9 @@ from pydrake.geometry import Meshcat, MeshcatParams
 
 T = TypeVar("T")
 
-# A lost picture is opened again after so long, s of wall time; twice as long each time that it did not last.
-FIRST_PAUSE = 0.5
-LONGEST_PAUSE = 60.0
+# A lost picture is opened again after so long, s of wall time: a page that ends it again and again costs no more than a
+# drawing of the whole scene then.
+PAUSE = 2.0
 
 _log = logging.getLogger("tfg_drake.picture")
 
@@ -47,8 +47,7 @@ class Picture:
         _keep_log_from_python()
         self._meshcat: Meshcat | None = meshcat
         self._port = meshcat.port()
-        self._pause = FIRST_PAUSE
-        self._since = self._again = time.monotonic()
+        self._again = 0.0  # when to open it again where it is lost, s of time.monotonic()
         self.opened = 1
         self.advice = ""  # to an operator, where the picture is lost
 
@@ -68,7 +67,6 @@ class Picture:
                     return otherwise
                 self._meshcat = open_meshcat(self._port)
                 self.opened += 1
-                self._since = time.monotonic()
                 _log.warning("the picture is back at %s", self._meshcat.web_url())
             return use()
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
@@ -76,15 +74,11 @@ class Picture:
             return otherwise
 
     def _lose(self, error: BaseException) -> None:
-        now = time.monotonic()
         if self._meshcat is not None:
             reason = " ".join(str(error).split()) or type(error).__name__
             _log.warning("the picture is lost: %s; the mission goes on%s", reason, self.advice)
-            if now - self._since > LONGEST_PAUSE:
-                self._pause = FIRST_PAUSE
         self._meshcat = None
-        self._again = now + self._pause
-        self._pause = min(2.0 * self._pause, LONGEST_PAUSE)
+        self._again = time.monotonic() + PAUSE
 
 
 def picture_of(meshcat: Meshcat | Picture) -> Picture:

@@ -18,7 +18,7 @@ MALFORMED = b"\xc1"
 
 @pytest.fixture
 def picture(monkeypatch):
-    monkeypatch.setattr(module, "FIRST_PAUSE", 0.05)
+    monkeypatch.setattr(module, "PAUSE", 0.05)
     return Picture(open_meshcat())
 
 
