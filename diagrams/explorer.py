@@ -44,7 +44,13 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
             "tfg_builder": TfgBuilder(scenario.tags, scenario.scan, robot, explorer),
             "goal_selector": goal_selector,
             "prm_planner": PrmPlanner(
-                robot, scenario.odometry, scenario.tags, explorer, scenario.planner, seed=scenario.seed
+                robot,
+                scenario.odometry,
+                scenario.tags,
+                explorer,
+                scenario.planner,
+                scenario.seed,
+                scenario.scan.least_range,
             ),
             "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),
             "mission_sequencer": MissionSequencer(robot, explorer.glance_period),

@@ -19,7 +19,8 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     Whoever opened them closes them, when the simulation is over.
     """
     builder, clock = DiagramBuilder(), devices.clock
-    safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety, scenario.scan))
+    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan)
+    safety_filter = builder.AddNamedSystem("safety_filter", filtering)
     wheels = builder.AddNamedSystem("base", HardwareBase(devices))
     tags = HardwareSensor("detections", devices.tags, no_detections(), clock)
     tag_sensor = builder.AddNamedSystem("tag_sensor", tags)

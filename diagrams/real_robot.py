@@ -28,7 +28,8 @@ REHEARSAL = 30.0
 
 @contextlib.contextmanager
 def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Robot, Scenario]]:
-    """The robot that scenario.hardware names, and the scenario within that robot's limits; closed at the end.
+    """The robot that scenario.hardware names, and the scenario within that robot's and its scanner's limits; closed at
+    the end.
 
     Keys on standard input, buttons in Meshcat and those of the robot operate it. Raises DeviceError.
     """
@@ -38,6 +39,7 @@ def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Rob
         bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
         bounded.robot.max_acceleration = devices.limits.acceleration
         bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
+        bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
         operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
         if meshcat is not None:
             operated.append(MeshcatButtons(meshcat).requests)

@@ -63,7 +63,8 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     world, disturbances = MakeWorld(scenario.world), scenario.disturbances
     builder = DiagramBuilder()
 
-    safety_filter = builder.AddNamedSystem("safety_filter", SafetyFilter(scenario.robot, scenario.safety, scenario.scan))
+    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan)
+    safety_filter = builder.AddNamedSystem("safety_filter", filtering)
     plant = builder.AddNamedSystem(
         "differential_drive_plant", DifferentialDrivePlant(world, scenario.robot, disturbances)
     )

@@ -57,7 +57,8 @@ class PrmPlanner(LeafSystem):
 
     working_roadmap is that of the working map. The whole of a large map, and with it roadmap, which is made for whoever
     looks at it, is made use of where a goal lies outside of that, or only a way longer than that reaches leads to it.
-    seed: of the roadmap's samples; with it and the inputs the roadmap is determined.
+    seed: of the roadmap's samples; with it and the inputs the roadmap is determined. least_range: m, nearer the scanner
+    sees nothing.
     """
 
     def __init__(
@@ -68,9 +69,10 @@ class PrmPlanner(LeafSystem):
         explorer: ExplorerConfig,
         planner: PlannerConfig,
         seed: int,
+        least_range: float = 0.0,
     ):
         super().__init__()
-        self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed)
+        self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed, least_range)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
         self._working_map = declare_message_input(self, "working_map")

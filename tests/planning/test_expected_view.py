@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import shapely
 
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import replace
-from tfg_drake.planning.expected_view import View, local_view, visible_targets
+from tfg_drake.planning.expected_view import View, expected_frontiers, local_view, visible_targets
 from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.tfg.graph import empty_map as empty_tfg
 
 STEEPEST = np.radians(75)
 
@@ -97,3 +99,14 @@ def test_a_view_counts_the_landmarks_known_jointly_by_their_place_among_them():
     view = local_view(View(np.array([0, 3, 4, 4, 6]), np.array([0, 1, 4, 5, 3, 4])), estimate)
     assert view.offsets.tolist() == [0, 2, 2, 2, 4]
     assert view.index.tolist() == [0, 2, 1, 2]
+
+
+@pytest.mark.parametrize("least_range", [0.0, 0.5, 1.5])
+def test_frontier_in_the_blind_zone_of_the_scanner_is_not_seen(least_range):
+    points = np.array([[0.0, 0.0], [3.0, 0.0]])
+    frontiers = np.array([[0.4, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    tfg = replace(empty_tfg(), frontiers=frontiers, frontier_normal=np.tile([-1.0, 0.0], (3, 1)))
+    view = expected_frontiers(points, tfg, TagSensorConfig(), least_range)
+    seen = [0, 1, 2]
+    assert view.of(np.array([0])).index.tolist() == [k for k in seen if frontiers[k, 0] >= least_range]
+    assert view.offsets[-1] == len(view.index)

@@ -12,7 +12,7 @@ from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import segments_cross
 from tfg_drake.geometry.sectors import sector_of, segments_by_sector
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.tfg.frontier import GRAZE
 
 # A landmark lies on a surface piece that passes within the map's own error of it, m.
@@ -50,6 +50,12 @@ class View:
         counts = np.zeros(count, dtype=np.int64)
         counts[points] = self.count
         return View(np.append(0, np.cumsum(counts)), self.index)
+
+    def kept(self, keep: BoolArray) -> View:
+        """The view without some of its entries, keep: one truth value an entry of index."""
+        point = np.repeat(np.arange(len(self.count)), self.count)[keep]
+        count = np.bincount(point, minlength=len(self.count))
+        return View(np.append(0, np.cumsum(count)), self.index[keep])
 
     def thinned(self, most: int) -> View:
         """The view with at most so many targets a point, evenly taken."""
@@ -169,12 +175,13 @@ def expected_tags(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor
     )
 
 
-def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig) -> View:
+def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0) -> View:
     """Frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of tfg.frontiers.
 
     Past one end of a surface it must look by more than GRAZE (see `tfg_drake.geometry.visibility.surely_visible`).
+    least_range: m, nearer the scanner sees nothing.
     """
-    return View(
+    view = View(
         *visible_targets(
             points,
             tfg.frontiers,
@@ -186,6 +193,10 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig)
             GRAZE,
         )
     )
+    if least_range == 0.0:
+        return view
+    ways = tfg.frontiers[view.index] - np.repeat(points, view.count, axis=0)
+    return view.kept(np.hypot(ways[:, 0], ways[:, 1]) >= least_range)
 
 
 def local_view(tags: View, estimate: MapEstimate) -> View:
@@ -193,5 +204,4 @@ def local_view(tags: View, estimate: MapEstimate) -> View:
     entry = np.full(len(estimate.ids), -1)
     entry[estimate.local] = np.arange(len(estimate.local))
     index = entry[tags.index]
-    point = np.repeat(np.arange(len(tags.count)), tags.count)[index >= 0]
-    return View(np.append(0, np.cumsum(np.bincount(point, minlength=len(tags.count)))), index[index >= 0])
+    return View(tags.offsets, index).kept(index >= 0)

@@ -231,13 +231,16 @@ def make_roadmap(
         near = within(nodes.points, estimate.X_MA[-1], reach)
         kept = {name: getattr(roadmap, name) & near for name in ("reachable", "enterable")}
         roadmap = replace(roadmap, **kept, entry=np.where(near, roadmap.entry, -1))
-    return with_frontiers(roadmap, estimate, tfg, parameters.sensor)
+    return with_frontiers(roadmap, estimate, tfg, parameters.sensor, parameters.least_range)
 
 
-def with_frontiers(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> Roadmap:
-    """The roadmap with what its nodes see of the live frontiers."""
+def with_frontiers(
+    roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0
+) -> Roadmap:
+    """The roadmap with what its nodes see of the live frontiers, not nearer than least_range (m)."""
     asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])
-    view = expected_frontiers(roadmap.points[asked], tfg, sensor).spread(np.flatnonzero(asked), len(roadmap.points))
+    view = expected_frontiers(roadmap.points[asked], tfg, sensor, least_range)
+    view = view.spread(np.flatnonzero(asked), len(roadmap.points))
     return replace(roadmap, frontier_offsets=view.offsets, frontier_index=view.index)
 
 

@@ -68,7 +68,10 @@ OBSTACLE_MARGIN = 0.08
 
 @dataclasses.dataclass(frozen=True)
 class RoadmapParameters:
-    """What the roadmap needs to know of the robot, its sensors and the explorer, and the seed of its samples."""
+    """What the roadmap needs to know of the robot, its sensors and the explorer, and the seed of its samples.
+
+    least_range: m, nearer the scanner sees nothing.
+    """
 
     robot: RobotConfig
     sensor: TagSensorConfig
@@ -76,6 +79,7 @@ class RoadmapParameters:
     explorer: ExplorerConfig
     planner: PlannerConfig
     seed: int
+    least_range: float = 0.0
 
 
 @message
