@@ -12,7 +12,7 @@ import urllib.parse
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from tfg_drake.hardware.device import Device, DeviceError, DriverConfig
+from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, DriverConfig
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.messages import LaserScan, TagDetections
 
@@ -117,7 +117,8 @@ class SensorSource:
     def close(self) -> None:
         """Ends the connection; once is enough."""
         self._closed.set()
-        self._keeper.join()
+        # One that is being started may take long to find out that nothing is there; it ends by itself then.
+        self._keeper.join(ANSWER_TIMEOUT)
         self._device.close()
 
     def _keep(self) -> None:
@@ -144,6 +145,9 @@ class SensorSource:
                     self._remark("does not begin", f": {error}")
                 told = str(error)
                 continue
+            if self._closed.is_set():
+                device.close()
+                return
             self._device = device
             for key, message in self._published.copy().items():
                 device.publish(key, message)
