@@ -10,9 +10,9 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Even
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.cpu_meter import metered_in_detail
-from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry
-from tfg_drake.safety.scan_watch import ScanWatch, no_watch, watched
-from tfg_drake.safety.velocity_filter import STATE_SIZE, filter_command, stopped
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
+from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
+from tfg_drake.safety.velocity_filter import SPEED, STATE_SIZE, filter_command, held, stopped
 from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.ports import (
@@ -26,6 +26,8 @@ from tfg_drake.systems.ports import (
 PERIOD = 1.0 / 32.0
 # As often as odometry comes; scans are fewer.
 WATCH_PERIOD = 1.0 / 16.0
+# Scans in a row before it is said that the base stands because it has not seen its way: about two seconds.
+_HELD_SCANS = 20
 
 _log = logging.getLogger("tfg_drake.hardware")
 
@@ -103,8 +105,17 @@ class SafetyFilter(LeafSystem):
                 _log.warning("%.2f s: the base stands: %s", now, after.doubt)
             else:
                 _log.info("%.2f s: the scan is believed again", now)
+        if self._WantsAhead(context) and held(after, X_OB, self._robot, self._safety):
+            after = replace(after, held=before.held + 1)
+            if after.held == _HELD_SCANS:
+                _log.warning("%.2f s: the base stands: %s", context.get_time(), HELD)
         set_state_message(state, self._watch, after)
         return EventStatus.Succeeded()
+
+    def _WantsAhead(self, context: Context) -> bool:
+        """Whether the base is told to drive ahead and stands."""
+        stands = context.get_discrete_state_vector().value()[SPEED] == 0.0
+        return stands and self._command.HasValue(context) and self._command.Eval(context)[0] > 0.0
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state_vector().value()[:2])

@@ -27,6 +27,7 @@ EMPTY = (
     "the scan shows nothing where there were walls a moment ago: see whether something covers the scanner; of one that "
     "sees nothing near, set scan.least_range"
 )
+HELD = "what lies ahead was not seen: see whether the scanner works, or turn the robot; it goes on when it has seen"
 
 
 @message
@@ -35,7 +36,8 @@ class ScanWatch:
 
     newest: stamp of its newest scan, s. believed: the newest scan that was believed, taken at X_OS (3,). content: the
     first scan of those that say the same as the newest one, X_OC (3,) where the robot was when its wheels last rested
-    since. doubt: why the newest scan is not believed, "" if it is. space: what was seen to be free.
+    since. doubt: why the newest scan is not believed, "" if it is. space: what was seen to be free. held: scans in a
+    row during which the base stood for want of a way that was seen.
     """
 
     newest: float
@@ -45,6 +47,7 @@ class ScanWatch:
     X_OC: FloatArray
     doubt: str
     space: SeenSpace
+    held: int = 0
 
 
 def no_watch(scan: LaserScan) -> ScanWatch:

@@ -150,8 +150,9 @@ def filter_command(
     turn_rate = _towards(turn_before, turn_wanted, turn_step)
     X_SB = _pose_in_scan(state, stamp - scan.stamp, safety)
     if speed > 0.0:
-        believed = X_SB is not None and (not watch.doubt or stamp - watch.believed.stamp <= safety.scan_timeout)
-        room = _room(scan, X_SB, watch, X_OB, speed, turn_rate, robot, safety, period) if believed else 0.0
+        room = 0.0
+        if X_SB is not None and (not watch.doubt or stamp - watch.believed.stamp <= safety.scan_timeout):
+            room = _room(scan, X_SB, watch, X_OB, speed, turn_rate, robot, safety, period)
         speed = min(speed, _speed_allowed(room, robot, period))
     base = _towards(base_before, speed, step)
     brakes = base_before > 0.0 and base > max(0.0, min(speed, float(wanted[0])))
@@ -188,6 +189,12 @@ def _turn_allowed(
 
     turned = nearest(turn_wanted)
     return turned == clear or turned >= nearest(math.nan)
+
+
+def held(watch: ScanWatch, X_OB: FloatArray, robot: RobotConfig, safety: SafetyConfig) -> bool:
+    """Whether the base at X_OB (3,) may not drive straight ahead because it has not seen what lies there."""
+    near = safety.stop_distance
+    return not watch.doubt and open_distance(watch.space, X_OB, 0.0, robot.radius, near, watch.newest) <= near
 
 
 def _room(
