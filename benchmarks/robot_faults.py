@@ -10,7 +10,7 @@ which line was shown meanwhile; and whether the mission goes on.
 
 Every trial is a line of JSON in the folder `--out`, and those that are there already are not run again. Prints a line a
 row: "bad" counts the trials in which anything was not as it should be, and below the row stand what was not, and the
-first line that the newest trial showed. Rows without a number were right before there was a list of faults.
+first line that the newest trial showed. Rows without a number are not on the list of faults.
 """
 
 from __future__ import annotations
