@@ -21,7 +21,7 @@ from tfg_drake.hardware.kobuki.payloads import BaseControl
 # After so long without a sign of life the base is told to stop, s.
 SILENCE = 0.3
 # It has so long to answer, and to answer for the first time, while its process starts, s.
-ANSWERS_WITHIN, STARTS_WITHIN = 0.5, 10.0
+ANSWERS_WITHIN, STARTS_WITHIN = 0.4, 10.0
 # How often it is told so when there is nobody left to say anything else, and how far apart, s: one may be lost.
 _LAST_STOPS, _APART = 5, 0.02
 
