@@ -142,11 +142,9 @@ def _detections(message: TagDetections) -> tuple[TagDetections | None, dict[str,
     reasons = {}
     for name, good in plausible.items():
         if not good.all():
-            first = _TOLD[name].format(columns[name][~good][0])
-            reasons[name] = (
-                f"{n - int(good.sum())} of {n} sightings refused: {first} is not plausible; check the detector; "
-                "the others are used"
-            )
+            first, bad = _TOLD[name].format(columns[name][~good][0]), n - int(good.sum())
+            others = "; the others are used" if bad < n else ""
+            reasons[name] = f"{bad} of {n} sightings refused: {first} is not plausible; check the detector{others}"
     if not reasons:
         return message, {}
     kept = np.logical_and.reduce(list(plausible.values()))
