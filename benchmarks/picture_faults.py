@@ -35,7 +35,7 @@ HANDSHAKE = (
 )
 KEY = b"dGhlIHNhbXBsZSBub25jZQ=="
 # What a page might call a button that starts the wheels.
-STARTING = ("Enable", "enable", "Pause / resume", "Pause", "Resume", "resume", "Start", "e", "KeyE")
+STARTING = ("Enable", "enable", "Pause / resume", "Resume", "resume", "Start", "e", "KeyE", "KeyP")
 # Within so long a command of the wheels is over, and a request has come through, s.
 SETTLED = 2.0
 MALFORMED = b"\xc1"
@@ -53,24 +53,21 @@ def click(name: str) -> bytes:
     return b"\x82\xa4type\xa6button\xa4name" + bytes([0xA0 | len(name)]) + name.encode()
 
 
-def nonsense(rng: random.Random) -> bytes:
-    """What somebody sends instead of a button: from the handshake on, or in its stead."""
+def nonsense(rng: random.Random) -> tuple[bytes, ...]:
+    """What somebody sends instead of a button: after the handshake, within it, or in its stead."""
     some = rng.randbytes(rng.randrange(1, 120))
     welcome = HANDSHAKE % KEY
-    return rng.choice(
-        (
-            some,
-            HANDSHAKE % some,
-            welcome + some,
-            welcome + frame(some),
-            welcome + frame(MALFORMED),
-            welcome + frame(b""),
-            welcome + frame(b"\x91" * rng.choice((100, 10_000, 60_000))),  # lists in lists
-            welcome + frame(rng.choice((b"\xdb", b"\xdd", b"\xdf", b"\xc6")) + b"\xff\xff\xff\xff" + some),
-            welcome + frame(click(rng.choice(STARTING))),
-            welcome + frame(some, rng.randrange(16)),
-        )
+    frames = (
+        some,
+        frame(some),
+        frame(MALFORMED),
+        frame(b""),
+        frame(b"\x91" * rng.choice((100, 10_000, 60_000))),  # lists in lists
+        frame(rng.choice((b"\xdb", b"\xdd", b"\xdf", b"\xc6")) + b"\xff\xff\xff\xff" + some),
+        frame(click(rng.choice(STARTING))),
+        frame(some, rng.randrange(16)),
     )
+    return rng.choice(((some,), (HANDSHAKE % some,), *((welcome, one) for one in frames)))
 
 
 def send(port: int, *data: bytes) -> bool:
@@ -133,7 +130,7 @@ def pester(mission: Mission, messages: int, seed: int) -> int:
     """Sends nonsense while the mission goes on; how much of it found somebody who listened."""
     rng, port, arrived = random.Random(seed), mission.port, 0
     while arrived < messages and mission.process.poll() is None:
-        came = send(port, nonsense(rng))
+        came = send(port, *nonsense(rng))
         arrived += came
         time.sleep(0.01 if came else 0.1)
     return arrived
