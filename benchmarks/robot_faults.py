@@ -412,7 +412,7 @@ ROWS: tuple[Fault | Check, ...] = (
     # The cable takes every command with it: until it is back the base drives on as it was told.
     _ordered(0, "cable pulled", "unplug", "plug", enabling=True),
     _ordered(0, "base silent", "silent on", "silent off", **LOCKED),
-    _ordered(0, "encoders stuck", "stick encoders", "free encoders", stands="all", told=False),
+    _ordered(0, "encoders stuck", "stick encoders", "free encoders", bound=1.0, **LOCKED),
     _sensor(0, Kobuki, "scan", "silent", **BLIND | {"stands": "all"}),
     _sensor(0, Kobuki, "tags", "silent", stands="all", enabling=False, bound=1.1),
     _ordered(0, "5 % of frames corrupt", "corrupt 0.05", "corrupt 0", told=False),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import select
 import time
 
@@ -23,6 +24,9 @@ _VERSIONS = p.RequestExtra(0x0B)
 # Every power rail on, and the first LED: orange (red and green) while it may not move, green while it may.
 _POWER, _ORANGE, _GREEN = 0x00F0, 0x0300, 0x0200
 _TUNE_ON, _TUNE_OFF = p.SoundSequence(0), p.SoundSequence(1)
+# Told to move at least so fast, m/s or rad/s, for so long, s, without a tick: the wheels are blocked or their encoders
+# stuck.
+_MOVES, _TURNS, _WITHOUT_TICK = 0.05, 0.3, 0.4
 # B0, among the bits of CoreSensors.
 STOP_BUTTON = 1
 _STOP = p.BaseControl(0, 0)
@@ -66,6 +70,8 @@ class KobukiDriver:
         self._lights = _ORANGE
         # When the versions were asked for last, when to connect again and after what delay after that, s.
         self._asked, self._retry_at = 0.0, 0.0
+        # Since when the base has been told to move, s; inf while it is not.
+        self._moves_since = math.inf
         while self._guardian is None:
             self.spin(TICK)
             if self._trouble:
@@ -134,15 +140,24 @@ class KobukiDriver:
 
     def fault(self) -> str | None:
         """Why there is no base, as long as there is none, that its stop button B0 is pressed, its own alarm, or what is
-        wrong with its clock or gyro."""
+        wrong with its clock, gyro or wheels."""
         connection = self._connection
         if self._trouble or connection is None or connection.core is None:
             return self._trouble or None
-        fault = connection.fault()
+        fault = connection.fault() or self._standstill(connection)
         return "stopped by the button B0" if connection.core.buttons & STOP_BUTTON else fault
+
+    def _standstill(self, connection: Connection) -> str | None:
+        reckoning = connection.reckoning
+        if reckoning is None or reckoning.stamp - max(reckoning.moved, self._moves_since) < _WITHOUT_TICK:
+            return None
+        self._moves_since = math.inf
+        return "the wheels were told to turn and do not: see what blocks them, or the encoders are stuck"
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""
+        moves = abs(speed) >= _MOVES or abs(turn_rate) >= _TURNS
+        self._moves_since = min(self._moves_since, time.monotonic()) if moves else math.inf
         if self._connection is None or self._guardian is None:
             return
         self._connection.say(odometry.base_control(speed, turn_rate))

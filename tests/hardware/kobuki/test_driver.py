@@ -86,6 +86,16 @@ def test_what_the_base_says_of_itself(emulator, device):
     wait_for(lambda: device.newest(Hazards).cliff == 4)
 
 
+def test_wheels_that_do_not_turn_as_they_are_told_lock_the_base(emulator, driving):
+    emulator.base.stuck.add("encoders")
+    drive(driving, 0.2, 0.0, 1.5)
+    assert driving.locked.startswith("the wheels were told to turn and do not")
+    emulator.base.stuck.discard("encoders")
+    driving.enable()
+    drive(driving, 0.2, 0.0, 1.5)
+    assert driving.locked is None
+
+
 @pytest.mark.parametrize(
     ("said", "words"),
     [
