@@ -25,6 +25,8 @@ CELLS = 2 * HALF
 MEMORY = 10.0
 # A cell in which more than this share of a scan's rays ended, of those that came there, is not free.
 _MET_SHARE = 0.12
+# A ray is followed in steps of this many cells; those beside it meet the corners that it cuts.
+_STEP = 0.75
 # Fewer lost rays side by side than this say nothing; more may be something that is too near to be seen.
 _GAP = 3
 # A ray says nothing of the last bit before what it met, m: its range is not exact.
@@ -75,17 +77,12 @@ def _remembered(
 ) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
     after, occupied, where = seen.copy(), met.copy(), p_OM.copy()
     i0, j0 = math.floor(X_OB[0] / CELL) - HALF, math.floor(X_OB[1] / CELL) - HALF
-    # Cells that came into the window were never seen.
-    for a in range(CELLS):
-        for b in range(CELLS):
-            i, j = i0 + (a - i0) % CELLS, j0 + (b - j0) % CELLS
-            if not (0 <= i - corner[0] < CELLS and 0 <= j - corner[1] < CELLS):
-                after[a, b], occupied[a, b] = -np.inf, False
+    # Where the robot is in the window, in cells; (u, v) count cells from its corner.
+    u_B, v_B = X_OB[0] / CELL - i0, X_OB[1] / CELL - j0
     # Rays a cell: that went through it, ended in it, or would have come there if a gap of them had not been lost.
     passed = np.zeros((CELLS, CELLS), dtype=np.int32)
     ended, lost = np.zeros_like(passed), np.zeros_like(passed)
     total = np.zeros((CELLS, CELLS, 2))
-    step = 0.5 * CELL
     reach = (HALF - 1) * CELL
     gap_begin = gap_end = 0
     for k in range(len(ranges)):
@@ -100,35 +97,36 @@ def _remembered(
         free = min(reach, ranges[k] - _BEFORE_RETURN) if says else reach
         counted = passed if says else lost
         cosine, sine = math.cos(X_OB[2] + angles[k]), math.sin(X_OB[2] + angles[k])
-        last_i, last_j = i0 - 1, j0 - 1
-        for n in range(int(free / step) + 1 if free > 0.0 else 0):
-            i, j = math.floor((X_OB[0] + n * step * cosine) / CELL), math.floor((X_OB[1] + n * step * sine) / CELL)
-            if i != last_i or j != last_j:
-                counted[i % CELLS, j % CELLS] += 1
-                last_i, last_j = i, j
+        last_u, last_v = -1, -1
+        for n in range(int(free / (_STEP * CELL)) + 1 if free > 0.0 else 0):
+            u, v = int(u_B + n * _STEP * cosine), int(v_B + n * _STEP * sine)
+            if u != last_u or v != last_v:
+                counted[u, v] += 1
+                last_u, last_v = u, v
         if ranges[k] < reach:
-            x, y = X_OB[0] + ranges[k] * cosine, X_OB[1] + ranges[k] * sine
-            i, j = math.floor(x / CELL), math.floor(y / CELL)
-            ended[i % CELLS, j % CELLS] += 1
-            total[i % CELLS, j % CELLS, 0] += x
-            total[i % CELLS, j % CELLS, 1] += y
-            if i == last_i and j == last_j:
-                passed[i % CELLS, j % CELLS] -= 1
-    beneath = radius - CELL
-    for a in range(CELLS):
-        for b in range(CELLS):
-            x = (i0 + (a - i0) % CELLS + 0.5) * CELL - X_OB[0]
-            y = (j0 + (b - j0) % CELLS + 0.5) * CELL - X_OB[1]
-            count = passed[a, b] + ended[a, b]
+            u, v = int(u_B + ranges[k] / CELL * cosine), int(v_B + ranges[k] / CELL * sine)
+            ended[u, v] += 1
+            total[u, v, 0] += X_OB[0] + ranges[k] * cosine
+            total[u, v, 1] += X_OB[1] + ranges[k] * sine
+            if u == last_u and v == last_v:
+                passed[u, v] -= 1
+    beneath = radius / CELL - 1.0
+    for u in range(CELLS):
+        for v in range(CELLS):
+            a, b = (i0 + u) % CELLS, (j0 + v) % CELLS
+            if not (0 <= i0 + u - corner[0] < CELLS and 0 <= j0 + v - corner[1] < CELLS):
+                # It has come into the window.
+                after[a, b], occupied[a, b] = -np.inf, False
+            x, y = u + 0.5 - u_B, v + 0.5 - v_B
             if x * x + y * y < beneath * beneath:
                 after[a, b], occupied[a, b] = stamp, False
-            elif occupied[a, b] and lost[a, b] > 0:
+            elif occupied[a, b] and lost[u, v] > 0:
                 # Past the edge of what is too near to be seen rays pass, or end in what noise has moved away.
                 continue
-            elif ended[a, b] > _MET_SHARE * count:
+            elif ended[u, v] > _MET_SHARE * (passed[u, v] + ended[u, v]):
                 after[a, b], occupied[a, b] = stamp, True
-                where[a, b] = total[a, b] / ended[a, b]
-            elif passed[a, b] > lost[a, b]:
+                where[a, b] = total[u, v] / ended[u, v]
+            elif passed[u, v] > lost[u, v]:
                 after[a, b], occupied[a, b] = stamp, False
     return np.array([i0, j0]), after, occupied, where
 
