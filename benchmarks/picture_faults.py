@@ -197,11 +197,11 @@ def emulated(messages: int, folder: Path) -> None:
         mission.press("p")
         _until(lambda: moved(emulator, time.monotonic() - 0.2))
         arrived = pester(mission, messages, 1)
-        goes_on = moved(emulator, time.monotonic() - 20.0)
-        mission.press("q")
+        with contextlib.suppress(BrokenPipeError):  # It may have come to its end by then.
+            mission.press("q")
         mission.process.wait()
     report("emulated Kobuki", mission, folder, arrived)
-    print(f"wheels started from outside {int(started)} times in 3 attempts; the mission went on: {goes_on}")
+    print(f"wheels started from outside {int(started)} times in 3 attempts; stopped from there: {stopped}")
 
 
 def _until(condition: Callable[[], bool]) -> None:
