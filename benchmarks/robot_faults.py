@@ -35,6 +35,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import disk_full
+from picture_faults import HANDSHAKE, KEY, MALFORMED, STARTING, click, frame, send
+
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki.emulated_base import FULL
@@ -65,7 +68,9 @@ Command = tuple[float, float, float]
 
 
 class Kobuki:
-    """An emulated Kobuki in this process."""
+    """An emulated Kobuki in this process. shown: its explorer has a picture."""
+
+    shown = False
 
     def __init__(self) -> None:
         self.emulator = Emulator(MakeWorld(SCENARIO.world))
@@ -86,8 +91,16 @@ class Kobuki:
         self.emulator.close()
 
 
+class ShownKobuki(Kobuki):
+    """An emulated Kobuki whose explorer has a picture."""
+
+    shown = True
+
+
 class TurtleBot4:
     """An emulated TurtleBot 4 on a ROS 2 graph, in this process."""
+
+    shown = False
 
     def __init__(self) -> None:
         os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
@@ -158,14 +171,16 @@ class TurtleBot4BesideAnother(TurtleBot4):
 class Explorer:
     """`tfg-drake explore --robot` in a process of its own. lines: (time, line) of its standard output."""
 
-    def __init__(self, arguments: list[str], folder: Path) -> None:
+    def __init__(self, arguments: list[str], folder: Path, shown: bool = False) -> None:
+        """shown: with a picture."""
         self.folder = folder
         self.lines: list[tuple[float, str]] = []
         short = ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
+        picture = [] if shown else ["--headless"]
         errors = folder.with_suffix(".err")
         with errors.open("w") as stream:
             self.process = subprocess.Popen(
-                [*CLI, "explore", "--robot", *arguments, "--headless", *short, "--max-time", "100000", "--out", folder],
+                [*CLI, "explore", "--robot", *arguments, *picture, *short, "--max-time", "100000", "--out", folder],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=stream,
@@ -182,6 +197,11 @@ class Explorer:
         for line in self.process.stdout:
             if not PROGRESS.match(line):
                 self.lines.append((time.monotonic(), line.rstrip()))
+
+    @property
+    def port(self) -> int:
+        """Of its picture."""
+        return next(int(line.rsplit(":", 1)[1]) for _, line in self.lines if line.startswith("Meshcat: http"))
 
     def press(self, key: str) -> None:
         assert self.process.stdin is not None
@@ -349,6 +369,20 @@ def _second_robot(_: Kobuki, explorer: Explorer) -> str:
     return "" if code == 2 else f"the second run has exit code {code}"
 
 
+def _asked_from_outside(_: Kobuki, explorer: Explorer) -> None:
+    """The operator stops the robot, and a page of a foreign origin presses every button that could start it."""
+    explorer.press(" ")
+    for name in STARTING:
+        send(explorer.port, HANDSHAKE % KEY, frame(click(name)))
+
+
+def _full_disk(folder: Path) -> tuple[str, str]:
+    """A simulated mission whose disk fills up at a stage that differs from trial to trial."""
+    _, outcome, _, mapped, landmarks, lines = disk_full.mission("house", 4 + 13 * int(folder.name), 0)
+    wrong = "" if outcome == "complete" and landmarks == mapped else f"{outcome}, {landmarks} of {mapped} landmarks"
+    return wrong, lines[0] if lines else ""
+
+
 # What a scan must do for the robot to stand, and to go on by itself.
 BLIND: dict[str, Any] = {"stands": "ahead", "enabling": False}
 SLOW = BLIND | {"bound": SLOW_BOUND, "lasts": 4.0}
@@ -369,6 +403,16 @@ ROWS: tuple[Fault | Check, ...] = (
     _sensor(1, TurtleBot4, "scan", "none", **BLIND),
     _sensor(1, TurtleBot4, "scan", "thin", **SLOW),
     _sensor(1, TurtleBot4, "scan", "frozen", **SLOW),
+    Fault(2, "a foreign page enables", ShownKobuki, _asked_from_outside, _nothing, told=False, **LOCKED),
+    Fault(
+        3,
+        "malformed frame to the picture",
+        ShownKobuki,
+        lambda _, explorer: "" if send(explorer.port, HANDSHAKE % KEY, frame(MALFORMED)) else "nobody listens",
+        _nothing,
+        enabling=False,
+    ),
+    Check(5, "disk full", _full_disk),
     _sensor(4, TurtleBot4, "tags", "range", math.inf),
     _ordered(6, "battery at 13.8 V", "battery 13.8", f"battery {0.1 * FULL:g}", lasts=7.0, ends=True, fatal=True),
     _ordered(6, "battery at 13.0 V", "battery 13.0", f"battery {0.1 * FULL:g}", stands="all", ends=True, fatal=True),
@@ -491,7 +535,7 @@ def started(fault: Fault, robot: Any, explorer: Explorer | None, folder: Path) -
     how = turning if fault.turning else travelling
     for attempt in range(3):
         if explorer is None:
-            explorer = Explorer(robot.arguments, folder / f"{time.monotonic_ns()}")
+            explorer = Explorer(robot.arguments, folder / f"{time.monotonic_ns()}", robot.shown)
             explorer.press("e")
         going = explorer
         if drives(robot, how, time.monotonic(), PATIENCE, lambda going=going: not going.ended()):

@@ -40,7 +40,8 @@ def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:
     assert all(int(row[2]) >= 2 and int(row[3]) > 50 for row in rows)
 
 
-def test_robot_faults_tells_when_the_wheels_are_told_to_stand() -> None:
+def test_robot_faults_tells_when_the_wheels_are_told_to_stand(monkeypatch) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
     names = runpy.run_path(str(BENCHMARKS / "robot_faults.py"))
     moving, ahead, stands_after = (names[name] for name in ("moving", "ahead", "stands_after"))
 

@@ -29,8 +29,8 @@ SOCKETS = ["--tags", "socket:127.0.0.1:1", "--scan", "socket:127.0.0.1:1"]
         ),
         (
             ["--robot", "kobuki", *SOCKETS],
-            "socket:127.0.0.1:1: Connection refused: start what serves tags and scans there, or name the HOST:PORT that"
-            " it prints",
+            "/dev/kobuki: no such device; plug the base in and switch it on, or name the port it has under"
+            " /dev/serial/by-id",
         ),
         (
             ["--robot", "rosbridge", "--bridge", "robot"],
