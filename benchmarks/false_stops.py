@@ -54,8 +54,8 @@ def mission(world: str, kind: str, seed: int) -> dict[str, Any]:
         if after[SPEED] < filter_command(state, stamp, command, hazards, seen, trusting, *rest)[SPEED] - SLOWER:
             robot, safety = scenario.robot, scenario.safety
             way = float(command[0]), float(command[1]), robot.radius, safety.side_margin
-            room = free_distance(seen, np.zeros(3), *way)
-            (stops if after[SPEED] == 0.0 and room > NEAR else slowed).append(stamp)
+            told = command[0] > SLOWER and after[SPEED] == 0.0
+            (stops if told and free_distance(seen, np.zeros(3), *way) > NEAR else slowed).append(stamp)
         return after
 
     if kind == "20 % lost":
