@@ -4,7 +4,7 @@
 
 Whole missions whose scans are as in the scenario, without noise, or lack 20 % of their rays. Each command is filtered
 twice: as it is, and with what was not seen taken for free and every scan believed. A false stop is a moment when the
-first lets the base stand and the second lets it drive at 0.05 m/s or more, and the scan shows nothing within 10 cm of
+first lets the base stand and the second lets it drive at 0.05 m/s or more, and the scan shows nothing within 15 cm of
 the outline in its way; the base is slowed where the first is slower by as much, whatever is in its way. Prints a row a
 kind of scan; a mission a line is kept in --out, and it goes on where it stopped.
 """
@@ -32,7 +32,7 @@ LOST = 0.2
 # A base that is let drive so much faster, m/s, is slowed.
 SLOWER = 0.05
 # Where there is nothing so near in its way, m, there is nothing to stop for.
-NEAR = 0.1
+NEAR = 0.15
 
 
 def mission(world: str, kind: str, seed: int) -> dict[str, Any]:
