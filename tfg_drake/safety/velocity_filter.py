@@ -20,6 +20,8 @@ SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT, BASE_SPEED = range(5)
 STATE_SIZE = 5
 
 _RIGHT, _CENTRE, _LEFT = 1, 2, 4
+# A scan that is not believed may be a single one that was garbled: the base drives on for so long, s.
+_DOUBTED = 0.25
 
 
 @njit(cache=True)
@@ -128,7 +130,8 @@ def filter_command(
     - Speed, turn rate and their rates stay within the robot's limits.
     - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance), and
       before the first place in the way that is not known to be free (open_distance). Without a scan younger than
-      scan_timeout that is believed there is no forward speed. Turning in place and backing away stay allowed.
+      scan_timeout, and without one younger than a quarter of a second that is believed, there is no forward speed.
+      Turning in place and backing away stay allowed.
     - While the base cannot be as slow as it should, it turns as it is told unless that takes it nearer to a return
       than stop_distance and than its arc does: then it brakes on that.
     """
@@ -151,7 +154,7 @@ def filter_command(
     X_SB = _pose_in_scan(state, stamp - scan.stamp, safety)
     if speed > 0.0:
         room = 0.0
-        if X_SB is not None and (not watch.doubt or stamp - watch.believed.stamp <= safety.scan_timeout):
+        if X_SB is not None and (not watch.doubt or stamp - watch.believed.stamp <= _DOUBTED):
             room = _room(scan, X_SB, watch, X_OB, speed, turn_rate, robot, safety, period)
         speed = min(speed, _speed_allowed(room, robot, period))
     base = _towards(base_before, speed, step)
