@@ -4,6 +4,7 @@ messages (dictionaries of their fields), for whichever transport."""
 from __future__ import annotations
 
 import collections
+import dataclasses
 import math
 import time
 from collections.abc import Callable
@@ -52,9 +53,11 @@ class EmulatedTurtlebot:
     ) -> None:
         """preset: the mount of its scanner, its frames. seed: of the sensors' noise, None for none."""
         self._world, self._preset = world, preset
-        self._tags, self._scanner, self._wheels = tags, scanner, wheels
+        # A TurtleBot 4's lidar sees all round; as it is mounted, a narrower field of view would leave out what is ahead.
+        self._tags, self._wheels = tags, wheels
+        self._scanner = dataclasses.replace(scanner, field_of_view=2.0 * math.pi)
         self._robot = RobotConfig(max_acceleration=ACCELERATION)
-        self._angles = laser_scanner.ray_angles(scanner)
+        self._angles = laser_scanner.ray_angles(self._scanner)
         self._random = None if seed is None else np.random.default_rng(seed)
         self._run_errors = odometry.run_errors(self._noise(3), wheels)
         self._base = differential_drive.initial_state(world.start, world.walls, self._robot)
