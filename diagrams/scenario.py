@@ -35,6 +35,7 @@ from tfg_drake.config import (
 )
 from tfg_drake.world.load import furnish, load_map
 from tfg_drake.world.world import World, WorldError, check_world
+from tfg_drake.yaml_text import parse_yaml
 
 
 class ScenarioError(ValueError):
@@ -323,7 +324,7 @@ def _ReadText(path: Path) -> str:
 
 def _Parse(text: str, source: str) -> object:
     try:
-        return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        return parse_yaml(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark is not None else "somewhere"

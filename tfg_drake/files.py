@@ -1,10 +1,27 @@
-"""Files that are either whole or not there."""
+"""Files that are either whole or not there, and read no further than they should be."""
 
 from __future__ import annotations
 
+import gzip
 import os
 import tempfile
+import zlib
 from pathlib import Path
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The first `most` bytes of a file, all where it has fewer, unzipped where its name ends in .gz.
+
+    No more than these are unzipped: a file of zeros shrinks to a thousandth.
+
+    Raises:
+        OSError: the file cannot be read; gzip.BadGzipFile, which is one, where it is no gzip file or not a whole one.
+    """
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            return file.read(most)
+    except (EOFError, zlib.error) as error:
+        raise gzip.BadGzipFile(str(error)) from None
 
 
 def write_atomic(path: Path, data: bytes | str, *, durable: bool = True) -> None:

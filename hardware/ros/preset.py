@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from tfg_drake.hardware.watchdog import Limits
+from tfg_drake.yaml_text import parse_yaml
 
 PRESETS = Path(__file__).parent / "presets"
 
@@ -148,8 +149,8 @@ def load_preset(name_or_path: str | Path) -> Preset:
         names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
         raise PresetError(f"{name_or_path}: no such file or preset; name a YAML file or one of {names}")
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+        tree = parse_yaml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise PresetError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     try:
         preset: Preset = _read(tree, Preset, "")

@@ -92,8 +92,8 @@ def test_a_fixed_pose_stays(tmp_path):
             " and FIX are",
         ),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0", "line 1: EDGE_SE2 takes 11 numbers, 10 found; mend the line"),
-        ("EDGE_SE2 0 b 1 0 0 1 0 0 1 0 1", "line 1: 'b' is not an id; ids are whole numbers from 0 on"),
-        ("EDGE_SE2 0 1 inf 0 0 1 0 0 1 0 1", "line 1: 'inf' is not a finite number; mend the line"),
+        ("EDGE_SE2 0 b 1 0 0 1 0 0 1 0 1", "line 1: 'b' is not an id; ids are whole numbers of at most 16 digits"),
+        ("EDGE_SE2 0 1 inf 0 0 1 0 0 1 0 1", "line 1: 'inf' is not a finite number below 1e+18; mend the line"),
         (
             "EDGE_SE2 0 1 1 0 0 1 0 0 0 0 1",
             "line 1: the information matrix is not positive definite; mend the line",

@@ -92,12 +92,12 @@ def test_without_truth_there_is_none(folder):
         (
             "Robot1_Odometry.dat",
             "1.0 0.1 x\n",
-            "{}/Robot1_Odometry.dat, line 1: 'x' is not a finite number; mend the line",
+            "{}/Robot1_Odometry.dat, line 1: 'x' is not a finite number below 1e+18; mend the line",
         ),
         (
             "Robot1_Odometry.dat",
             "1.0 0.1 nan\n",
-            "{}/Robot1_Odometry.dat, line 1: 'nan' is not a finite number; mend the line",
+            "{}/Robot1_Odometry.dat, line 1: 'nan' is not a finite number below 1e+18; mend the line",
         ),
         ("Robot1_Odometry.dat", "# empty\n", "{}/Robot1_Odometry.dat: no odometry in it; copy it again"),
         (

@@ -134,7 +134,8 @@ def test_world_and_config_are_inverse():
         ("scan: {rate: 0.05}", "scan.rate: must be at least 1, is 0.05"),
         (
             "world: {walls: [[0, 0, 1e5, 0], [0, 0, 0, 30]], start: [5, 5, 0]}",
-            "the walls extend over 100000 x 30 m; check their unit or resolution",
+            "the walls extend over 100000 x 30 m, the farthest to (100000, 0); check their unit or resolution, or that"
+            " number",
         ),
         ("world: {tags: [{id: -1}]}", "world.tags[0].id: must be between 0 and 2147483647, is -1"),
         ("world: {walls: 3}", "world.walls: expected a list, found int (3)"),

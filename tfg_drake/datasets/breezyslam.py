@@ -14,7 +14,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, ScanLog
-from tfg_drake.datasets.text import is_finite_number, read_text
+from tfg_drake.datasets.text import parse_numbers, read_text
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
 
@@ -52,10 +52,7 @@ def load_breezyslam(path: Path) -> ScanLog:
         if len(words) < _FIRST + RAYS:
             raise DatasetError(f"{path}, line {number}: {_FIRST + RAYS} columns expected, {len(words)} found; mend it")
         told = [words[0], *words[2:4], *words[_FIRST : _FIRST + RAYS]]
-        for word in told:
-            if not is_finite_number(word):
-                raise DatasetError(f"{path}, line {number}: {word!r} is not a finite number; mend the line")
-        rows.append([float(word) for word in told])
+        rows.append(parse_numbers(path, number, told))
         if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
             raise DatasetError(f"{path}, line {number}: time does not grow; sort the lines by their first column")
     if len(rows) < 2:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, ScanLog
-from tfg_drake.datasets.text import is_finite_number, read_text
+from tfg_drake.datasets.text import parse_numbers, read_text
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
 from tfg_drake.simulation import odometry
 
@@ -65,16 +65,13 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float =
 
 def _scan_line(path: Path, number: int, words: list[str]) -> tuple[FloatArray, FloatArray, float]:
     """Ranges, pose and stamp of a FLASER line."""
-    count = int(words[1]) if len(words) > 1 and words[1].isdecimal() else 0
-    if not count or len(words) != 2 + count + _TAIL:
+    count = len(words) - 2 - _TAIL
+    if count < 1 or words[1] != str(count):
         raise DatasetError(f"{path}, line {number}: not a whole FLASER line; copy the file again")
     told = words[2 : 2 + count + 3]
     stamp = words[2 + count + 6]
-    for word in (*told, stamp):
-        if not is_finite_number(word):
-            raise DatasetError(f"{path}, line {number}: {word!r} is not a finite number; mend the line")
-    values = np.array([float(word) for word in told])
-    return values[:count], values[count:], float(stamp)
+    values = np.array(parse_numbers(path, number, [*told, stamp]))
+    return values[:count], values[count:-1], float(values[-1])
 
 
 def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.datasets.text import is_finite_number, read_text
+from tfg_drake.datasets.text import parse_numbers, read_text
 from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray
 
@@ -27,6 +27,8 @@ _FORMAT = {
     "EDGE_SE2_XY": (2, 5),
     "LANDMARK2": (2, 5),
 }
+# GTSAM's keys have 56 bits for an id.
+_ID_DIGITS = 16
 
 
 def read_g2o(path: Path) -> PoseGraph:
@@ -42,10 +44,9 @@ def read_g2o(path: Path) -> PoseGraph:
             continue
         if words[0] not in _FORMAT:
             known = "VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY and FIX"
-            raise DatasetError(f"{path}, line {number}: {words[0]} is not supported; planar graphs of {known} are")
+            raise DatasetError(f"{path}, line {number}: {words[0][:40]} is not supported; planar graphs of {known} are")
         ids, numbers = _FORMAT[words[0]]
-        _check_line(path, number, words, ids, numbers)
-        row = ([int(word) for word in words[1 : 1 + ids]], [float(word) for word in words[1 + ids :]])
+        row = _parse_line(path, number, words, ids, numbers)
         rows["EDGE_SE2_XY" if words[0] == "LANDMARK2" else words[0]].append((number, *row))
 
     poses = {row[1][0]: row[2] for row in rows["VERTEX_SE2"]}
@@ -125,17 +126,17 @@ def write_g2o(path: Path, graph: PoseGraph) -> None:
     write_atomic(path, "\n".join(lines) + "\n")
 
 
-def _check_line(path: Path, number: int, words: list[str], ids: int, numbers: int) -> None:
+def _parse_line(path: Path, number: int, words: list[str], ids: int, numbers: int) -> tuple[list[int], list[float]]:
+    """The ids and the numbers after a line's tag, so many of each; raises DatasetError."""
     if len(words) != 1 + ids + numbers:
         raise DatasetError(
             f"{path}, line {number}: {words[0]} takes {ids + numbers} numbers, {len(words) - 1} found; mend the line"
         )
     for word in words[1 : 1 + ids]:
-        if not word.isdecimal():
-            raise DatasetError(f"{path}, line {number}: {word!r} is not an id; ids are whole numbers from 0 on")
-    for word in words[1 + ids :]:
-        if not is_finite_number(word):
-            raise DatasetError(f"{path}, line {number}: {word!r} is not a finite number; mend the line")
+        if not word.isdecimal() or len(word) > _ID_DIGITS:
+            complaint = f"{word[:40]!r} is not an id; ids are whole numbers of at most {_ID_DIGITS} digits"
+            raise DatasetError(f"{path}, line {number}: {complaint}")
+    return [int(word) for word in words[1 : 1 + ids]], parse_numbers(path, number, words[1 + ids :])
 
 
 def _informations(path: Path, rows: list[tuple[int, list[int], list[float]]], size: int) -> FloatArray:
@@ -144,6 +145,6 @@ def _informations(path: Path, rows: list[tuple[int, list[int], list[float]]], si
     i, j = np.triu_indices(size)
     for matrix, (number, _, numbers) in zip(matrices, rows, strict=True):
         matrix[i, j] = matrix[j, i] = numbers[size:]
-        if np.linalg.eigvalsh(matrix)[0] <= 0.0:
+        if not np.linalg.eigvalsh(matrix)[0] > 0.0:
             raise DatasetError(f"{path}, line {number}: the information matrix is not positive definite; mend the line")
     return matrices

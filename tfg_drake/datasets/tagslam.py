@@ -10,7 +10,6 @@ Frames: R the rig, V the odometry's world (z up), C a camera, T a tag, W the sur
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.square_pnp import square_centers, undistort
-from tfg_drake.datasets.text import find_file, is_finite_number, read_text
+from tfg_drake.datasets.text import GREATEST, find_file, parse_numbers, read_text
 from tfg_drake.messages import FloatArray, IntArray, Odometry
+from tfg_drake.yaml_text import parse_yaml
 
 # Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
 CORNER_NOISE = 0.5
@@ -106,9 +106,9 @@ class _Setup:
             self.sizes = {int(tag["id"]): float(tag.get("size", self.default_size)) for tag in tags}
             surveyed = sorted((int(tag["id"]), _pose(tag["pose"])[1]) for tag in tags if "pose" in tag)
             R_WB, p_WB = _pose(static["pose"]) if "pose" in static else (np.eye(3), np.zeros(3))
-        except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
+            self.surveyed_ids: IntArray = np.array([tag for tag, _ in surveyed], dtype=np.int64)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, StopIteration) as error:
             raise _incomplete(self.files["tagslam"], error) from error
-        self.surveyed_ids: IntArray = np.array([tag for tag, _ in surveyed], dtype=np.int64)
         self.p_WT: FloatArray = np.array([p for _, p in surveyed]).reshape(-1, 3) @ R_WB.T + p_WB
 
     def camera(self, name: str) -> dict[str, Any] | None:
@@ -236,8 +236,8 @@ def _pose(node: Any) -> tuple[FloatArray, FloatArray]:
 
 def _numbers(values: Any, count: int) -> FloatArray:
     array = np.array([float(value) for value in values])
-    if len(array) != count or not np.isfinite(array).all():
-        raise ValueError(f"{count} finite numbers expected")
+    if len(array) != count or not (np.abs(array) < GREATEST).all():
+        raise ValueError(f"{count} finite numbers below {GREATEST:g} expected")
     return array
 
 
@@ -249,11 +249,11 @@ def _incomplete(file: Path, error: Exception) -> DatasetError:
 def _read_yaml(file: Path) -> dict[str, Any]:
     text = read_text(file)
     try:
-        tree = yaml.safe_load(text)
+        tree = parse_yaml(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark is not None else ""
-        raise DatasetError(f"{file}{where}: not YAML; mend it") from error
+        raise DatasetError(f"{file}{where}: {getattr(error, 'problem', None) or 'not YAML'}; mend it") from error
     except ValueError as error:  # What looks like a date or a number and is none.
         raise DatasetError(f"{file}: not YAML: {error}; mend it") from error
     if not isinstance(tree, dict):
@@ -264,22 +264,20 @@ def _read_yaml(file: Path) -> dict[str, Any]:
 def _read_csv(file: Path, columns: tuple[str, ...], label: str | None = None) -> tuple[list[str], FloatArray]:
     """The label column, if one is asked for, and the columns named as finite numbers (n, len(columns))."""
     lines = read_text(file).splitlines()
-    header = next(csv.reader(lines[:1]), [])
+    header = lines[0].split(",") if lines else []
     for column in (*columns, *([label] if label else [])):
         if column not in header:
             raise DatasetError(f"{file}: no column {column!r} in the first line; name the columns there")
     at = [header.index(column) for column in columns]
     labels, rows = [], []
-    for number, words in enumerate(csv.reader(lines[1:]), start=2):
-        if not words:
+    for number, line in enumerate(lines[1:], start=2):
+        if not line:
             continue
+        words = line.split(",")
         if len(words) != len(header):
             raise DatasetError(
                 f"{file}, line {number}: {len(header)} values expected, {len(words)} found; mend the line"
             )
-        for i in at:
-            if not is_finite_number(words[i]):
-                raise DatasetError(f"{file}, line {number}: {words[i]!r} is not a finite number; mend the line")
-        rows.append([float(words[i]) for i in at])
+        rows.append(parse_numbers(file, number, [words[i] for i in at]))
         labels.append(words[header.index(label)] if label else "")
     return labels, np.array(rows).reshape(-1, len(columns))

@@ -17,6 +17,8 @@ ALONG = 0.5
 RUN = 8
 # How far beyond an edge's ends rounding may place a crossing, m.
 ROUNDING = 1e-9
+# Points whose cover is counted together.
+_AT_ONCE = 1_000_000
 
 
 @njit(cache=True)
@@ -228,5 +230,8 @@ def covered_area(star_offsets: IntArray, star_vertices: FloatArray, cell: float 
         return 0.0
     low, high = star_vertices.min(axis=0), star_vertices.max(axis=0)
     x, y = (np.arange(low[i] + 0.5 * cell, high[i], cell) for i in range(2))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return float(cell**2 * np.count_nonzero(inside_any(points, star_offsets, star_vertices)))
+    held = 0
+    for some in np.array_split(y, 1 + len(x) * len(y) // _AT_ONCE):  # all at once are gigabytes in a large map
+        points = np.stack(np.meshgrid(x, some), axis=-1).reshape(-1, 2)
+        held += int(np.count_nonzero(inside_any(points, star_offsets, star_vertices)))
+    return float(cell**2 * held)

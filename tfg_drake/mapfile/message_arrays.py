@@ -40,6 +40,9 @@ Registry = Mapping[type, Mapping[str, Shape]]
 
 T = TypeVar("T")
 
+# Numbers in a row of an array without rows, at most.
+_WIDEST = 16
+
 _SCALARS: dict[Any, Any] = {float: np.float64, int: np.int64, bool: np.bool_}
 _NAMES = {"f": "numbers", "i": "integers", "b": "truth values", "U": "text"}
 
@@ -290,8 +293,10 @@ class _Reader:
             raise ArraysError(f"{path}@shape has the wrong shape")
         if lower and (shapes.shape[1] < 2 or np.any(shapes[:, -1] != shapes[:, -2])):
             raise ArraysError(f"{path}@shape does not fit {name}")
+        # Where one dimension is 0 the others may say what they like: an array of no numbers has no long side either.
+        long = np.any(shapes > len(stored) + _WIDEST)
         sizes = [_stored_size(shape, lower) for shape in shapes.tolist()]
-        if stored.ndim != 1 or sum(sizes) != len(stored):
+        if long or stored.ndim != 1 or sum(sizes) != len(stored):
             raise ArraysError(f"{path}@shape does not fit {name}")
         values, start = [], 0
         for shape, size in zip(shapes.tolist(), sizes, strict=True):

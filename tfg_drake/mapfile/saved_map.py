@@ -26,9 +26,16 @@ from tfg_drake.slam.segment import start_segment
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces
+from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
 SCHEMA = 4
+
+
+# Bytes of a map's arrays at most; 274 landmarks and 138 goals have 0.8 MB.
+_LARGEST = 64 * 2**20
+# Fields of the TfgMap that are places.
+_PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
 
 class MapFileError(Exception):
@@ -265,6 +272,10 @@ def load_map(path: Path) -> SavedMap:
 
 def _read(path: Path) -> dict[str, Array]:
     try:
+        with zipfile.ZipFile(path) as archive:  # which unpacks no more of an array than it says here
+            size = sum(info.file_size for info in archive.infolist())
+        if size > _LARGEST:
+            raise MapFileError(f"{path} holds {size / 2**20:.0f} MiB, at most {_LARGEST / 2**20:.0f} are read")
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
@@ -304,6 +315,11 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg_graph.tried_count does not fit tfg_graph.tried"
     if len(tfg_graph.viewpoints.goal) != len(tfg_graph.sighted.goal):
         return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
+    places = {"graph.p_ML": graph.p_ML, "graph.X_MA": graph.X_MA[:, :2]}
+    places |= {f"tfg.{name}": getattr(tfg, name) for name in _PLACES}
+    for name, p_M in places.items():
+        if not (np.abs(p_M) <= LONGEST).all():
+            return f"{name} is more than {LONGEST:g} m from the origin"
     goals = {"tag_goal": tfg_graph.tag_goal, "surfaces.goal": tfg_graph.surfaces.goal}
     for field in dataclasses.fields(TfgGraph):
         if isinstance(points := getattr(tfg_graph, field.name), FrontierPoints):

@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import io
-import math
+import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
 import yaml
 from PIL import Image, UnidentifiedImageError
 
+from tfg_drake.files import read_bytes
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.world.world import WorldError
+from tfg_drake.yaml_text import parse_yaml
 
 # Walls may leave the cells' borders by this many cells: the staircases of slanted walls stay within one.
 _TOLERANCE = 1.0
+# Cells of an image at most: 250 m a side at 5 cm a cell. Each takes some ten bytes while the image is read.
+_MOST_CELLS = 25_000_000
+# Sides between free cells and others at most: 10 km of wall at 5 cm a cell. A photograph has more.
+_MOST_SIDES = 200_000
+# An image tells its size within its first bytes, and no format takes more a cell: three numbers in digits.
+_HEADER_BYTES = 2**20
+_CELL_BYTES = 18
+_FORMATS = ("PNG", "PPM", "BMP", "JPEG")
+# No number in the .yaml is greater, whatever its unit.
+_GREATEST = 1e9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +54,7 @@ class OccupancyMap:
 def load_map_server(path: Path) -> OccupancyMap:
     """Reads the map's .yaml, whose `image` (.pgm, .pgm.gz, .png) is relative to it; raises WorldError."""
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        tree = parse_yaml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise WorldError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(tree, dict) or not isinstance(tree.get("image"), str):
@@ -56,6 +68,11 @@ def load_map_server(path: Path) -> OccupancyMap:
     free = _free_cells(path, tree)
     if not free.any():
         raise WorldError(f"{path}: no free space in the image; check negate and free_thresh")
+    sides = np.count_nonzero(free[1:] != free[:-1]) + np.count_nonzero(free[:, 1:] != free[:, :-1])
+    if sides > _MOST_SIDES:
+        raise WorldError(
+            f"{path}: image: {sides} sides of its cells are wall, at most {_MOST_SIDES} are read; is it a map of walls?"
+        )
     polylines = [_outline(line) for line in _borders(free)]
     corners = _distinct(np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in polylines])) * resolution
     X_WI = np.array(origin, dtype=float)
@@ -74,7 +91,7 @@ def _distinct(segments: FloatArray) -> FloatArray:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _GREATEST
 
 
 def _number(path: Path, tree: dict[str, object], key: str, default: float | None = None) -> float:
@@ -89,21 +106,16 @@ def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
     """The free cells, row 0 lowest, as map_server reads them: occupancy p below free_thresh, transparent is unknown."""
     file = path.parent / str(tree["image"])
     try:
-        data = file.read_bytes()
-        if file.suffix == ".gz":
-            data = gzip.decompress(data)
-        with Image.open(io.BytesIO(data)) as image:
-            if image.mode.startswith("I"):  # 16 bits a pixel: conversion would cut them off, not scale them
-                shade = np.asarray(image, dtype=float) / 65535.0
-                known = np.ones(shade.shape, dtype=np.bool_)
-            else:
-                pixels = np.asarray(image.convert("LA"), dtype=float)
-                shade, known = pixels[:, :, 0] / 255.0, pixels[:, :, 1] > 0.0
+        level, white, known = _levels(file)
     except FileNotFoundError:
         raise WorldError(f"{path}: image: {file} does not exist") from None
     except UnidentifiedImageError:
         raise WorldError(f"{path}: image: {file} is not a readable image: its format is unknown") from None
-    except (OSError, EOFError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError):
+        complaint = f"has more than {_MOST_CELLS} cells; crop it to the building, or make its cells larger"
+        raise WorldError(f"{path}: image: {file} {complaint}") from None
+    # What Pillow says of bytes that are no image, or no whole one.
+    except (OSError, EOFError, SyntaxError, ValueError, TypeError, LookupError, OverflowError, struct.error) as error:
         raise WorldError(f"{path}: image: {file} is not a readable image: {' '.join(str(error).split())}") from None
     negate = tree.get("negate", 0)
     if negate not in (0, 1):
@@ -113,8 +125,28 @@ def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
     free_thresh = _number(path, tree, "free_thresh", 0.196)
     if not 0.0 < free_thresh <= 1.0:
         raise WorldError(f"{path}: free_thresh: must be greater than 0 and at most 1, is {free_thresh:g}")
-    occupancy = shade if negate else 1.0 - shade
-    return np.asarray((occupancy < free_thresh) & known)[::-1]
+    shade = np.arange(white + 1) / white
+    is_free = (shade if negate else 1.0 - shade) < free_thresh  # by level: the image itself stays integers
+    return np.asarray(is_free[level] & known)[::-1]
+
+
+def _levels(file: Path) -> tuple[IntArray, int, BoolArray]:
+    """Each cell's level (rows, columns), 0 black, the level that is white, and which cells are not transparent.
+
+    Raises DecompressionBombError or -Warning for an image of too many cells, before memory is taken for them.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(io.BytesIO(read_bytes(file, _HEADER_BYTES)), formats=_FORMATS) as image:
+            cells = image.width * image.height
+        if cells > _MOST_CELLS:
+            raise Image.DecompressionBombError
+        with Image.open(io.BytesIO(read_bytes(file, _HEADER_BYTES + _CELL_BYTES * cells)), formats=_FORMATS) as image:
+            if image.mode.startswith("I"):  # 16 bits a pixel: conversion would cut them off, not scale them
+                level = np.clip(np.asarray(image), 0, 65535)
+                return level, 65535, np.ones(level.shape, dtype=np.bool_)
+            pixels = np.asarray(image.convert("LA"))
+            return pixels[:, :, 0], 255, pixels[:, :, 1] > 0
 
 
 def _borders(free: BoolArray) -> list[IntArray]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.messages import FloatArray
-from tfg_drake.world.world import WorldError
+from tfg_drake.world.world import WorldError, check_extent
 
 # The fence round an open map stands this far outside its bounding box, m.
 FENCE_DISTANCE = 1.0
@@ -34,6 +34,10 @@ def load_vectormap(path: Path) -> tuple[FloatArray, int]:
     if not rows:
         raise WorldError(f"{path}: no walls in it; expected lines of x0,y0,x1,y1 in metres")
     walls = np.array(rows)
+    try:
+        check_extent(walls)  # before the fence: it would be the farthest
+    except WorldError as error:
+        raise WorldError(f"{path}: {error}") from None
     zero = (walls[:, :2] == walls[:, 2:]).all(axis=1)
     return np.concatenate([walls[~zero], fence(walls)]), int(zero.sum())
 

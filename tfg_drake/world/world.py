@@ -26,8 +26,12 @@ class World:
     start: FloatArray
 
 
-# No building covers more than this, m^2; its cells would not fit into memory.
-LARGEST = 2.5e5
+# No building is longer than this, m, or covers more, m^2: ten times the largest map that we know of. Its cells take a
+# gigabyte while tags are placed.
+LONGEST = 1000.0
+LARGEST = 5e4
+# Farther from the origin a float64 does not tell the sides of a thin wall apart, m; the metres of UTM are within.
+FARTHEST = 1e8
 # A robot that starts farther outside the walls, m, sees none of them.
 OUTSIDE = 10.0
 
@@ -41,11 +45,18 @@ def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
 
 
 def check_extent(walls: FloatArray) -> None:
-    """Raises WorldError where walls (m, 4), m, reach farther than a building: a wrong unit or resolution."""
-    if len(walls):
-        width, height = np.ptp(walls.reshape(-1, 2), axis=0)
-        if width * height > LARGEST:
-            raise WorldError(f"the walls extend over {width:.0f} x {height:.0f} m; check their unit or resolution")
+    """Raises WorldError where walls (m, 4), m, reach farther than a building: a wrong unit, or one stray number."""
+    if not len(walls):
+        return
+    corners = walls.reshape(-1, 2)
+    x, y = corners[np.argmax(np.abs(corners).max(axis=1))]
+    if not max(abs(x), abs(y)) <= FARTHEST:
+        raise WorldError(f"a wall ends at ({x:g}, {y:g}), too far from the origin; check its unit and that number")
+    width, height = np.ptp(corners, axis=0)
+    if max(width, height) > LONGEST or width * height > LARGEST:
+        x, y = corners[np.argmax(np.abs(corners - np.median(corners, axis=0)).max(axis=1))]
+        where = f"{width:.0f} x {height:.0f} m, the farthest to ({x:g}, {y:g})"
+        raise WorldError(f"the walls extend over {where}; check their unit or resolution, or that number")
 
 
 def check_world(world: World, robot_radius: float) -> None:
