@@ -53,7 +53,7 @@ class EmulatedTurtlebot:
     ) -> None:
         """preset: the mount of its scanner, its frames. seed: of the sensors' noise, None for none."""
         self._world, self._preset = world, preset
-        # A TurtleBot 4's lidar sees all round; as it is mounted, a narrower field of view would leave out what is ahead.
+        # A TurtleBot 4's lidar sees all round; as it is mounted, a narrower field of view would not see ahead.
         self._tags, self._wheels = tags, wheels
         self._scanner = dataclasses.replace(scanner, field_of_view=2.0 * math.pi)
         self._robot = RobotConfig(max_acceleration=ACCELERATION)
