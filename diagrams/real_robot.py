@@ -22,7 +22,7 @@ from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.systems.meshcat_buttons import MeshcatButtons
 from tfg_drake.systems.picture import Picture
 
-# Of the simulated mission that is run before a real one, s: two stages.
+# Of the simulated mission that is run before a real one, s: some stages, as it does not look round for long first.
 REHEARSAL = 30.0
 
 
@@ -69,5 +69,6 @@ def Rehearse(scenario: Scenario, method: Method, interrupted: threading.Event) -
     robot need not wait for them in the middle of its way."""
     rehearsed = copy.deepcopy(scenario)
     rehearsed.world = LoadScenario("paper").world
+    rehearsed.explorer.first_look, rehearsed.explorer.first_turns = 0.0, 1
     mission = Mission(rehearsed, method, None, "rehearsal")
     mission.run(0.0, REHEARSAL, interrupted, lambda _: None, None)
