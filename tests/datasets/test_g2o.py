@@ -1,8 +1,12 @@
 """g2o files and their solution."""
 
+import gzip
+import tracemalloc
+
 import numpy as np
 import pytest
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.datasets.g2o import read_g2o, write_g2o
 from tfg_drake.datasets.pose_graph import half_chi_square, solve_pose_graph
 from tfg_drake.datasets.recording import DatasetError
@@ -93,6 +97,10 @@ def test_a_fixed_pose_stays(tmp_path):
         ),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0", "line 1: EDGE_SE2 takes 11 numbers, 10 found; mend the line"),
         ("EDGE_SE2 0 b 1 0 0 1 0 0 1 0 1", "line 1: 'b' is not an id; ids are whole numbers of at most 16 digits"),
+        (
+            f"EDGE_SE2 0 {10**16} 1 0 0 1 0 0 1 0 1",
+            f"line 1: '{10**16}' is not an id; ids are whole numbers of at most 16 digits",
+        ),
         ("EDGE_SE2 0 1 inf 0 0 1 0 0 1 0 1", "line 1: 'inf' is not a finite number below 1e+18; mend the line"),
         (
             "EDGE_SE2 0 1 1 0 0 1 0 0 0 0 1",
@@ -138,3 +146,31 @@ def test_a_loose_pose_cannot_be_placed(tmp_path):
     path.write_text("EDGE_SE2 0 3 1 0 0 1 0 0 1 0 1\nEDGE_SE2 2 3 1 0 0 1 0 0 1 0 1\n")
     with pytest.raises(ValueError, match="pose 2 is tied to no earlier pose"):
         solve_pose_graph(read_g2o(path))
+
+
+def test_a_mutated_file_is_refused_or_read(tmp_path):
+    path, _, _ = loop(tmp_path, noise=0.1)
+    assert_refused_or_read(path, lambda: read_g2o(path), DatasetError)
+    packed = tmp_path / "loop.g2o.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert_refused_or_read(packed, lambda: read_g2o(packed), DatasetError)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (bytes(3 * 2**20), "more than 1 MiB of text; is it what its name says?"),
+        (b"EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n" * 200_000, "more than 1 MiB of text; is it what its name says?"),
+    ],
+    ids=["zeros", "a line again and again"],
+)
+def test_text_that_gzip_made_of_nothing_is_not_unpacked(tmp_path, text, complaint):
+    path = tmp_path / "bomb.g2o.gz"
+    path.write_bytes(gzip.compress(text, 9, mtime=0))
+    del text
+    tracemalloc.start()
+    with pytest.raises(DatasetError) as caught:
+        read_g2o(path)
+    assert str(caught.value) == f"{path}: {complaint}"
+    assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+    tracemalloc.stop()

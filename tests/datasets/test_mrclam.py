@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.datasets.mrclam import COMMAND_LATENCY, SPEED_SCALE, TURN_SCALE, integrate_commands, load_mrclam
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.geometry import se2
@@ -140,3 +141,21 @@ def test_the_real_runs_are_complete():
     X_OB = np.array([one.X_OB for one in run.odometry])
     steps = se2.between(X_OB[:-1], X_OB[1:])
     assert 40.0 < np.hypot(steps[:, 0], steps[:, 1]).sum() < 55.0
+
+
+def test_a_broken_gzip_file_is_named(folder):
+    file = folder / "Robot1_Measurement.dat.gz"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    file.write_bytes(data)
+    with pytest.raises(DatasetError) as caught:
+        load_mrclam(folder, 1)
+    assert str(caught.value) == f"{file}: not a whole gzip file; copy it again"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Barcodes.dat", "Robot1_Odometry.dat", "Robot1_Measurement.dat.gz", "Landmark_Groundtruth.dat"],
+)
+def test_a_mutated_file_is_refused_or_read(folder, name):
+    assert_refused_or_read(folder / name, lambda: load_mrclam(folder, 1), DatasetError)

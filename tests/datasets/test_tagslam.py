@@ -7,6 +7,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.tagslam import load_tagslam
 from tfg_drake.geometry import se2
@@ -175,3 +176,34 @@ def test_the_real_ranges_agree_with_survey_and_reference():
         errors.append(frame.range[row] - np.hypot(*p_BL.T))
     assert abs(np.median(np.concatenate(errors))) < 0.03
     assert np.median(np.abs(np.concatenate(errors))) < 0.06
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["cameras.yaml", "camera_poses.yaml", "tagslam.yaml", "tag_corners.csv", "vio_odometry.csv"],
+)
+def test_a_mutated_file_is_refused_or_read(folder, name):
+    assert_refused_or_read(folder / name, lambda: load_tagslam(folder), DatasetError)
+
+
+@pytest.mark.parametrize(
+    ("file", "good", "bad", "complaint"),
+    [
+        (
+            "tagslam.yaml",
+            "is_static: true",
+            "is_static: true\n    max_hamming_distance: .inf",
+            "cannot convert float infinity to integer",
+        ),
+        ("tagslam.yaml", "id: 3", f"id: {2**70}", "Python int too large to convert to C long"),
+        ("cameras.yaml", "- 500.0", "- 1.0e300", "4 finite numbers below 1e+18 expected"),
+        ("cameras.yaml", "radtan", "!!int radtan", "the tag tag:yaml.org,2002:int is not read, leave it out; mend it"),
+    ],
+)
+def test_what_no_camera_writes_is_named(folder, file, good, bad, complaint):
+    path = folder / file
+    path.write_text(path.read_text().replace(good, bad, 1))
+    with pytest.raises(DatasetError) as caught:
+        load_tagslam(folder)
+    assert str(caught.value).startswith(str(path))
+    assert str(caught.value).endswith(complaint)

@@ -1,8 +1,10 @@
 import contextlib
 import dataclasses
+import random
 import re
 import subprocess
 import sys
+import tracemalloc
 import typing
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.mapfile.message_arrays import array_names, to_arrays
 from tfg_drake.mapfile.saved_map import (
     REGISTRY,
@@ -21,6 +24,7 @@ from tfg_drake.mapfile.saved_map import (
     restored_estimate,
     save_map,
 )
+from tfg_drake.mapfile.summary import map_rows
 from tfg_drake.slam import goal_graph
 from tfg_drake.slam.goal_arrival import add_goal
 from tfg_drake.slam.map_solver import solve
@@ -123,6 +127,48 @@ def test_a_damaged_byte_is_found_or_harmless(path, small_map, data):
         assert same(load_map(path), small_map)
 
 
+def test_a_mutated_map_is_refused_or_read(path):
+    assert_refused_or_read(path, lambda: load_map(path), MapFileError)
+
+
+def test_arrays_of_extremes_are_refused_or_summed_up(path):
+    """A good archive of bad numbers: what load_map lets through, map_rows can count."""
+    draw = random.Random(0)
+    with np.load(path) as file:
+        good = {name: file[name] for name in file.files}
+    refused = 0
+    for _ in range(200):
+        name = draw.choice([name for name, array in good.items() if array.size])
+        bad = good[name].copy()
+        extremes = (0, -1, 10**6, 2**62) if bad.dtype.kind == "i" else (0, -1, 500, 1e5, 1e300, np.inf, np.nan)
+        bad.reshape(-1)[draw.randrange(bad.size)] = draw.choice(extremes)
+        np.savez(path, **(good | {name: draw.choice((bad, bad, bad.ravel()[:-1], np.array([bad, bad])))}))
+        try:
+            map_rows(load_map(path), path.stat().st_size)
+        except MapFileError:
+            refused += 1
+    assert 50 < refused < 200
+
+
+def test_an_array_of_zeros_is_not_unpacked(path):
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez_compressed(path, **(arrays | {"graph.p_ML": np.zeros((5_000_000, 2))}))
+    assert path.stat().st_size < 2e5
+    tracemalloc.start()
+    assert error_of(path) == "FILE holds 76 MiB, at most 64 are read"
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+def test_a_shape_without_numbers_asks_for_no_memory(path):
+    shape = np.array([[0, 10**9]] * 2)
+    rewrite(path, **{"graph.observations.p_AL__shape": shape, "graph.observations.p_AL": np.zeros(0)})
+    assert error_of(path) == (
+        "FILE is not a whole map: graph.observations.p_AL@shape does not fit graph.observations.p_AL"
+    )
+
+
 def test_missing_and_foreign_files(tmp_path):
     assert error_of(tmp_path / "none.npz") == "no such map: FILE"
     foreign = tmp_path / "other.npz"
@@ -185,6 +231,10 @@ def rewrite(path, **changes):
             "FILE is not a whole map: graph.sightings does not fit graph.observations",
         ),
         ({"tfg_graph.stage": np.int64(3)}, "FILE is not a whole map: tfg_graph.stage does not fit stage"),
+        (
+            {"tfg.star_centers": np.full((2, 2), 1e6)},
+            "FILE is not a whole map: tfg.star_centers is more than 1000 m from the origin",
+        ),
         ({"tfg.facing": np.zeros((3, 2))}, "FILE is not a whole map: tfg.facing does not fit graph.ids"),
         (
             {"tfg_graph.tried_count": np.array([1])},

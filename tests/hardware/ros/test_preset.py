@@ -3,6 +3,7 @@
 import pytest
 import yaml
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.hardware.ros import conversions, preset
 from tfg_drake.hardware.ros.preset import PRESETS, PresetError, Topic, load_preset
 
@@ -114,12 +115,21 @@ def test_broken_yaml(tmp_path):
         load_preset(path)
 
 
-def test_lists_without_end_are_one_line(tmp_path):
+@pytest.mark.parametrize(
+    "text", ["[" * 200_000, "{a: " * 200_000, "topics: &all [*all]", "camera: {x: 0x" + "f" * 5000]
+)
+def test_what_is_short_on_paper_and_endless_in_memory_is_one_line(tmp_path, text):
     path = tmp_path / "mine.yaml"
-    path.write_text("[" * 5000, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(PresetError, match=r"cannot be read") as error:
         load_preset(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_mutated_preset_is_refused_or_read(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_bytes((PRESETS / "turtlebot4.yaml").read_bytes())
+    assert_refused_or_read(path, lambda: load_preset(path), PresetError)
 
 
 def test_what_the_scanners_see():
