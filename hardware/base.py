@@ -26,7 +26,7 @@ PERIOD = 1.0 / 32.0
 ODOMETRY_PERIOD = 1.0 / 16.0
 # Without a message younger than this from each of them the base stands, and moves on when they are back, s. A camera's
 # frames are few where a slow computer looks for tags in them, and nobody is run over for want of one.
-STALE = {"odometry": 0.5, "scan": 0.5, "tags": 1.0}
+STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
 # After this long without one there is no more hope, s.
 LOST = 60.0
 

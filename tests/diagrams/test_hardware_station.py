@@ -173,7 +173,7 @@ def test_a_device_that_refuses_is_asked_once(caplog):
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "patience"), [(LaserScan, "scan", 0.5), (TagDetections, "tags", 1.0), (Odometry, "odometry", 0.5)]
+    ("kind", "name", "patience"), [(LaserScan, "scan", 0.4), (TagDetections, "tags", 1.0), (Odometry, "odometry", 0.5)]
 )
 def test_it_stands_while_a_sensor_is_silent(kind, name, patience, caplog):
     station = Station(velocity=(0.0, 0.5)).run(2.0)
