@@ -12,7 +12,7 @@ from tfg_drake.hardware.device import BaseState
 from tfg_drake.messages import Hazards, message, replace
 
 # What was over for so long is told anew when it begins again, s.
-QUIET = 3.0
+QUIET = 1.0
 # How long a battery must be low, and dangerously so, to be believed, s: it sags while the wheels speed up.
 LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
 # Frames are counted over so long at least, s. Where fewer than this share are corrupt or lost, nobody need know.
