@@ -24,7 +24,7 @@ def test_what_begins_is_told_once_however_long_it_lasts():
 
 
 def test_it_is_told_anew_only_where_it_was_over_for_some_time():
-    flickering = ([True] * 5 + [False] * 10) * 20
+    flickering = ([True] * 5 + [False] * 5) * 20
     assert len(told(flickering)) == 1
     over = [False] * int(QUIET / 0.1 + 2)
     assert len(told([True, *over, True, *over, True])) == 3
