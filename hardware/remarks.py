@@ -45,7 +45,7 @@ def begun(before: Spells, holds: Mapping[str, Remark], now: float) -> tuple[Spel
 
     A spell that was told goes on over a break of up to QUIET; one that was not ends at once.
     """
-    spells = {name: one for name, one in before.items() if (now - one.last <= QUIET if one.told else name in holds)}
+    spells = {name: one for name, one in before.items() if name in holds or (one.told and now - one.last <= QUIET)}
     names = []
     for name, remark in holds.items():
         spell = spells.get(name, Spell(now, now, False))

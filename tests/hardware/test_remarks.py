@@ -30,6 +30,11 @@ def test_it_is_told_anew_only_where_it_was_over_for_some_time():
     assert len(told([True, *over, True, *over, True])) == 3
 
 
+def test_what_holds_at_looks_far_apart_is_told_once():
+    assert len(told([True] * 20, period=1.5 * QUIET)) == 1
+    assert len(told([True] * 20, period=1.5 * QUIET, after=2.0)) == 1
+
+
 def test_what_must_last_is_told_when_it_has_without_a_break():
     assert told([True] * 100, after=2.0) == [pytest.approx(2.0)]
     assert told(([True] * 19 + [False]) * 20, after=2.0) == []
