@@ -18,7 +18,7 @@ from tfg_drake.slam.estimator import (
     process_scan,
 )
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,

@@ -12,7 +12,7 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorC
 from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, WorkingMap, message, replace
 from tfg_drake.resting import Parted
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,

@@ -12,16 +12,16 @@ from tfg_drake.messages import FloatArray
 
 
 def g2o_text(saved: SavedMap) -> str:
-    """The file's contents: goal j as the vertices 2j (arrival) and 2j + 1 (departure), in the world frame W.
+    """The file's contents: the poses between keyframes as vertices 0 to k, in the world frame W.
 
-    A tag's edge has the inverse of the tag's own marginal covariance: g2o knows no edge for a goal's joint observation.
+    A tag's edge has the inverse of the tag's own marginal covariance: g2o knows no edge for a keyframe's joint Gaussian.
     """
     return "\n".join(_lines(saved)) + "\n"
 
 
 def landmark_base(saved: SavedMap) -> int:
     """What is added to a tag's id to make the number of its vertex: a power of ten beyond all poses."""
-    least = 2 * len(saved.graph.observations) - min(int(np.min(saved.ids, initial=0)), 0)
+    least = len(saved.graph.X_MN) - min(int(np.min(saved.ids, initial=0)), 0)
     base = 10
     while base < least:
         base *= 10
@@ -30,23 +30,19 @@ def landmark_base(saved: SavedMap) -> int:
 
 def _lines(saved: SavedMap) -> Iterator[str]:
     graph, base = saved.graph, landmark_base(saved)
-    X_WA, X_WD = compose(saved.X_WM, graph.X_MA), compose(saved.X_WM, graph.X_MD)
-    for j in range(len(X_WA)):
-        yield f"VERTEX_SE2 {2 * j} {_numbers(X_WA[j])}"
-        yield f"VERTEX_SE2 {2 * j + 1} {_numbers(X_WD[j])}"
+    for j, X_WN in enumerate(compose(saved.X_WM, graph.X_MN)):
+        yield f"VERTEX_SE2 {j} {_numbers(X_WN)}"
     for tag, p_WL in zip(graph.ids.tolist(), transform(saved.X_WM, graph.p_ML), strict=True):
         yield f"VERTEX_XY {base + tag} {_numbers(p_WL)}"
-    for j, observation in enumerate(one.observation for one in graph.observations):
-        if j > 0:
-            yield _motion(2 * j - 1, 2 * j, graph.X_DA[j - 1], graph.segment_covariance[j - 1])
-        n = len(observation.ids)
-        yield _motion(2 * j, 2 * j + 1, observation.X_AD, observation.covariance[2 * n :, 2 * n :])
-        for i, tag in enumerate(observation.ids.tolist()):
-            block = observation.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-            yield f"EDGE_SE2_XY {2 * j} {base + tag} {_numbers(observation.p_AL[i])} {_information(block)}"
+    for j, one in enumerate(graph.keyframes):
+        covariance = one.covariance
+        yield _motion(j, j + 1, one.X_AD, covariance[-3:, -3:])
+        for i, tag in enumerate(one.ids.tolist()):
+            block = covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+            yield f"EDGE_SE2_XY {j} {base + tag} {_numbers(one.p_AL[i])} {_information(block)}"
     # At the end: GTSAM's readG2o finds no edge after a line that it does not know.
     yield "FIX 0"
-    yield f"# {len(X_WA)} goals: arrival of goal j is vertex 2j, its departure 2j + 1; tag i is vertex {base} + i"
+    yield f"# keyframe j leads from vertex j to vertex j + 1; tag i is vertex {base} + i"
     yield "# metres and radians, in the world frame; see docs/map_format.md of tfg-drake"
 
 

@@ -1,7 +1,7 @@
 """A map on disk: one .npz of plain arrays, no pickle, with a schema number; docs/map_format.md describes it.
 
-What is kept are the factors of the goal graph, not the joint covariance of the landmarks, which grows with the square
-of their number and follows from the factors: `restored_estimate`.
+What is kept are the keyframes of the graph, not the joint covariance of the landmarks, which grows with the square
+of their number and follows from them: `restored_estimate`.
 """
 
 from __future__ import annotations
@@ -16,20 +16,18 @@ import numpy as np
 
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
+from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.slam.estimator_state import EstimatorState
-from tfg_drake.slam.goal_graph import GoalFactor, GoalGraph
-from tfg_drake.slam.localizer import start_localizer
-from tfg_drake.slam.map_solver import restored
+from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph
+from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.range_scale import RangeScale
-from tfg_drake.slam.segment import start_segment
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 4
+SCHEMA = 5
 
 
 # Bytes of a map's arrays at most; 274 landmarks and 138 goals have 0.8 MB.
@@ -47,7 +45,7 @@ class SavedMap:
     """A map as it is kept on disk.
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. graph: the
-    estimator's factors and values. odometry_calibration: (3,), odometry_covariance: (3, 3) and range_scale: what it
+    estimator's keyframes and values. odometry_calibration: (3,), odometry_covariance: (3, 3) and range_scale: what it
     knows of the odometry, see OdometryModel, and of the tag sensor's ranges. suspects: (s,) ids of landmarks that
     contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the topological feature
     graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between the two, of the one
@@ -57,7 +55,7 @@ class SavedMap:
     X_WM: FloatArray
     stage: int
     stamp: float
-    graph: GoalGraph
+    graph: KeyframeGraph
     odometry_calibration: FloatArray
     odometry_covariance: FloatArray
     range_scale: RangeScale
@@ -88,8 +86,8 @@ class SavedMap:
 
     @property
     def X_MA(self) -> FloatArray:
-        """(k, 3) arrival poses of the goals in M, m and rad."""
-        return self.graph.X_MA[self.graph.is_goal]
+        """(g, 3) arrival poses of the goals and glances in M, m and rad."""
+        return self.graph.X_MA
 
     @property
     def facing(self) -> FloatArray:
@@ -110,24 +108,19 @@ REGISTRY: Registry = {
         "suspect_count": ("s",),
     },
     RangeScale: {"information": (2, 2), "vector": (2,)},
-    GoalGraph: {
-        "is_goal": ("k",),
-        "X_DA": ("j", 3),
-        "segment_covariance": ("j", 3, 3),
-        "X_MA": ("k", 3),
-        "X_MD": ("k", 3),
+    KeyframeGraph: {
+        "X_MN": ("k+1", 3),
+        "view_keyframe": ("g",),
+        "X_AV": ("g", 3),
         "ids": ("n",),
         "p_ML": ("n", 2),
-        "sightings": ("n",),
-        "travel_covariance": ("j", 3, 3),
-        "departure_covariance": ("k", 3, 3),
         "landmark_covariance": ("n", 2, 2),
     },
-    GoalFactor: {
+    Keyframe: {
         "ids": ("n",),
         "p_AL": ("n", 2),
         "X_AD": (3,),
-        "root": ("r",),
+        "information": ("r", "r"),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -191,7 +184,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         X_WM=np.array(X_WM, dtype=float),
         stage=estimate.stage,
         stamp=estimate.stamp,
-        graph=state.graph,
+        graph=replace(state.graph, p_ML=estimate.p_ML),
         odometry_calibration=state.model.calibration,
         odometry_covariance=state.model.calibration_covariance,
         range_scale=state.scale,
@@ -203,36 +196,17 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
 
 
 def restored_estimate(saved: SavedMap) -> MapEstimate:
-    """The map estimate, its joint covariance computed anew from the factors, linearised at the saved values: of all
-    landmarks of a small map, of those round the last goal of a large one.
-
-    Its observation is the newest goal's without the turn's trajectory and without tags that were left out of the map.
-    """
-    return restored(saved.graph, saved.stamp, saved.graph.observations[-1].observation)
-
-
-def resumed(saved: SavedMap, state: EstimatorState) -> EstimatorState:
-    """The state of an estimator that goes on with a saved map: to the bit as the one that the map was taken from, if
-    that was saved as it was (a mission's end solves a large one as a whole first).
-
-    state: gives what is no part of the map, the noise of the odometry and messages under way; that of a new estimator,
-    or any right after a goal. The robot is taken to stand at the map's last departure pose.
-    """
-    estimate = restored_estimate(saved)
-    model = replace(
-        state.model, calibration=saved.odometry_calibration, calibration_covariance=saved.odometry_covariance
+    """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
+    round the last goal. Its observation is empty: what the newest goal saw is in the keyframes."""
+    nothing = GoalObservation(
+        ids=np.empty(0, dtype=np.int64),
+        p_AL=np.empty((0, 2)),
+        X_AD=np.zeros(3),
+        covariance=np.zeros((3, 3)),
+        stamps=np.empty(0),
+        X_AB=np.empty((0, 3)),
     )
-    return replace(
-        state,
-        model=model,
-        graph=saved.graph,
-        map=estimate,
-        localizer=start_localizer(model, estimate),
-        segment=start_segment(model),
-        scale=saved.range_scale,
-        suspects=saved.suspects,
-        suspect_count=saved.suspect_count,
-    )
+    return solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
 
 
 def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
@@ -295,18 +269,18 @@ def _contradiction(saved: SavedMap) -> str:
     """What in a map does not fit together, "" where all does; indices are within bounds after this."""
     graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
     landmarks, known = len(graph.ids), graph.ids
-    if not 1 <= stage == len(saved.X_MA):
-        return "graph.is_goal does not fit stage"
-    if not stage <= len(graph.observations) == len(graph.X_MA) == len(graph.X_DA) + 1:
-        return "graph.observations does not fit graph.X_MA"
+    if not 1 <= stage == len(graph.view_keyframe):
+        return "graph.view_keyframe does not fit stage"
+    if len(graph.keyframes) != len(graph.X_MN) - 1:
+        return "graph.keyframes does not fit graph.X_MN"
+    if np.any((graph.view_keyframe < 0) | (graph.view_keyframe >= len(graph.keyframes))):
+        return "graph.view_keyframe does not fit graph.keyframes"
     if np.any(np.diff(known) <= 0):
         return "graph.ids is not ascending"
-    if not all(_within(observation.ids, known) for observation in graph.observations):
-        return "graph.observations.ids does not fit graph.ids"
-    if any(len(one.root) != (2 * len(one.ids) + 3) * (len(one.ids) + 2) for one in graph.observations):
-        return "graph.observations.root does not fit graph.observations.ids"
-    if np.any(graph.sightings < 1):
-        return "graph.sightings does not fit graph.observations"
+    if not all(_within(one.ids, known) and np.all(np.diff(one.ids) > 0) for one in graph.keyframes):
+        return "graph.keyframes.ids does not fit graph.ids"
+    if any(len(one.information) != 2 * len(one.ids) + 3 for one in graph.keyframes):
+        return "graph.keyframes.information does not fit graph.keyframes.ids"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != landmarks:
@@ -315,7 +289,7 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg_graph.tried_count does not fit tfg_graph.tried"
     if len(tfg_graph.viewpoints.goal) != len(tfg_graph.sighted.goal):
         return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
-    places = {"graph.p_ML": graph.p_ML, "graph.X_MA": graph.X_MA[:, :2]}
+    places = {"graph.p_ML": graph.p_ML, "graph.X_MN": graph.X_MN[:, :2]}
     places |= {f"tfg.{name}": getattr(tfg, name) for name in _PLACES}
     for name, p_M in places.items():
         if not (np.abs(p_M) <= LONGEST).all():

@@ -1,8 +1,8 @@
 """The SLAM estimator as pure steps on one immutable state: odometry and detections in, pose and map out.
 
-Between goals a segment filter measures the motion and a localiser estimates the pose in the map; a turn in place
-collects frames; at its end the turn is solved, its goal joins the graph, and both filters start anew at the departure
-pose. Frames are taken by their stamps, whatever the order of arrival: one is processed when odometry beyond its stamp
+Between goals a localiser estimates the pose in the map; turns in place and pieces of the way collect frames. At the end
+of a turn it and the pieces before it are solved, each by itself, and join the map, and the localiser starts anew at the
+departure pose. Frames are taken by their stamps, whatever the order of arrival: one is processed when odometry beyond its stamp
 has arrived. Those with stamps in [begin, end) belong to the turn.
 
 What cannot be true is left out and logged in a line: impossible sightings, tags that contradict the map, a robot that
@@ -16,7 +16,10 @@ import math
 
 import numpy as np
 
+from tfg_drake.geometry import se2
 from tfg_drake.messages import (
+    FloatArray,
+    GoalObservation,
     IntArray,
     LaserScan,
     MapEstimate,
@@ -25,20 +28,12 @@ from tfg_drake.messages import (
     TagDetections,
     replace,
 )
-from tfg_drake.slam import goal_graph
-from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, open_piece, travelled
-from tfg_drake.slam.goal_arrival import JOINT, add_goal
-from tfg_drake.slam.localizer import (
-    FAR,
-    local_tags,
-    localized_pose,
-    moved_localizer,
-    start_localizer,
-    step_localizer,
-)
+from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, opened, unknown_way
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, without_tags
+from tfg_drake.slam.localizer import local_tags, localized_pose, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
-from tfg_drake.slam.map_solver import seen_from, solve, whole
-from tfg_drake.slam.map_window import nearest_goal, window_goals
+from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.map_update import HARDLY_SEEN_REJECTED, REJECTED, finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
     arc,
     first_reckoning,
@@ -49,7 +44,6 @@ from tfg_drake.slam.odometry_model import (
 )
 from tfg_drake.slam.range_scale import compare, corrected, correction
 from tfg_drake.slam.rejoin import rejoined
-from tfg_drake.slam.segment import start_segment, step_segment
 from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
 
@@ -80,7 +74,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
         state = replace(
             state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
         )
-        return open_piece(state)
+        return replace(state, piece=opened(state))
     if odometry.stamp <= state.newest.stamp:
         return state
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
@@ -112,7 +106,7 @@ def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
 
 
 def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state with a turn opened at a stamp, which ends the segment; the pose then is the arrival pose A.
+    """The state with a turn opened at a stamp, which ends the way; the pose then is the arrival pose A.
 
     The stamp is brought into the span of the odometry at hand. Raises ValueError before any odometry or while a turn
     is open.
@@ -122,11 +116,11 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     if state.turn is not None:
         raise ValueError("A turn is open already.")
     state = _end_piece(_step_to(state, stamp))
-    return replace(state, turn=OpenTurn(instant(state), (), *travelled(state)), piece=None)
+    return replace(state, turn=opened(state), piece=None)
 
 
 def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state with the open turn solved as a goal, the graph solved, and both filters at the departure pose D.
+    """The state with the open turn solved as a goal and in the map, and the localiser at the departure pose D.
 
     The stamp is brought into the span of the odometry at hand. Raises ValueError where no turn is open.
     """
@@ -144,12 +138,12 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     For recorded drives without turns; needs path_keyframe_period = inf. The stamp is brought into the span of the
     odometry at hand. Raises ValueError before any odometry, or where no piece is open.
     """
-    if state.piece is None:
+    if state.piece is None or not math.isinf(state.path_keyframe_period):
         raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
     state = _step_to(state, stamp)
     piece = state.piece
     assert piece is not None
-    return _add_goal(state, replace(piece, X_DA=np.zeros(3), segment_covariance=JOINT))
+    return _add_goal(state, piece)
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -164,14 +158,14 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
     X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
     new_ids, p_MU = state.localizer.filter.local_ids, NO_TAGS
     if len(new_ids) > 0:
-        new = ~goal_graph.rows_of(new_ids, state.graph.ids)[1]
+        new = ~rows_of(new_ids, state.graph.ids)[1]
         new_ids, p_MU = new_ids[new], local_tags(state.localizer)[new]
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,
         covariance=covariance,
         speed=speed,
-        stage=int(np.count_nonzero(state.graph.is_goal)),
+        stage=len(state.graph.view_keyframe),
         new_ids=new_ids,
         p_MU=p_MU,
     )
@@ -183,12 +177,13 @@ def map_estimate(state: EstimatorState) -> MapEstimate | None:
 
 
 def settled(state: EstimatorState) -> EstimatorState:
-    """The state with its map solved as a whole and known jointly as far as memory allows: for the end of a mission."""
+    """The state with its map solved and known jointly as a whole, as far as memory allows: for the end of a mission."""
     estimate = state.map
-    if estimate is None or len(window_goals(state.graph, estimate.X_MD[:2])) == len(state.graph.observations):
+    if estimate is None:
         return state
-    graph, estimate = whole(state.graph, estimate.stamp, estimate.observation)
-    return replace(state, graph=graph, map=estimate)
+    graph = fused(replace(state.graph, p_ML=estimate.p_ML))
+    graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+    return replace(state, graph=graph, solved=len(graph.keyframes), map=estimate)
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
@@ -205,7 +200,7 @@ def _step_to(state: EstimatorState, stamp: float) -> EstimatorState:
 
 
 def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetections, ...]) -> EstimatorState:
-    """Both filters, or the open turn and the localiser, brought to a frame's stamp and given the frame.
+    """The localiser and the open turn or piece, brought to a frame's stamp and given the frame.
 
     The stamp lies within the odometry at hand; `pending` are the frames that wait after it.
     """
@@ -220,14 +215,12 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         if scan.stamp == stamp:
             scale = compare(scale, frame, scan)
     seen = corrected(frame, scale)
-    segment, turn, piece = state.segment, state.turn, state.piece
+    turn, piece = state.turn, state.piece
     instant = TurnFrame(stamp, clock, X_OB, frame)
     if turn is not None:
         turn = replace(turn, frames=(*turn.frames, instant))
     elif piece is not None:
         piece = replace(piece, frames=(*piece.frames, instant))
-    else:
-        segment = step_segment(segment, state.model, increment, dt, seen)
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
     elsewhere = mapped_elsewhere(state, localizer, seen)
     known, ignored = known + elsewhere, ignored + elsewhere
@@ -243,41 +236,33 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         clock=clock,
         X_OB=X_OB,
         localizer=localizer,
-        segment=segment,
         contradictions=contradictions,
         turn=turn,
         piece=piece,
     )
     if contradictions >= CONTRADICTIONS and len(frame.ids):
         state = look_for_itself(state, seen)
-    state = _look_ahead(state)
-    if state.piece is not None and stamp - state.piece.begin.stamp >= state.path_keyframe_period:
-        state = open_piece(_end_piece(state))
+    piece = state.piece
+    if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
+        state = _end_piece(state)
     return state
 
 
-def _look_ahead(state: EstimatorState) -> EstimatorState:
-    """The state with the landmarks round the robot considered, where on a large map it has left those that were."""
-    estimate = state.map
-    if estimate is None or len(estimate.local) == len(estimate.ids):
-        return state
-    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-    if np.hypot(*(X_MB[:2] - state.localizer.center)) < FAR:
-        return state
-    nearest = nearest_goal(state.graph, X_MB[:2])
-    if np.array_equal(state.graph.X_MD[nearest], state.localizer.X_MD):
-        return state
-    nearby = seen_from(state.graph, estimate, nearest)
-    return replace(state, localizer=moved_localizer(state.localizer, state.model, nearby))
-
-
 def _end_piece(state: EstimatorState) -> EstimatorState:
-    """The state with the open piece of the way solved and put to the others, unless the robot was carried."""
+    """The state with the open piece of the way solved and put to the others, unless the robot was carried, and the next
+    one open."""
     piece = state.piece
-    if piece is None or state.carried or state.map is None or state.stamp <= piece.begin.stamp:
-        return replace(state, piece=None) if piece is not None else state
-    solution = _solve(state, piece)
-    return replace(state, piece=None, way=(*state.way, solution.observation))
+    if piece is None or state.map is None or state.stamp <= piece.begin.stamp:
+        return replace(state, piece=opened(state)) if piece is not None else state
+    if state.carried:
+        X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+        way = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
+    else:
+        observation = _solve(state, piece).observation
+        if not state.path_keyframe_period:
+            observation = without_tags(observation, observation.ids)
+        way = (*state.way, observation)
+    return replace(state, piece=opened(state), way=way)
 
 
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
@@ -286,31 +271,37 @@ def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     solution = solve_turn(state.model, turn.begin, frames, instant(state))
     seen = sum(1 for frame in frames if len(frame.detections.ids))
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
-    doubtful &= ~goal_graph.rows_of(solution.observation.ids, state.graph.ids)[1]
-    observation = goal_graph.without_tags(solution.observation, solution.observation.ids[doubtful])
+    doubtful &= ~rows_of(solution.observation.ids, state.graph.ids)[1]
+    observation = without_tags(solution.observation, solution.observation.ids[doubtful])
     observation = replace(observation, range_scale=correction(state.scale))
     return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
 
 
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
-    """The state with a turn or piece made a goal, the graph solved, and the filters at its end."""
+    """The state with a turn or piece made a goal of the map, and the localiser at its end."""
     solution = _solve(state, turn)
-    hardly_seen = solution.sightings < CONFIRMATIONS
-    arguments = (solution.observation, turn.X_DA, turn.segment_covariance, state.way, hardly_seen)
-    before, estimate = rejoined(state.graph, state.map, solution.observation)
-    graph, rejected = add_goal(before, estimate, *arguments)
+    limit = np.where(solution.sightings < CONFIRMATIONS, HARDLY_SEEN_REJECTED, REJECTED)
+    way = state.way
+    if state.carried and state.turn is None and state.map is not None:
+        way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB)),)
+    before, known = rejoined(state.graph, state.map or empty_map(), solution.observation)
+    graph, estimate, rejected = _with_keyframes(before, known, way, solution.observation, limit)
     suspects, count = _suspects(state, solution, rejected)
     moved = suspects[count >= MOVED]
     if len(moved):
         _log.warning("%.2f s: moved since they were mapped: tags %s", state.stamp, _names(moved))
-        known = goal_graph.forget(before, moved)
-        _, estimate = solve(known, state.stamp, solution.observation)
-        graph, rejected = add_goal(known, estimate, *arguments)
+        before, known = _solved(forget(before, moved), state.stamp, known.observation)
+        graph, estimate, rejected = _with_keyframes(before, known, way, solution.observation, limit)
         suspects, count = suspects[count < MOVED], count[count < MOVED]
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
-    graph = goal_graph.rescaled(graph, correction(state.scale))
-    graph, estimate = solve(graph, state.stamp, solution.observation)
+    corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
+    if before is not state.graph or corrected_graph is not graph or needs_solve(graph, estimate, solved):
+        corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
+        graph, estimate = _solved(corrected_graph, state.stamp, solution.observation)
+        solved = len(graph.keyframes)
+    else:
+        graph, estimate = finished(graph, estimate, state.stamp, solution.observation)
     model = state.model
     if state.turn is not None and np.hypot(*solution.observation.X_AD[:2]) < IN_PLACE:
         # A turn in place ends where it began and tells the gyro's scale; on the way a slip could pass for a scale.
@@ -324,15 +315,41 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         carried=False,
         contradictions=0,
         graph=graph,
+        solved=solved,
         map=estimate,
         localizer=start_localizer(model, estimate),
-        segment=start_segment(model),
         rejected=rejected,
         dropped=solution.dropped,
         suspects=suspects,
         suspect_count=count,
     )
-    return open_piece(state)
+    return replace(state, piece=opened(state))
+
+
+def _with_keyframes(
+    graph: KeyframeGraph,
+    estimate: MapEstimate,
+    way: tuple[GoalObservation, ...],
+    goal: GoalObservation,
+    limit: FloatArray,
+) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
+    """Graph and map with the pieces of the way and a goal, and the ids of known tags left out of the goal, by limit
+    (n,) as in `updated`."""
+    for observation in (*way, goal):
+        far = observation.ids[~jointly_known(estimate, observation.ids)]
+        if len(far):
+            graph = replace(graph, p_ML=estimate.p_ML)
+            graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
+        is_goal = observation is goal
+        graph, estimate, rejected = updated(
+            graph, estimate, observation, limit if is_goal else None, is_view=is_goal
+        )
+    return graph, estimate, rejected
+
+
+def _solved(graph: KeyframeGraph, stamp: float, observation: GoalObservation) -> tuple[KeyframeGraph, MapEstimate]:
+    """A graph of one keyframe or more solved, the empty graph as it is."""
+    return solve(graph, stamp, observation) if graph.keyframes else (graph, empty_map())
 
 
 def _suspects(state: EstimatorState, solution: TurnSolution, rejected: IntArray) -> tuple[IntArray, IntArray]:

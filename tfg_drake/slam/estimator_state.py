@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.geometry import se2
 from tfg_drake.messages import (
     FloatArray,
     GoalObservation,
@@ -17,14 +16,10 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam import goal_graph
-from tfg_drake.slam.goal_arrival import JOINT
-from tfg_drake.slam.goal_graph import GoalGraph
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
-from tfg_drake.slam.pose_filter import PoseFilter
 from tfg_drake.slam.range_scale import RangeScale, unknown_scale
-from tfg_drake.slam.segment import segment_factor, start_segment
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 # Standard deviations of the motion between two goals when the robot was carried on the way: it says nothing, m, m, rad.
@@ -33,26 +28,26 @@ CARRIED = (100.0, 100.0, 10.0)
 
 @message
 class OpenTurn:
-    """A turn under way, or a piece of the way that is mapped like one. begin: its first instant. frames: those seen
-    since. X_DA (3,), segment_covariance (3, 3): the segment that led to it."""
+    """A turn under way, or a piece of the way that is mapped like one. begin: its first instant, X_MB: (3,) the pose
+    then as the localiser had it. frames: those seen since."""
 
     begin: TurnFrame
+    X_MB: FloatArray
     frames: tuple[TurnFrame, ...]
-    X_DA: FloatArray
-    segment_covariance: FloatArray
 
 
 @message
 class EstimatorState:
     """All the estimator knows.
 
-    path_keyframe_period: s of way that are mapped as one piece; 0 where path sightings localise only. newest: the last
+    path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last
     odometry message. odometry: dead reckoning from the filters' instant on. pending: frames that wait for odometry.
     scans: the newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s), X_OB (3,): the filters'
     instant and the dead reckoning then. contradictions: frames in a row that contradict the pose. carried: the robot
     was moved since the last goal by something else than its wheels. turn: the open one. piece: the open piece of the
-    way, way: those before it since the last goal. map: None before the first goal. rejected: (r,) ids of known tags
-    left out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted
+    way, way: those before it since the last goal. graph: at the values of its last solve, when it had so many
+    keyframes: solved. map: what has become of it since, None before the first goal. rejected: (r,) ids of known tags left
+    out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted
     the map at the last goals, suspect_count: (s,) how many in a row.
     """
 
@@ -67,13 +62,13 @@ class EstimatorState:
     clock: float
     X_OB: FloatArray
     localizer: Localizer
-    segment: PoseFilter
     contradictions: int
     carried: bool
     turn: OpenTurn | None
     piece: OpenTurn | None
     way: tuple[GoalObservation, ...]
-    graph: GoalGraph
+    graph: KeyframeGraph
+    solved: int
     map: MapEstimate | None
     rejected: IntArray
     dropped: int
@@ -85,7 +80,7 @@ def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> 
     """The estimator at the map's origin, before any message.
 
     path_keyframe_period: s; the way between goals is mapped in pieces of this length, inf: in those that `close_piece`
-    ends. 0: path sightings localise only (the paper's Sec. III).
+    ends. 0: of the way only its motion is mapped, and path sightings localise (the paper's Sec. III).
     """
     model = odometry_model(config)
     none = np.empty(0, dtype=np.int64)
@@ -101,13 +96,13 @@ def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> 
         clock=-np.inf,
         X_OB=np.zeros(3),
         localizer=start_localizer(model, None),
-        segment=start_segment(model),
         contradictions=0,
         carried=False,
         turn=None,
         piece=None,
         way=(),
-        graph=goal_graph.empty_graph(),
+        graph=empty_graph(),
+        solved=0,
         map=None,
         rejected=none,
         dropped=0,
@@ -116,22 +111,24 @@ def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> 
     )
 
 
-def travelled(state: EstimatorState) -> tuple[FloatArray, FloatArray]:
-    """X_DA (3,) and covariance (3, 3) of the segment that ends now."""
-    if not state.carried or state.map is None:
-        return segment_factor(state.segment)
-    # An initial value only: the covariance says that it is worth nothing.
-    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-    return se2.between(state.map.X_MD, X_MB), np.diag(CARRIED) ** 2
-
-
 def instant(state: EstimatorState) -> TurnFrame:
     """The filters' instant, nothing seen."""
     return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))
 
 
-def open_piece(state: EstimatorState) -> EstimatorState:
-    """The state with a new piece of the way open, where pieces are mapped."""
-    if state.path_keyframe_period == 0.0:
-        return state
-    return replace(state, piece=OpenTurn(instant(state), (), np.zeros(3), JOINT))
+def opened(state: EstimatorState) -> OpenTurn:
+    """A turn or piece of the way that begins now."""
+    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+    return OpenTurn(instant(state), X_MB, ())
+
+
+def unknown_way(X_DA: FloatArray) -> GoalObservation:
+    """A way of which nothing is known, as the robot was carried; it seems to have led to X_DA (3,)."""
+    return GoalObservation(
+        ids=np.empty(0, dtype=np.int64),
+        p_AL=np.empty((0, 2)),
+        X_AD=X_DA,
+        covariance=np.diag(CARRIED) ** 2,
+        stamps=np.empty(0),
+        X_AB=np.empty((0, 3)),
+    )

@@ -21,12 +21,6 @@ from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
 
 # Landmarks considered: the nearest to the departure pose, or to the robot.
 WINDOW = 300
-# On a large map others take their place when the robot has come this far from there, m, and near another goal.
-FAR = 5.0
-# Two parts of one map differ by this where they meet, m, m, rad.
-AGREEMENT = (0.03, 0.03, 0.01)
-# What is known of the landmarks to better than this counts as known exactly, m and rad: there a matrix is singular.
-BLUR = (1e-3, 1e-4)
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
@@ -35,13 +29,9 @@ ANYWHERE = (1.0, 1.0, 0.5)
 
 @message
 class Localizer:
-    """The filter in D, X_MD (3,), and center (2,), m in M: the place round which landmarks are considered.
-
-    D is the last departure pose; on a large map that of a goal which the robot has come by since.
-    """
+    """The filter in D, X_MD (3,): the last departure pose, or that of a goal near which the robot found itself."""
 
     X_MD: FloatArray
-    center: FloatArray
     filter: PoseFilter
 
 
@@ -50,7 +40,7 @@ def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> L
     if map_estimate is None:
         nothing = np.empty(0, dtype=np.int64)
         return Localizer(
-            np.zeros(3), np.zeros(2), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE)))
+            np.zeros(3), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE)))
         )
     return _around(model, map_estimate, map_estimate.X_MD)
 
@@ -69,45 +59,6 @@ def restart_localizer(
     return replace(localizer, filter=filter_)
 
 
-def moved_localizer(localizer: Localizer, model: OdometryModel, map_estimate: MapEstimate) -> Localizer:
-    """The localiser in the frame of another departure pose, that of an estimate seen from where the robot is now.
-
-    What is known of the pose, and of the tags met on the way, relative to the landmarks considered so far stays known,
-    but for AGREEMENT, by which two parts of one map may differ; what they share with the landmarks is given up. The
-    next sightings tell it anew.
-    """
-    old = localizer.filter
-    X_MB, _ = localized_pose(localizer, model, np.zeros(3), 0.0)
-    moved = _around(model, map_estimate, X_MB)
-    blur = np.diag(np.append(np.full(len(old.considered) - 1, BLUR[0]), BLUR[1])) ** 2
-    relative = old.covariance - old.cross @ np.linalg.solve(old.considered + blur, old.cross.T)
-
-    p_MU = local_tags(localizer)
-    mean = old.mean.copy()
-    mean[:POSE] = se2.between(map_estimate.X_MD, X_MB)
-    mean[CORE:] = se2.transform(se2.inverse(map_estimate.X_MD), p_MU).ravel()
-    turn = se2.rotation(float(localizer.X_MD[2] - map_estimate.X_MD[2]))
-    to_new = np.eye(len(mean))
-    for i in (0, *range(CORE, len(mean), 2)):
-        to_new[i : i + 2, i : i + 2] = turn
-    # An error of the map moves and turns the robot and the tags that it has met as one.
-    together = np.zeros((len(mean), POSE))
-    together[:POSE] = np.eye(POSE)
-    together[CORE::2, 0] = together[CORE + 1 :: 2, 1] = 1.0
-    lever = mean[CORE:].reshape(-1, 2) - mean[:2]
-    together[CORE::2, 2], together[CORE + 1 :: 2, 2] = -lever[:, 1], lever[:, 0]
-    covariance = to_new @ relative @ to_new.T + together @ np.diag(AGREEMENT) ** 2 @ together.T
-    filter_ = replace(
-        moved.filter,
-        mean=mean,
-        covariance=0.5 * (covariance + covariance.T),
-        cross=np.zeros((len(mean), len(moved.filter.considered))),
-        local_ids=old.local_ids,
-        last_seen=old.last_seen,
-    )
-    return replace(moved, filter=filter_)
-
-
 def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -> Localizer:
     """A localiser at the departure pose that considers the landmarks nearest to X_MB (3,), of those known jointly."""
     local = map_estimate.local
@@ -115,7 +66,7 @@ def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -
     near = np.sort(local[np.argsort(distance, kind="stable")[:WINDOW]])
     p_DL, covariance = in_departure_frame(map_estimate, near)
     filter_ = pose_filter.start(model, map_estimate.ids[near], p_DL, covariance)
-    return Localizer(map_estimate.X_MD, X_MB[:2], filter_)
+    return Localizer(map_estimate.X_MD, filter_)
 
 
 def step_localizer(

@@ -8,12 +8,11 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections, replace
-from tfg_drake.slam import goal_graph
-from tfg_drake.slam.estimator_state import CARRIED, EstimatorState, OpenTurn, instant, open_piece, travelled
+from tfg_drake.slam.estimator_state import CARRIED, EstimatorState, opened, unknown_way
+from tfg_drake.slam.keyframe_graph import loosened, rows_of
 from tfg_drake.slam.localizer import Localizer, localized_pose, restart_localizer, without_local
-from tfg_drake.slam.map_solver import seen_from, solve
+from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.relocalization import relocalize
-from tfg_drake.slam.segment import start_segment
 from tfg_drake.slam.sightings import select
 
 # A pose found by geometry no farther than this from the estimate, m and rad, is no other place.
@@ -26,14 +25,14 @@ _log = logging.getLogger("tfg_drake.slam")
 
 def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
     """How many of a frame's tags are mapped, though too far away to be considered, and seen metres from there."""
-    row, mapped = goal_graph.rows_of(seen.ids, state.graph.ids)
-    mapped &= ~goal_graph.rows_of(seen.ids, localizer.filter.map_ids)[1]
-    if not mapped.any():
+    row, mapped = rows_of(seen.ids, state.graph.ids)
+    mapped &= ~rows_of(seen.ids, localizer.filter.map_ids)[1]
+    if state.map is None or not mapped.any():
         return 0
     X_MB, _ = localized_pose(localizer, state.model, np.zeros(3), 0.0)
     angle = X_MB[2] + seen.bearing[mapped]
     p_ML = X_MB[:2] + seen.range[mapped, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return int(np.count_nonzero(np.hypot(*(p_ML - state.graph.p_ML[row[mapped]]).T) > ELSEWHERE))
+    return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
 def look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorState:
@@ -59,21 +58,23 @@ def look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorStat
         seen.stamp, distance, angle, int(np.count_nonzero(agreeing)),
     )  # fmt: skip
     # What joins the newest goals to the others may be wrong as well.
-    graph = goal_graph.loosened(state.graph, np.diag(CARRIED) ** 2)
-    if not np.array_equal(graph.segment_covariance, state.graph.segment_covariance):
+    graph = loosened(state.graph, np.diag(CARRIED) ** 2)
+    if graph is not state.graph:
         _log.warning("%.2f s: nothing but that way ties the newest goals to the others: they hang loose", seen.stamp)
-        graph, estimate = solve(graph, estimate.stamp, estimate.observation)
-        state = replace(state, graph=graph, map=estimate)
     tags = seen.ids[agreeing]
-    witness = max(range(len(graph.observations)), key=lambda k: np.isin(tags, graph.observations[k].ids).sum())
-    nearby = seen_from(graph, estimate, witness)
+    witness = max(range(len(graph.keyframes)), key=lambda k: np.isin(tags, graph.keyframes[k].ids).sum())
+    graph = replace(graph, p_ML=estimate.p_ML)
+    _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
+    graph, estimate = solve(graph, estimate.stamp, estimate.observation)
+    state = replace(state, graph=graph, solved=len(graph.keyframes), map=estimate)
     localizer = restart_localizer(state.model, nearby, pose, select(seen, agreeing))
     return _carried(replace(state, localizer=localizer, contradictions=0))
 
 
 def _carried(state: EstimatorState) -> EstimatorState:
     """The state with what was measured since the last goal given up: something moved the robot meanwhile."""
-    state = replace(state, carried=True, way=(), segment=start_segment(state.model))
-    if state.turn is not None:
-        state = replace(state, turn=OpenTurn(instant(state), (), *travelled(state)))
-    return replace(state, piece=None) if state.piece is None else open_piece(state)
+    begun = opened(state)
+    if state.turn is None:
+        return replace(state, carried=True, way=(), piece=begun)
+    assert state.map is not None
+    return replace(state, carried=True, way=(unknown_way(se2.between(state.map.X_MD, begun.X_MB)),), turn=begun)

@@ -10,13 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, GoalObservation, MapEstimate, replace
+from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, MapEstimate, replace
 from tfg_drake.metrics import align
-from tfg_drake.slam.goal_graph import WITNESSES, GoalGraph, rows_of
-from tfg_drake.slam.map_solver import restored
-from tfg_drake.slam.map_window import seen_by
+from tfg_drake.slam.keyframe_graph import WITNESSES, Keyframe, KeyframeGraph, rows_of
+from tfg_drake.slam.map_solver import solve
 
-# A segment that leaves the heading as open as this, rad, ties nothing.
+# A way that leaves the heading as open as this, rad, ties nothing.
 OPEN_HEADING = 1.0
 # Tags of either part that a goal must see, and how well they must fit, m: an id may have been misread.
 LEAST_TAGS = 3
@@ -24,30 +23,40 @@ FIT = 0.3
 
 
 def rejoined(
-    graph: GoalGraph, estimate: MapEstimate | None, observation: GoalObservation
-) -> tuple[GoalGraph, MapEstimate | None]:
+    graph: KeyframeGraph, estimate: MapEstimate, observation: GoalObservation
+) -> tuple[KeyframeGraph, MapEstimate]:
     """The graph, and its estimate, with what was mapped since the robot was carried moved to where an observation, not
     yet in it, says; as they were where nothing is adrift or the observation does not say."""
-    open_segments = np.flatnonzero(graph.segment_covariance[:, 2, 2] >= OPEN_HEADING**2)
-    if estimate is None or not len(open_segments):
+    keyframes = graph.keyframes
+    loose = [j for j, one in enumerate(keyframes) if not len(one.ids) and one.information[2, 2] <= OPEN_HEADING**-2]
+    if not loose:
         return graph, estimate
-    first = int(open_segments[-1]) + 1
-    k = len(graph.observations)
-    before, since = seen_by(graph, np.arange(first)), seen_by(graph, np.arange(first, k))
+    j = loose[-1]
+    before, since = _seen_by(graph, keyframes[:j]), _seen_by(graph, keyframes[j + 1 :])
     row, known = rows_of(observation.ids, graph.ids)
     old, new = known & before[row] & ~since[row], known & since[row] & ~before[row]
     if (before & since).sum() >= WITNESSES or min(old.sum(), new.sum()) < LEAST_TAGS:
         return graph, estimate
-    p_AL, p_ML = observation.p_AL, graph.p_ML[row]
+    p_AL, p_ML = observation.p_AL, estimate.p_ML[row]
     by_old, by_new = align(p_ML[old], p_AL[old]), align(p_ML[new], p_AL[new])
     if max(_misfit(by_old, p_AL[old], p_ML[old]), _misfit(by_new, p_AL[new], p_ML[new])) > FIT:
         return graph, estimate
     move = se2.compose(by_old, se2.inverse(by_new))
-    X_MA, X_MD, p_ML = graph.X_MA.copy(), graph.X_MD.copy(), graph.p_ML.copy()
-    X_MA[first:], X_MD[first:] = se2.compose(move, X_MA[first:]), se2.compose(move, X_MD[first:])
+    X_MN, p_ML = graph.X_MN.copy(), estimate.p_ML.copy()
+    X_MN[j + 1 :] = se2.compose(move, X_MN[j + 1 :])
     p_ML[since & ~before] = se2.transform(move, p_ML[since & ~before])
-    graph = replace(graph, X_MA=X_MA, X_MD=X_MD, p_ML=p_ML)
-    return graph, restored(graph, estimate.stamp, estimate.observation)
+    # The way that is not known seems to have led there.
+    way = replace(keyframes[j], X_AD=se2.between(X_MN[j], X_MN[j + 1]))
+    graph = replace(graph, keyframes=(*keyframes[:j], way, *keyframes[j + 1 :]), X_MN=X_MN, p_ML=p_ML)
+    return solve(graph, estimate.stamp, estimate.observation)
+
+
+def _seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
+    """Which landmarks (n,) some keyframes have seen."""
+    seen = np.zeros(len(graph.ids), dtype=bool)
+    for one in keyframes:
+        seen[rows_of(one.ids, graph.ids)[0]] = True
+    return seen
 
 
 def _misfit(X_MA: FloatArray, p_AL: FloatArray, p_ML: FloatArray) -> float:

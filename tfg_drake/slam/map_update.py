@@ -1,0 +1,199 @@
+"""The map between two solves: its joint Gaussian, updated by one keyframe more.
+
+What a keyframe says of the landmarks round the robot hardly moves them, so an iterated Kalman update takes it in as a
+solve of the whole graph would, in a tenth of the time. Each tag is first compared with what all others predict of it.
+`needs_solve` says when so much has moved that the graph is to be linearised anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended, rows_of, without_tags
+from tfg_drake.slam.map_solver import estimate_of, landmark_entropy, with_local
+
+# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: of one seen
+# often, which has then been moved or is tied to the wrong place, and of one hardly seen, perhaps a misread id (99 %).
+REJECTED = 49.0
+HARDLY_SEEN_REJECTED = 9.2
+# Iterations of an update.
+ITERATIONS = 4
+# The graph is solved when a landmark has moved this far, m, since it was, when it has so many keyframes more, or when
+# one of so many landmarks nearest to the robot is not known jointly.
+FAR_MOVED = 0.01
+MANY_KEYFRAMES = 16
+NEAREST = 100
+
+
+@message
+class _Update:
+    """An update by m tags, linearised at its result. H: (2m, 2m + 3) by the tags and A. root: (2m, 2m) lower Cholesky
+    factor of the innovation's covariance, nu: (2m,) the innovation from the prior mean, in units of that root."""
+
+    H: FloatArray
+    root: FloatArray
+    nu: FloatArray
+
+
+def updated(
+    graph: KeyframeGraph,
+    estimate: MapEstimate,
+    observation: GoalObservation,
+    limit: FloatArray | None = None,
+    *,
+    is_view: bool = True,
+) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
+    """Graph and map with one keyframe more, which begins where the map's newest pose is, and the ids of the known tags
+    left out of it because they contradict all others.
+
+    Args:
+        graph: with the values of its last solve. estimate: what has become of the landmarks and the newest pose since.
+        observation: those of its tags that are known must be known jointly.
+        limit: (n,) squared Mahalanobis distance beyond which a tag is left out, by default REJECTED.
+        is_view: whether it is a goal or glance, not a piece of the way.
+
+    What `estimate` says of the stage is not brought up to date, see `finished`.
+    """
+    limit = np.full(len(observation.ids), REJECTED) if limit is None else limit
+    row, known = rows_of(observation.ids, estimate.ids)
+    local_row, seen = np.searchsorted(estimate.local, row[known]), np.flatnonzero(known)
+    kept = np.arange(len(seen))
+    while True:
+        update = _iterated(estimate, local_row[kept], observation, seen[kept])
+        excess = _distances(update) / limit[seen[kept]]
+        if np.max(excess, initial=0.0) <= 1.0:
+            break
+        kept = np.delete(kept, np.argmax(excess))
+    rejected = np.delete(observation.ids[seen], kept)
+    observation = without_tags(observation, rejected)
+    return *_joined(graph, estimate, observation, local_row[kept], update, is_view), rejected
+
+
+def jointly_known(estimate: MapEstimate, ids: IntArray) -> BoolArray:
+    """Which of some tags (m,) are known jointly with the newest pose, or not known at all."""
+    row, known = rows_of(ids, estimate.ids)
+    return ~known | np.isin(row, estimate.local)
+
+
+def needs_solve(graph: KeyframeGraph, estimate: MapEstimate, keyframes: int) -> bool:
+    """Whether an updated graph and map are to be solved; keyframes: how many there were at the last solve."""
+    if len(graph.keyframes) >= keyframes + MANY_KEYFRAMES:
+        return True
+    moved = estimate.p_ML[estimate.local] - graph.p_ML[estimate.local]
+    if np.max(np.abs(moved), initial=0.0) > FAR_MOVED:
+        return True
+    if len(estimate.local) == len(estimate.ids):
+        return False
+    distance = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T)
+    return not np.isin(np.argpartition(distance, NEAREST)[:NEAREST], estimate.local).all()
+
+
+def finished(
+    graph: KeyframeGraph, estimate: MapEstimate, stamp: float, observation: GoalObservation
+) -> tuple[KeyframeGraph, MapEstimate]:
+    """Graph and map after all updates of a stage. stamp: s, observation: the newest goal's, with its trajectory."""
+    graph = replace(
+        graph,
+        landmark_covariance=with_local(graph.landmark_covariance, estimate.local, estimate.covariance),
+        entropy=graph.entropy_beyond + landmark_entropy(estimate.covariance),
+    )
+    return graph, estimate_of(
+        graph, stamp, observation, estimate.p_ML, estimate.X_MD, estimate.local, estimate.covariance
+    )
+
+
+def _entries(size: int, local_row: IntArray) -> IntArray:
+    """Where in a joint covariance of this size some landmarks, by their rows (m,) in local, and the pose are."""
+    return np.append((2 * local_row[:, None] + [0, 1]).ravel(), [size - 3, size - 2, size - 1])
+
+
+def _iterated(estimate: MapEstimate, local_row: IntArray, observation: GoalObservation, seen: IntArray) -> _Update:
+    """The update by m tags: local_row (m,) where they are in local, seen (m,) where in the observation."""
+    m = len(seen)
+    if m == 0:
+        return _Update(np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0))
+    at = _entries(len(estimate.covariance), local_row)
+    P = estimate.covariance[np.ix_(at, at)]
+    of_seen = (2 * seen[:, None] + [0, 1]).ravel()
+    noise = observation.covariance[np.ix_(of_seen, of_seen)]
+    x_0 = x = np.append(estimate.p_ML[estimate.local[local_row]], estimate.X_MD)
+    H = np.zeros((2 * m, 2 * m + 3))
+    i = np.arange(m)
+    for _ in range(ITERATIONS):
+        R_AM = se2.rotation(float(x[-1])).T
+        in_A = (x[:-3].reshape(-1, 2) - x[-3:-1]) @ R_AM.T
+        H[:, :-3].reshape(m, 2, m, 2)[i, :, i, :] = R_AM
+        H[:, -3:-1] = np.tile(-R_AM, (m, 1))
+        H[0::2, -1], H[1::2, -1] = in_A[:, 1], -in_A[:, 0]
+        innovation = (observation.p_AL[seen] - in_A).ravel() - H @ (x_0 - x)
+        root = np.linalg.cholesky(H @ P @ H.T + noise)
+        x = x_0 + P @ (H.T @ scipy.linalg.cho_solve((root, True), innovation, check_finite=False))
+    return _Update(H, root, scipy.linalg.solve_triangular(root, innovation, lower=True, check_finite=False))
+
+
+def _distances(update: _Update) -> FloatArray:
+    """(m,) squared Mahalanobis distance of each tag from what all others predict of it."""
+    m = len(update.nu) // 2
+    half = scipy.linalg.solve_triangular(update.root, np.eye(2 * m), lower=True, check_finite=False) if m else None
+    if half is None:
+        return np.zeros(0)
+    weighted, i = (half.T @ update.nu).reshape(m, 2, 1), np.arange(m)
+    own = (half.T @ half).reshape(m, 2, m, 2)[i, :, i, :]
+    return np.asarray((weighted * np.linalg.solve(own, weighted)).sum(axis=(1, 2)))
+
+
+def _joined(
+    graph: KeyframeGraph,
+    estimate: MapEstimate,
+    observation: GoalObservation,
+    local_row: IntArray,
+    update: _Update,
+    is_view: bool,
+) -> tuple[KeyframeGraph, MapEstimate]:
+    """Graph and map with an observation whose known tags are all believed, local_row (m,): where they are in local."""
+    _, known = rows_of(observation.ids, estimate.ids)
+    # What it says besides of known tags: in A, new tags and D. The errors of all of it go together.
+    beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=bool))
+    R = observation.covariance
+    size, more, old = len(estimate.covariance), int(np.count_nonzero(beyond)), len(estimate.covariance) - 3
+    P = np.zeros((size + more, size + more))
+    P[:size, :size], P[size:, size:] = estimate.covariance, R[np.ix_(beyond, beyond)]
+    x = np.concatenate(
+        [estimate.p_ML[estimate.local].ravel(), estimate.X_MD, observation.p_AL[~known].ravel(), observation.X_AD]
+    )
+    if len(local_row):
+        with_tags = estimate.covariance[:, _entries(size, local_row)] @ update.H.T
+        gain = np.vstack([with_tags, -R[np.ix_(beyond, ~beyond)]]).T
+        half = scipy.linalg.solve_triangular(update.root, gain, lower=True, check_finite=False)
+        P -= half.T @ half
+        x += half.T @ update.nu
+    X_MA, p_AL, X_AD = x[old:size], x[size:-3].reshape(-1, 2), x[-3:]
+    # From (A, new tags, D in A) to (new tags, D) in M.
+    R_MA, new = se2.rotation(float(X_MA[2])), len(p_AL)
+    lever = np.vstack([p_AL, X_AD[:2]]) @ R_MA.T
+    J = np.zeros((more, 3 + more))
+    J[:-1, :2] = np.tile(np.eye(2), (new + 1, 1))
+    J[0:-1:2, 2], J[1:-1:2, 2] = -lever[:, 1], lever[:, 0]
+    J[-1, 2] = J[-1, -1] = 1.0
+    i = np.arange(new + 1)
+    J[:-1, 3:-1].reshape(new + 1, 2, new + 1, 2)[i, :, i, :] = R_MA
+    P[old : old + more, :old] = J @ P[old:, :old]
+    P[old : old + more, old : old + more] = J @ P[old:, old:] @ J.T
+    covariance = np.tril(P[: old + more, : old + more])
+    covariance += np.tril(covariance, -1).T
+
+    graph = replace(graph, X_MN=np.vstack([graph.X_MN[:-1], X_MA]))
+    X_MD = se2.compose(X_MA, X_AD)
+    graph = extended(graph, observation, X_MD, is_view=is_view)
+    p_ML, row = np.empty((len(graph.ids), 2)), np.searchsorted(graph.ids, estimate.ids)
+    p_ML[row] = estimate.p_ML
+    local = np.append(row[estimate.local], np.searchsorted(graph.ids, observation.ids[~known]))
+    p_ML[local] = np.vstack([x[:old].reshape(-1, 2), se2.transform(X_MA, p_AL)])
+    if new:
+        order = np.argsort(local, kind="stable")
+        local, entries = local[order], _entries(len(covariance), order)
+        covariance = covariance[np.ix_(entries, entries)]
+    return graph, replace(estimate, ids=graph.ids, p_ML=p_ML, X_MD=X_MD, local=local, covariance=covariance)
