@@ -10,10 +10,10 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test lint format types check clean
+.PHONY: help demo test test-slow lint format types check clean
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
 demo: $(VENV)/.demo  ## explore the paper's world at eight times real time, shown in Meshcat
 	$(BIN)/tfg-drake explore paper --realtime-rate 8
@@ -29,6 +29,9 @@ test:  ## run the test suite (PYTHON=python3.12: with that Python, if it is ther
 .PHONY: suite
 suite: $(VENV)/.test
 	$(BIN)/pytest -n 2 --dist loadfile
+
+test-slow: $(VENV)/.test  ## run the tests that take minutes
+	$(BIN)/pytest -n 2 -m slow
 
 lint: $(VENV)/.test  ## ruff's rules
 	$(BIN)/ruff check

@@ -1,0 +1,113 @@
+"""Graphs of a robot that goes round a ring of tags, with correlated errors, and a dense solution of them to compare."""
+
+import numpy as np
+import scipy.linalg
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import GoalObservation
+from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended
+from tfg_drake.slam.map_update import finished, updated
+
+# The way from one goal to the next, of which odometry alone tells.
+ODOMETRY = np.diag([0.05, 0.05, 0.02]) ** 2
+
+
+def observed(rng, p_ML, X_MA, X_AD, seen, noise=1.0):
+    """What a turn sees of the landmarks in rows seen (n,): errors that tags and the turn's end share."""
+    size = 2 * len(seen) + 3
+    root = 0.001 * rng.normal(size=(size, size)) + 0.01 * np.eye(size)
+    error = noise * root @ rng.normal(size=size)
+    return GoalObservation(
+        ids=seen + 100,
+        p_AL=se2.transform(se2.inverse(X_MA), p_ML[seen]) + error[:-3].reshape(-1, 2),
+        X_AD=X_AD + error[-3:],
+        covariance=root @ root.T,
+        stamps=np.empty(0),
+        X_AB=np.empty((0, 3)),
+    )
+
+
+def way(rng, X_DA, covariance=ODOMETRY, noise=1.0):
+    """A piece of way without tags."""
+    error = noise * np.linalg.cholesky(covariance) @ rng.normal(size=3)
+    nothing = np.empty(0, dtype=np.int64)
+    return GoalObservation(
+        nothing, np.empty((0, 2)), X_DA + error, covariance, np.empty(0), np.empty((0, 3))
+    )
+
+
+def ring(seed, noise=1.0, goals=24, radius=12.0, tags=120, reach=5.0, laps=1.0):
+    """Observations in the order of the way, turns and the ways between them; landmarks (n, 2) and poses (2k, 3) in M."""
+    rng = np.random.default_rng(seed)
+    angle, r = rng.uniform(0.0, 2.0 * np.pi, tags), radius + rng.uniform(-3.0, 3.0, tags)
+    p_WL = r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    a = 2.0 * np.pi * laps * np.arange(goals) / goals
+    X_WA = np.column_stack([radius * np.cos(a), radius * np.sin(a), se2.wrap_angle(a + 1.0)])
+    X_MW = se2.inverse(X_WA[0])
+    p_ML, X_MA = se2.transform(X_MW, p_WL), se2.compose(X_MW, X_WA)
+    observations, X_MN, X_AD = [], [np.zeros(3)], np.array([0.02, -0.01, 0.1])
+    for k, X in enumerate(X_MA):
+        if k > 0:
+            observations.append(way(rng, se2.between(X_MN[-1], X), noise=noise))
+            X_MN.append(X)
+        seen = np.flatnonzero(np.hypot(*(p_ML - X[:2]).T) < reach)
+        observations.append(observed(rng, p_ML, X, X_AD, seen, noise))
+        X_MN.append(se2.compose(X, X_AD))
+    return observations, p_ML, np.array(X_MN)
+
+
+def built(observations):
+    """Graph and map of some observations, updated with one after the other and never solved."""
+    graph, estimate = empty_graph(), empty_map()
+    for number, observation in enumerate(observations):
+        graph, estimate, rejected = updated(graph, estimate, observation, is_view=len(observation.ids) > 0)
+        assert len(rejected) == 0
+        graph, estimate = finished(graph, estimate, float(number), observation)
+    return graph, estimate
+
+
+def reckoned(observations):
+    """The graph of some observations, each put where the one before ends."""
+    graph = empty_graph()
+    for observation in observations:
+        X_MD = se2.compose(graph.X_MN[-1], observation.X_AD)
+        graph = extended(graph, observation, X_MD, is_view=len(observation.ids) > 0)
+    return graph
+
+
+def dense_solution(graph):
+    """X_MN (k + 1, 3), p_ML (n, 2) of the least squared error, and the covariance of (p_ML row by row, all poses but
+    the origin): Gauss-Newton on the dense system, its Jacobian by complex steps."""
+    n, k = len(graph.ids), len(graph.keyframes)
+    x = np.concatenate([graph.p_ML.ravel(), graph.X_MN[1:].ravel()])
+    roots = [np.linalg.cholesky(one.information).T for one in graph.keyframes]
+    entries = []
+    for j, one in enumerate(graph.keyframes):
+        rows = np.searchsorted(graph.ids, one.ids)
+        poses = 2 * n + 3 * j + np.arange(-3 if j else 0, 3)
+        entries.append(np.append((2 * rows[:, None] + [0, 1]).ravel(), poses))
+
+    def error(j, values):
+        one = graph.keyframes[j]
+        m = 2 * len(one.ids)
+        A, D = (values[m : m + 3], values[m + 3 :]) if j else (np.zeros(3), values[m:])
+        points = np.vstack([values[:m].reshape(-1, 2), D[:2]]) - A[:2]
+        c, s = np.cos(A[2]), np.sin(A[2])
+        in_A = points @ np.array([[c, -s], [s, c]])
+        turn = D[2] - A[2] - one.X_AD[2]
+        turn = turn - 2.0 * np.pi * np.round(turn.real / (2.0 * np.pi))
+        return roots[j] @ np.concatenate([(in_A - np.vstack([one.p_AL, one.X_AD[:2]])).ravel(), [turn]])
+
+    for _ in range(30):
+        H, g = np.zeros((len(x), len(x))), np.zeros(len(x))
+        for j, at in enumerate(entries):
+            J = np.array([error(j, x[at] + 1e-30j * row).imag / 1e-30 for row in np.eye(len(at))]).T
+            H[np.ix_(at, at)] += J.T @ J
+            g[at] += J.T @ error(j, x[at].astype(complex)).real
+        factor = scipy.linalg.cho_factor(H)
+        step = scipy.linalg.cho_solve(factor, -g)
+        x = x + step
+        if np.abs(step).max() < 1e-11:
+            break
+    covariance = scipy.linalg.cho_solve(factor, np.eye(len(x)))
+    return np.vstack([np.zeros(3), x[2 * n :].reshape(k, 3)]), x[: 2 * n].reshape(n, 2), covariance

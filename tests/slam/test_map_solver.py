@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+
+from tests.slam.rings import built, dense_solution, reckoned, ring
+from tfg_drake.geometry import se2
+from tfg_drake.messages import replace
+from tfg_drake.slam import map_solver
+from tfg_drake.slam.keyframe_graph import fused
+from tfg_drake.slam.map_solver import known_jointly, solve
+
+
+def assert_dense(graph, solved, estimate, node=None):
+    """The solution and its joint covariance are a dense solution's, to a millionth."""
+    X_MN, p_ML, covariance = dense_solution(graph)
+    size = np.abs(p_ML).max()
+    assert np.abs(solved.p_ML - p_ML).max() < 1e-6 * size
+    assert np.abs(se2.wrap_angle(solved.X_MN[:, 2] - X_MN[:, 2])).max() < 1e-6
+    assert np.abs(solved.X_MN[:, :2] - X_MN[:, :2]).max() < 1e-6 * size
+    node = len(graph.keyframes) if node is None else node
+    first = 2 * len(graph.ids) + 3 * (node - 1)
+    at = np.append((2 * estimate.local[:, None] + [0, 1]).ravel(), np.arange(first, first + 3))
+    expected = covariance[np.ix_(at, at)]
+    assert np.linalg.norm(estimate.covariance - expected) < 1e-6 * np.linalg.norm(expected)
+    deviation = np.sqrt(np.diag(expected))
+    assert np.abs((estimate.covariance - expected) / np.outer(deviation, deviation)).max() < 1e-6
+    landmarks = covariance[: 2 * len(graph.ids), : 2 * len(graph.ids)]
+    entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * landmarks)[1]
+    assert abs(solved.entropy - entropy) < 1e-6 * abs(entropy)
+    assert estimate.entropy == solved.entropy
+
+
+def test_exact_without_noise():
+    observations, p_ML, X_MN = ring(1, noise=0.0)
+    graph, estimate = solve(reckoned(observations), 7.0, observations[-1])
+    np.testing.assert_allclose(estimate.p_ML, p_ML[estimate.ids - 100], atol=1e-9)
+    np.testing.assert_allclose(se2.between(X_MN, graph.X_MN), np.zeros((len(X_MN), 3)), atol=1e-9)
+    assert estimate.stage == 24
+    assert estimate.stamp == 7.0
+
+
+@pytest.mark.parametrize("joint", [400, 30, 0])
+def test_a_ring_just_closed_is_a_dense_solution(joint):
+    """From dead reckoning, a metre and more off where the loop closes."""
+    observations, _, _ = ring(2, laps=1.05)
+    graph = reckoned(observations)
+    solved, estimate = solve(graph, 0.0, observations[-1], joint=joint)
+    assert len(estimate.local) == min(joint, len(graph.ids))
+    assert np.abs(solved.X_MN[-1] - graph.X_MN[-1]).max() > 0.5
+    assert_dense(graph, solved, estimate)
+
+
+def test_round_another_place_and_pose():
+    observations, _, _ = ring(3, laps=1.05)
+    graph = reckoned(observations)
+    also = np.array([0, 5])
+    solved, estimate = solve(graph, 0.0, observations[-1], node=20, joint=25, also=also)
+    assert np.isin(also, estimate.local).all()
+    np.testing.assert_array_equal(estimate.X_MD, solved.X_MN[20])
+    assert_dense(graph, solved, estimate, node=20)
+
+
+def test_a_graph_whose_keyframes_are_fused_is_a_dense_solution_too():
+    observations, _, _ = ring(4, goals=60, laps=1.1)
+    turns = [one for one in observations if len(one.ids)]
+    ways = [se2.compose(one.X_AD, other.X_AD) for one, other in zip(turns, observations[1::2], strict=False)]
+    joined = [replace(one, X_AD=X_AD) for one, X_AD in zip(turns, ways, strict=False)]
+    graph = fused(reckoned(joined))
+    assert len(graph.keyframes) < 0.7 * len(joined)
+    solved, estimate = solve(graph, 0.0, joined[-1], joint=30)
+    assert_dense(graph, solved, estimate)
+
+
+@pytest.mark.slow
+def test_six_thousand_unknowns_just_closed():
+    observations, _, _ = ring(5, goals=300, radius=150.0, tags=2100, reach=6.0, laps=1.003)
+    graph = reckoned(observations)
+    assert 2 * len(graph.ids) + 3 * len(graph.keyframes) > 5500
+    solved, estimate = solve(graph, 0.0, observations[-1])
+    assert_dense(graph, solved, estimate)
+
+
+def test_consistent(nees):
+    landmarks, poses = [], []
+    for seed in range(12):
+        observations, p_ML, X_MN = ring(seed, goals=12, tags=60)
+        _, estimate = solve(reckoned(observations), 0.0, observations[-1])
+        error = (estimate.p_ML - p_ML[estimate.ids - 100]).ravel()
+        pose = estimate.X_MD - X_MN[-1]
+        pose[2] = se2.wrap_angle(pose[2])
+        landmarks.append(nees(error, estimate.covariance[:-3, :-3]))
+        poses.append(nees(pose, estimate.covariance[-3:, -3:]))
+    assert 0.9 < np.mean(landmarks) < 1.1
+    assert 0.5 < np.mean(poses) < 1.6
+
+
+def test_what_hangs_on_nothing_keeps_its_shape():
+    """A way of which nothing is known, between two halves that share no tag."""
+    observations, p_ML, _ = ring(6, goals=6, radius=30.0, laps=0.1)
+    nothing = replace(observations[5], covariance=np.diag([1e7, 1e7, 1e7]))
+    second = [replace(one, ids=one.ids + 1000) for one in observations[6:]]
+    graph = reckoned([*observations[:5], nothing, *second])
+    solved, estimate = solve(graph, 0.0, observations[-1])
+    assert np.isfinite(estimate.covariance).all()
+    rows = np.flatnonzero(solved.ids >= 1000)
+    moved = se2.transform(se2.inverse(solved.X_MN[-1]), solved.p_ML[rows])
+    true = p_ML[solved.ids[rows] - 1100]
+    shape = np.hypot(*(moved[1:] - moved[0]).T) - np.hypot(*(true[1:] - true[0]).T)
+    assert np.abs(shape).max() < 0.1
+
+
+def test_how_many_are_known_jointly_is_bounded(monkeypatch):
+    observations, _, _ = ring(7, goals=6)
+    graph = reckoned(observations)
+    assert known_jointly(graph) == len(graph.ids)
+    monkeypatch.setattr(map_solver, "MOST_JOINT", 10)
+    assert known_jointly(graph) == map_solver.JOINT
+
+
+def test_updates_come_to_what_a_solve_comes_to():
+    """Without a loop that closes, updates one after the other differ from the optimum by what linearisation costs."""
+    observations, _, _ = ring(8, goals=12, laps=0.4)
+    graph, estimate = built(observations)
+    solved, whole = solve(graph, 0.0, observations[-1])
+    assert np.abs(estimate.p_ML - solved.p_ML).max() < 5e-3
+    deviation = np.sqrt(np.diag(whole.covariance))
+    assert np.abs((estimate.covariance - whole.covariance) / np.outer(deviation, deviation)).max() < 0.02
+    assert abs(estimate.entropy - whole.entropy) < 0.3
