@@ -183,7 +183,7 @@ def settled(state: EstimatorState) -> EstimatorState:
         return state
     graph = fused(replace(state.graph, p_ML=estimate.p_ML))
     graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
-    return replace(state, graph=graph, solved=len(graph.keyframes), map=estimate)
+    return replace(state, graph=graph, solved=graph, map=estimate)
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
@@ -296,10 +296,10 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
     corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
-    if before is not state.graph or corrected_graph is not graph or needs_solve(graph, estimate, solved):
+    if before is not state.graph or corrected_graph is not graph or needs_solve(graph, solved, estimate):
         corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
         graph, estimate = _solved(corrected_graph, state.stamp, solution.observation)
-        solved = len(graph.keyframes)
+        solved = graph
     else:
         graph, estimate = finished(graph, estimate, state.stamp, solution.observation)
     model = state.model

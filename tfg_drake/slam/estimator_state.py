@@ -45,9 +45,9 @@ class EstimatorState:
     scans: the newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s), X_OB (3,): the filters'
     instant and the dead reckoning then. contradictions: frames in a row that contradict the pose. carried: the robot
     was moved since the last goal by something else than its wheels. turn: the open one. piece: the open piece of the
-    way, way: those before it since the last goal. graph: at the values of its last solve, when it had so many
-    keyframes: solved. map: what has become of it since, None before the first goal. rejected: (r,) ids of known tags left
-    out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted
+    way, way: those before it since the last goal. graph: its landmarks as they lay at its last solve or
+    when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
+    goal. rejected: (r,) ids of known tags left out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted
     the map at the last goals, suspect_count: (s,) how many in a row.
     """
 
@@ -68,7 +68,7 @@ class EstimatorState:
     piece: OpenTurn | None
     way: tuple[GoalObservation, ...]
     graph: KeyframeGraph
-    solved: int
+    solved: KeyframeGraph
     map: MapEstimate | None
     rejected: IntArray
     dropped: int
@@ -102,7 +102,7 @@ def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> 
         piece=None,
         way=(),
         graph=empty_graph(),
-        solved=0,
+        solved=empty_graph(),
         map=None,
         rejected=none,
         dropped=0,

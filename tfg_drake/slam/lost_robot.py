@@ -66,7 +66,7 @@ def look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorStat
     graph = replace(graph, p_ML=estimate.p_ML)
     _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
     graph, estimate = solve(graph, estimate.stamp, estimate.observation)
-    state = replace(state, graph=graph, solved=len(graph.keyframes), map=estimate)
+    state = replace(state, graph=graph, solved=graph, map=estimate)
     localizer = restart_localizer(state.model, nearby, pose, select(seen, agreeing))
     return _carried(replace(state, localizer=localizer, contradictions=0))
 

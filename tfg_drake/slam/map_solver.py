@@ -25,7 +25,7 @@ JOINT = 400
 MOST_JOINT = 2500
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
-SMALL_STEP = 1e-6
+SMALL_STEP = 2e-5
 # A step that fails to lower the error, or cannot be made, is made again with every unknown held to its place by this
 # information, and a hundred times as much each time. The first holds what hangs on nothing by 100 m, or rad.
 LEAST_DAMPING = 1e-4

@@ -21,10 +21,10 @@ REJECTED = 49.0
 HARDLY_SEEN_REJECTED = 9.2
 # Iterations of an update.
 ITERATIONS = 4
-# The graph is solved when a landmark has moved this far, m, since it was, when it has so many keyframes more, or when
-# one of so many landmarks nearest to the robot is not known jointly.
-FAR_MOVED = 0.01
-MANY_KEYFRAMES = 16
+# The graph is solved when a landmark has moved this far, m, since the last solve, when it has so many keyframes more, or
+# when one of so many landmarks nearest to the robot is not known jointly.
+FAR_MOVED = 0.05
+MANY_KEYFRAMES = 32
 NEAREST = 100
 
 
@@ -78,11 +78,11 @@ def jointly_known(estimate: MapEstimate, ids: IntArray) -> BoolArray:
     return ~known | np.isin(row, estimate.local)
 
 
-def needs_solve(graph: KeyframeGraph, estimate: MapEstimate, keyframes: int) -> bool:
-    """Whether an updated graph and map are to be solved; keyframes: how many there were at the last solve."""
-    if len(graph.keyframes) >= keyframes + MANY_KEYFRAMES:
+def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstimate) -> bool:
+    """Whether an updated graph and map are to be solved; solved: the graph at the last solve."""
+    if len(graph.keyframes) >= len(solved.keyframes) + MANY_KEYFRAMES:
         return True
-    moved = estimate.p_ML[estimate.local] - graph.p_ML[estimate.local]
+    moved = estimate.p_ML[np.searchsorted(estimate.ids, solved.ids)] - solved.p_ML
     if np.max(np.abs(moved), initial=0.0) > FAR_MOVED:
         return True
     if len(estimate.local) == len(estimate.ids):
