@@ -25,9 +25,9 @@ def small_map():
     from tfg_drake.mapfile.saved_map import saved_map
     from tfg_drake.messages import GoalObservation, TfgMap
     from tfg_drake.slam.estimator_state import initial_state
-    from tfg_drake.slam.goal_arrival import add_goal
-    from tfg_drake.slam.goal_graph import empty_graph
+    from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
     from tfg_drake.slam.map_solver import solve
+    from tfg_drake.slam.map_update import updated
     from tfg_drake.tfg import graph as tfg
     from tfg_drake.tfg.frontier import points_of
     from tfg_drake.tfg.surfaces import Surfaces
@@ -45,11 +45,18 @@ def small_map():
             np.array(rows) + 10, p_AL, np.array(X_AD), 0.5 * (covariance + covariance.T), np.zeros(0), np.zeros((0, 3))
         )
 
+    def way(X_DA):
+        """A way of which odometry alone tells."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return GoalObservation(
+            nothing, np.zeros((0, 2)), np.array(X_DA), 1e-3 * np.eye(3), np.zeros(0), np.zeros((0, 3))
+        )
+
     first = observation([0, 1, 2], np.zeros(3), [0.0, 0.01, 0.02], 1)
-    graph, _ = add_goal(empty_graph(), None, first, np.zeros(3), np.zeros((3, 3)))
-    graph, estimate = solve(graph, 6.5, first)
     second = observation([0, 1, 3], np.array([1.0, 0.0, 0.1]), [0.01, 0.0, 0.0], 2)
-    graph, _ = add_goal(graph, estimate, second, np.array([1.0, -0.03, 0.08]), 1e-3 * np.eye(3))
+    graph, estimate, _ = updated(empty_graph(), empty_map(), first)
+    graph, estimate, _ = updated(graph, estimate, way([1.0, -0.03, 0.08]), is_view=False)
+    graph, estimate, _ = updated(graph, estimate, second)
     graph, estimate = solve(graph, 20.25, second)
     surfaces = Surfaces(
         kind=np.array([0, 1, 2]),

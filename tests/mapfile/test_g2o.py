@@ -34,10 +34,10 @@ def test_vertices_and_edges_are_the_graph(small_map):
     tags = [edge[:2] for edge in found["EDGE_SE2_XY"]]
     assert tags == [[0, 20], [0, 21], [0, 22], [2, 20], [2, 21], [2, 23]]
     for start, end, x, y, *information in found["EDGE_SE2_XY"]:
-        observation = graph.observations[int(start) // 2].observation
-        row = int(np.flatnonzero(observation.ids == end - 10)[0])
-        np.testing.assert_array_equal([x, y], observation.p_AL[row])
-        block = observation.covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
+        keyframe = graph.keyframes[int(start)]
+        row = int(np.flatnonzero(keyframe.ids == end - 10)[0])
+        np.testing.assert_array_equal([x, y], keyframe.p_AL[row])
+        block = keyframe.covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
         np.testing.assert_allclose(symmetric(information, 2), np.linalg.inv(block))
         # At the map's values it fits as it did there.
         p_AL = se2.transform(se2.inverse(vertices[int(start)]), vertices[int(end)][None])[0]
@@ -50,33 +50,15 @@ def test_gtsam_reads_it_back(small_map, tmp_path):
     factors, values = gtsam.readG2o(str(path), False)
     found = read(g2o_text(small_map))
     assert factors.size() == len(found["EDGE_SE2"]) == 3
-    for j in range(2):
-        arrival = values.atPose2(2 * j)
-        X_WA = se2.compose(small_map.X_WM, small_map.graph.X_MA[j])
-        np.testing.assert_allclose([arrival.x(), arrival.y(), arrival.theta()], X_WA, atol=1e-12)
-    # Its errors are those of the map's own factors: the covariance is turned into the axes g2o has it in.
+    X_WN = se2.compose(small_map.X_WM, small_map.graph.X_MN)
+    for j in range(4):
+        pose = values.atPose2(j)
+        np.testing.assert_allclose([pose.x(), pose.y(), pose.theta()], X_WN[j], atol=1e-12)
+    # Its errors are those of the map's own keyframes: the covariance is turned into the axes g2o has it in.
     ours = 0.0
-    graph = small_map.graph
-    steps = [
-        (
-            graph.X_MA[0],
-            graph.X_MD[0],
-            graph.observations[0].X_AD,
-            graph.observations[0].observation.covariance[-3:, -3:],
-        )
-    ]
-    steps += [(graph.X_MD[0], graph.X_MA[1], graph.X_DA[0], graph.segment_covariance[0])]
-    steps += [
-        (
-            graph.X_MA[1],
-            graph.X_MD[1],
-            graph.observations[1].X_AD,
-            graph.observations[1].observation.covariance[-3:, -3:],
-        )
-    ]
-    for start, end, X, covariance in steps:
-        error = se2.between(start, end) - X
-        ours += 0.5 * error @ np.linalg.solve(covariance, error)
+    for j, keyframe in enumerate(small_map.graph.keyframes):
+        error = se2.between(X_WN[j], X_WN[j + 1]) - keyframe.X_AD
+        ours += 0.5 * error @ np.linalg.solve(keyframe.covariance[-3:, -3:], error)
     assert factors.error(values) == pytest.approx(ours, rel=1e-3)
 
 

@@ -9,8 +9,8 @@ from tfg_drake.messages import TagDetections
 from tfg_drake.slam import localizer as localizer_module
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
-from tfg_drake.slam.goal_graph import empty_map
-from tfg_drake.slam.localizer import local_tags, localized_pose, moved_localizer, start_localizer, step_localizer
+from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.slam.localizer import local_tags, localized_pose, start_localizer, step_localizer
 from tfg_drake.slam.odometry_model import odometry_model, predict_increment
 
 MODEL = odometry_model(OdometryConfig())
@@ -231,49 +231,3 @@ def part_of(estimate, rows):
     pose = len(estimate.covariance) - np.array([3, 2, 1])
     entries = np.concatenate([np.repeat(2 * rows, 2) + np.tile([0, 1], len(rows)), pose])
     return dataclasses.replace(estimate, local=rows, covariance=estimate.covariance[np.ix_(entries, entries)])
-
-
-def test_elsewhere_on_a_large_map_the_pose_stays_what_it_is_to_its_surroundings():
-    estimate, points, X_MB = make_map(9, 4, sigma=0.02)
-    rng = np.random.default_rng(8)
-    everything = start_localizer(MODEL, estimate)
-    before = start_localizer(MODEL, part_of(estimate, np.arange(6)))
-    increment = np.array([0.4, 0.0, 0.2])
-    X_MB = se2.compose(X_MB, predict_increment(increment, 1.0, np.zeros(3), np.zeros(3))[0])
-    unmapped = se2.transform(X_MB, np.array([[2.0, 1.0], [1.0, -0.5]]))
-    frame = sight([2, 3, 4, 5, 40, 41], np.vstack([points[2:6], unmapped]), X_MB, 1.0, rng)
-    everything, _, _ = step_localizer(everything, MODEL, increment, 1.0, frame)
-    before, _, _ = step_localizer(before, MODEL, increment, 1.0, frame)
-
-    there = dataclasses.replace(part_of(estimate, np.arange(2, 9)), X_MD=np.array([3.0, -1.0, 2.5]))
-    after = moved_localizer(before, MODEL, there)
-    old, new = before.filter, after.filter
-    assert new.map_ids.tolist() == [2, 3, 4, 5, 6, 7, 8]
-    np.testing.assert_array_equal(after.X_MD, there.X_MD)
-    pose, _ = localized_pose(before, MODEL, np.zeros(3), 0.0)
-    np.testing.assert_allclose(localized_pose(after, MODEL, np.zeros(3), 0.0)[0], pose, atol=1e-12)
-    np.testing.assert_allclose(after.center, pose[:2])
-    np.testing.assert_allclose(local_tags(after), local_tags(before), atol=1e-12)
-    assert new.local_ids.tolist() == [40, 41]
-    assert np.linalg.eigvalsh(new.covariance).min() > 0.0
-
-    def seen_from_the_robot(filter_, covariance):
-        """Covariance of the unmapped tags in the robot's frame."""
-        R = se2.rotation(float(filter_.mean[2]))
-        J = np.zeros((4, len(filter_.mean)))
-        for k in range(2):
-            d = filter_.mean[6 + 2 * k : 8 + 2 * k] - filter_.mean[:2]
-            J[2 * k : 2 * k + 2, :2], J[2 * k : 2 * k + 2, 6 + 2 * k : 8 + 2 * k] = -R.T, R.T
-            J[2 * k : 2 * k + 2, 2] = R.T @ [d[1], -d[0]]
-        return J @ covariance @ J.T
-
-    given_landmarks = old.covariance - old.cross @ np.linalg.solve(old.considered, old.cross.T)
-    expected = seen_from_the_robot(old, given_landmarks)
-    np.testing.assert_allclose(seen_from_the_robot(new, new.covariance), expected, atol=0.02 * expected.max())
-
-    # The next frame tells where the robot is as if all had been considered from the beginning.
-    frame = sight([4, 5, 6, 7, 8], points[4:], X_MB, 2.0, rng)
-    expected_pose, _ = localized_pose(look(everything, frame), MODEL, np.zeros(3), 0.0)
-    pose, P = localized_pose(look(after, frame), MODEL, np.zeros(3), 0.0)
-    np.testing.assert_allclose(pose, expected_pose, atol=0.02)
-    assert np.all(np.abs(pose - X_MB) < 4.0 * np.sqrt(np.diag(P)))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import MapEstimate, TagDetections
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.relocalization import relocalize
 
 

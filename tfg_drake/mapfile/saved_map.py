@@ -109,7 +109,7 @@ REGISTRY: Registry = {
     },
     RangeScale: {"information": (2, 2), "vector": (2,)},
     KeyframeGraph: {
-        "X_MN": ("k+1", 3),
+        "X_MN": ("v", 3),
         "view_keyframe": ("g",),
         "X_AV": ("g", 3),
         "ids": ("n",),

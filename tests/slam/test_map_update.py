@@ -1,0 +1,110 @@
+import numpy as np
+
+from tests.slam.rings import built, dense_solution, observed, reckoned, ring, way
+from tfg_drake.geometry import se2
+from tfg_drake.messages import replace
+from tfg_drake.slam import map_update
+from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
+from tfg_drake.slam.map_solver import solve
+from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
+
+
+def test_exact_without_noise():
+    observations, p_ML, X_MN = ring(1, noise=0.0)
+    graph, estimate = built(observations)
+    np.testing.assert_allclose(estimate.p_ML, p_ML[estimate.ids - 100], atol=1e-9)
+    np.testing.assert_allclose(se2.between(estimate.X_MD, X_MN[-1]), np.zeros(3), atol=1e-9)
+    np.testing.assert_allclose(se2.between(X_MN, graph.X_MN), np.zeros((len(X_MN), 3)), atol=1e-9)
+    assert estimate.stage == 24
+
+
+def test_one_update_is_a_dense_solution_of_both():
+    """From a solved graph, one keyframe more that hardly moves anything."""
+    observations, _, _ = ring(2, noise=0.02, goals=40, laps=0.4)
+    graph, estimate = solve(reckoned(observations[:-1]), 0.0, observations[-2])
+    graph, estimate, _ = updated(graph, estimate, observations[-1])
+    graph, estimate = finished(graph, estimate, 1.0, observations[-1])
+    X_MN, p_ML, P = dense_solution(graph)
+    n = 2 * len(graph.ids)
+    at = np.append(np.arange(n), np.arange(len(P) - 3, len(P)))
+    expected = P[np.ix_(at, at)]
+    deviation = np.sqrt(np.diag(expected))
+    assert np.abs((estimate.p_ML - p_ML).ravel() / deviation[:-3]).max() < 1e-3
+    np.testing.assert_allclose(estimate.X_MD, X_MN[-1], atol=1e-5)
+    assert np.abs((estimate.covariance - expected) / np.outer(deviation, deviation)).max() < 2e-3
+    entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * expected[:-3, :-3])[1]
+    assert abs(estimate.entropy - entropy) < 0.02
+
+
+def test_consistent(nees):
+    landmarks, poses = [], []
+    for seed in range(12):
+        observations, p_ML, X_MN = ring(seed, goals=12, tags=60)
+        _, estimate = built(observations)
+        landmarks.append(nees((estimate.p_ML - p_ML[estimate.ids - 100]).ravel(), estimate.covariance[:-3, :-3]))
+        poses.append(nees(se2.between(X_MN[-1], estimate.X_MD), estimate.covariance[-3:, -3:]))
+    assert 0.85 < np.mean(landmarks) < 1.15
+    assert 0.5 < np.mean(poses) < 1.6
+
+
+def test_moved_tags_are_left_out_and_named():
+    observations, p_ML, _ = ring(4)
+    graph, estimate = built(observations[:4])
+    goal = observations[4]
+    known = np.flatnonzero(np.isin(goal.ids, graph.ids))
+    p_AL = goal.p_AL.copy()
+    p_AL[known[:2]] += 1.5
+    graph, estimate, rejected = updated(graph, estimate, replace(goal, p_AL=p_AL))
+    np.testing.assert_array_equal(rejected, goal.ids[known[:2]])
+    assert len(graph.keyframes[-1].ids) == len(goal.ids) - 2
+    assert np.abs(estimate.p_ML - p_ML[estimate.ids - 100]).max() < 0.3
+
+
+def test_a_tag_hardly_seen_is_left_out_sooner():
+    observations, _, _ = ring(5)
+    graph, estimate = built(observations[:4])
+    goal = observations[4]
+    known = np.flatnonzero(np.isin(goal.ids, graph.ids))
+    limit = np.full(len(goal.ids), map_update.REJECTED)
+    limit[known[0]] = 0.0
+    assert len(updated(graph, estimate, goal)[2]) == 0
+    np.testing.assert_array_equal(updated(graph, estimate, goal, limit)[2], goal.ids[known[:1]])
+
+
+def test_a_way_without_tags_hangs_on_odometry():
+    rng = np.random.default_rng(6)
+    ways = [way(rng, np.array([2.0, 0.0, 0.5]), noise=0.0) for _ in range(2)]
+    _, estimate = built(ways)
+    np.testing.assert_allclose(estimate.X_MD, [2.0 + 2.0 * np.cos(0.5), 2.0 * np.sin(0.5), 1.0], atol=1e-12)
+    assert estimate.entropy == 0.0
+    assert estimate.stage == 0
+
+
+def test_when_a_solve_is_due(monkeypatch):
+    observations, p_ML, _ = ring(7, laps=0.5)
+    solved, estimate = solve(reckoned(observations[:8]), 0.0, observations[7])
+    assert not needs_solve(solved, solved, estimate)
+    moved = replace(estimate, p_ML=estimate.p_ML + [0.0, 2.0 * map_update.FAR_MOVED])
+    assert needs_solve(solved, solved, moved)
+    monkeypatch.setattr(map_update, "MANY_KEYFRAMES", 2)
+    graph, after, _ = updated(solved, estimate, observations[8])
+    assert not needs_solve(graph, solved, estimate)
+    graph, after, _ = updated(graph, after, observations[9])
+    assert needs_solve(graph, solved, after)
+    # Of landmarks that are near, some are not known jointly.
+    monkeypatch.setattr(map_update, "NEAREST", 10)
+    _, apart = solve(solved, 0.0, observations[7], joint=12)
+    assert not needs_solve(solved, solved, apart)
+    assert needs_solve(solved, solved, replace(apart, X_MD=np.zeros(3)))
+    far = solved.ids[~np.isin(np.arange(len(solved.ids)), apart.local)]
+    assert not jointly_known(apart, far).any()
+    assert jointly_known(apart, np.array([99_999])).all()
+
+
+def test_a_tag_seen_for_the_first_time_is_known_as_its_keyframe_knows_it():
+    rng = np.random.default_rng(8)
+    p_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0]])
+    first = observed(rng, p_ML, np.zeros(3), np.array([0.1, 0.0, 0.2]), np.arange(3))
+    _, estimate, _ = updated(empty_graph(), empty_map(), first)
+    np.testing.assert_allclose(estimate.p_ML, first.p_AL)
+    np.testing.assert_allclose(estimate.covariance, first.covariance, atol=1e-15)
