@@ -3,11 +3,11 @@ import dataclasses
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import B, L
+import scipy.linalg
+from gtsam.symbol_shorthand import B, C, L
 
 from tfg_drake.geometry import se2
-from tfg_drake.slam import turn as turn_module
-from tfg_drake.slam.odometry_model import REST_SHARE, odometry_model
+from tfg_drake.slam.odometry_model import REST_SHARE, arc, odometry_model, predict_increment
 from tfg_drake.slam.turn import solve_turn
 
 STEPS = 201
@@ -40,23 +40,75 @@ def test_exact_without_noise(drive):
     assert np.all(np.diff(observation.stamps) > 0.0)
 
 
-def test_covariance_is_the_full_graphs_marginal(drive, monkeypatch):
-    _, arguments = simulate(drive, 2, 1.0)
-    kept = {}
-    joint = turn_module._joint_covariance
+def odometry_factor(before, after, X_OB0, X_OB1, dt, noise):
+    """An odometry increment on two Pose2 and the calibration C(0), as a GTSAM factor in Python."""
+    increment = arc(X_OB0, X_OB1)
+    W = np.linalg.inv(np.linalg.cholesky(predict_increment(increment, dt, np.zeros(3), noise)[2]))
 
-    def spy(graph, values, ids, nodes):
-        kept.update(graph=graph, values=values, nodes=nodes)
-        return joint(graph, values, ids, nodes)
+    def error(_, values, jacobians):
+        X = values.atPose2(before).between(values.atPose2(after))
+        predicted, on_calibration, _ = predict_increment(increment, dt, values.atVector(C(0)), noise)
+        if jacobians is not None:
+            # GTSAM's poses move in their own frame.
+            jacobians[0] = W @ np.array([[-1.0, 0.0, X.y()], [0.0, -1.0, -X.x()], [0.0, 0.0, -1.0]])
+            jacobians[1] = W @ scipy.linalg.block_diag(X.rotation().matrix(), 1.0)
+            jacobians[2] = -W @ on_calibration
+        return W @ [X.x() - predicted[0], X.y() - predicted[1], se2.wrap_angle(X.theta() - predicted[2])]
 
-    monkeypatch.setattr(turn_module, "_joint_covariance", spy)
-    observation = solve_turn(*arguments).observation
-    last = kept["nodes"] - 1
-    keys = [*(L(int(tag)) for tag in observation.ids), B(last)]
-    expected = gtsam.Marginals(kept["graph"], kept["values"]).jointMarginalCovariance(keys).fullMatrix()
-    to_A = np.eye(len(expected))
-    to_A[-3:-1, -3:-1] = se2.rotation(observation.X_AD[2])
-    np.testing.assert_allclose(observation.covariance, to_A @ expected @ to_A.T, rtol=1e-5, atol=1e-10)
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(3), [before, after, C(0)], error)
+
+
+def by_gtsam(model, begin, frames, end):
+    """Poses (t, 3), calibration, tags (n, 2) and the covariance of (tags, last pose), all in A, by a general solver."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.PriorFactorPose2(B(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-9)))
+    prior = gtsam.noiseModel.Gaussian.Covariance(model.calibration_covariance)
+    graph.add(gtsam.PriorFactorVector(C(0), model.calibration, prior))
+    values.insert(C(0), np.zeros(3))
+    values.insert(B(0), gtsam.Pose2())
+    last, at = begin, 0
+    for frame in (*frames, end):
+        if frame.stamp > last.stamp:
+            graph.add(odometry_factor(B(at), B(at + 1), last.X_OB, frame.X_OB, frame.clock - last.clock, model.noise))
+            values.insert(B(at + 1), gtsam.Pose2(*se2.between(begin.X_OB, frame.X_OB)))
+            last, at = frame, at + 1
+        seen = frame.detections
+        for tag, r, b, *sigmas in zip(
+            seen.ids, seen.range, seen.bearing, seen.sigma_bearing, seen.sigma_range, strict=True
+        ):
+            noise = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
+            graph.add(gtsam.BearingRangeFactor2D(B(at), L(int(tag)), gtsam.Rot2(b), r, noise))
+            if not values.exists(L(int(tag))):
+                where = values.atPose2(B(at)).transformFrom(r * np.array([np.cos(b), np.sin(b)]))
+                values.insert(L(int(tag)), where)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-15)
+    parameters.setAbsoluteErrorTol(1e-15)
+    values = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    tags = [key for key in values.keys() if gtsam.symbolChr(key) == ord("l")]  # noqa: SIM118
+    poses = [values.atPose2(B(i)) for i in range(at + 1)]
+    covariance = gtsam.Marginals(graph, values).jointMarginalCovariance([*tags, B(at)]).fullMatrix()
+    to_A = np.eye(len(covariance))
+    to_A[-3:-1, -3:-1] = poses[-1].rotation().matrix()
+    X_AB = np.array([[pose.x(), pose.y(), pose.theta()] for pose in poses])
+    p_AL = np.array([values.atPoint2(key) for key in tags])
+    return X_AB, values.atVector(C(0)), p_AL, to_A @ covariance @ to_A.T
+
+
+@pytest.mark.parametrize(("speed", "turn_rate", "steps"), [(0.0, 1.0, STEPS), (0.4, 0.2, 64), (0.0, 0.0, 10)])
+def test_the_optimum_and_its_covariance_are_those_of_a_general_solver(drive, speed, turn_rate, steps):
+    robot = drive(np.random.default_rng(2).uniform(-8.0, 8.0, (35, 2)), 2, 1.0)
+    arguments = odometry_model(robot.config), robot.instant(), robot.frames(speed, turn_rate, steps), robot.instant()
+    solution = solve_turn(*arguments)
+    assert solution.dropped == 0
+    X_AB, calibration, p_AL, covariance = by_gtsam(*arguments)
+    np.testing.assert_allclose(solution.observation.X_AB, X_AB, atol=1e-7)
+    np.testing.assert_allclose(solution.calibration, calibration, atol=1e-7)
+    np.testing.assert_allclose(solution.observation.p_AL, p_AL, atol=1e-7)
+    sigma = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(
+        solution.observation.covariance / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=1e-6
+    )
 
 
 def test_consistent(drive, nees):

@@ -1,20 +1,23 @@
-"""One turn in place at a goal: a small graph of the turn's poses and tags, solved and reduced to what the map needs.
+"""One turn in place at a goal, or a piece of the way: its poses and tags, solved and reduced to what the map needs.
 
 The tags of a goal are tied together by the turn's uncertain headings, so they enter the map as one joint factor on
 goal poses and tags, the turn's other poses eliminated (the paper's sec. III, "measurements at a goal are combined").
+Damped Gauss-Newton steps on the poses in A, a chain, and on what all of them touch, calibration and tags, its border:
+the chain is eliminated pose by pose, what is left is dense and small.
 """
 
 from __future__ import annotations
 
-import gtsam
+import math
+from typing import NamedTuple
+
 import numpy as np
-import scipy.linalg
-from gtsam.symbol_shorthand import B, C, L
+from numba import njit
+from scipy.linalg import lapack
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, TagDetections, message, replace
-from tfg_drake.slam.odometry_factor import odometry_factor
-from tfg_drake.slam.odometry_model import OdometryModel, arc
+from tfg_drake.slam.odometry_model import OdometryModel, arc, predict_increment, wrap
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 5.5
@@ -25,11 +28,31 @@ SLIPPING = np.array([0.2, 0.1, 0.2])
 # It did if that explains at least so many sightings that are outliers else, and leaves at most this share of them.
 SLIP_EXPLAINS = 3
 SLIP_LEAVES = 1 / 3
-# The arrival pose is the origin.
-ORIGIN_SIGMA = 1e-7
+# Instants closer than this are one, s.
+SAME_INSTANT = 1e-6
+# Steps at most; one shorter than this (m, rad) is the last: what it leaves is a hundredth of it or less.
+MOST_STEPS = 50
+LAST_STEP = 1e-8
+# Where a step raises the cost by more than this, of it and of one, half of it is tried.
+ROUNDING = 1e-9
+# Least pivot of a factorisation: rounding may leave none.
+LEAST_PIVOT = 1e-30
 
 # Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 4) of each of the sightings (m,).
 _Problem = tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]
+
+
+class _Solution(NamedTuple):
+    """ids (n,) and positions (n, 2) of the tags, how often each was seen, poses (t, 3), calibration (3,), covariance
+    (2n + 6, 2n + 6) of calibration, tags and last pose, and the squared error of each sighting, in sigmas."""
+
+    ids: IntArray
+    p_AL: FloatArray
+    sightings: IntArray
+    X_AB: FloatArray
+    calibration: FloatArray
+    covariance: FloatArray
+    squared: FloatArray
 
 
 @message
@@ -76,179 +99,351 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
     odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
-    seen = [frame.detections for frame in frames]
+    seen = [frame.detections for frame in (*frames, end)]
     counts = [len(detections.ids) for detections in seen]
-    detection_node = np.repeat(np.array(node, dtype=np.int64), counts)
-    all_ids = np.concatenate([np.empty(0, dtype=np.int64), *(detections.ids for detections in seen)])
-    z = np.empty((len(all_ids), 4))
-    if len(all_ids) > 0:
-        z[:, 0] = np.concatenate([detections.bearing for detections in seen])
-        z[:, 1] = np.concatenate([detections.range for detections in seen])
-        z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
-        z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
+    z = np.empty((sum(counts), 4))
+    z[:, 0] = np.concatenate([detections.bearing for detections in seen])
+    z[:, 1] = np.concatenate([detections.range for detections in seen])
+    z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
+    z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
+    ids = np.concatenate([detections.ids for detections in seen])
 
-    problem = clock, X_OB, detection_node, all_ids, z
-    initial = _initial_value(X_OB, detection_node, all_ids, z)
-    kept = np.ones(len(all_ids), dtype=bool)
-    values = _solve(_graph(model, *problem, kept, robust=False), initial)
-    if len(all_ids) > 0 and np.any(_outliers(values, detection_node, all_ids, z)):
-        values, kept = _without_outliers(model, problem, initial)
+    problem = clock, X_OB, np.repeat(node, counts), ids, z
+    X_AB = se2.between(X_OB[0], X_OB)
+    kept = np.ones(len(ids), dtype=bool)
+    solution = _solved(model, problem, X_AB, kept)
+    if np.any(_outliers(solution)):
+        solution, kept = _without_outliers(model, problem, X_AB)
         unexplained = int(np.sum(~kept))
         if unexplained >= SLIP_EXPLAINS:
             # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
             slipping = replace(model, noise=np.maximum(model.noise, SLIPPING)), (stamps, *problem[1:])
-            other_values, other_kept = _without_outliers(*slipping, initial)
+            other, other_kept = _without_outliers(*slipping, X_AB)
             left = int(np.sum(~other_kept))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
-                (model, problem), values, kept = slipping, other_values, other_kept
-    graph = _graph(model, *problem, kept, robust=False)
+                solution, kept = other, other_kept
 
-    ids, sightings = np.unique(all_ids[kept], return_counts=True)
-    X_AB = np.array([_pose(values, i) for i in range(len(stamps))])
-    covariance = _joint_covariance(graph, values, ids, len(stamps))
     observation = GoalObservation(
-        ids=ids,
-        p_AL=np.array([values.atPoint2(L(int(tag))) for tag in ids]).reshape(-1, 2),
-        X_AD=X_AB[-1],
-        covariance=covariance[3:, 3:],
+        ids=solution.ids,
+        p_AL=solution.p_AL,
+        X_AD=solution.X_AB[-1],
+        covariance=solution.covariance[3:, 3:],
         stamps=stamps,
-        X_AB=X_AB,
+        X_AB=solution.X_AB,
     )
     return TurnSolution(
         observation=observation,
-        sightings=sightings,
+        sightings=solution.sightings,
         dropped=int(np.sum(~kept)),
-        calibration=values.atVector(C(0)),
-        calibration_covariance=covariance[:3, :3],
+        calibration=solution.calibration,
+        calibration_covariance=solution.covariance[:3, :3],
     )
 
 
-def _without_outliers(model: OdometryModel, problem: _Problem, initial: gtsam.Values) -> tuple[gtsam.Values, BoolArray]:
+def _without_outliers(model: OdometryModel, problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
     """The solution without the sightings that lie too far from a robust one, and which of them it keeps."""
-    _, _, node, ids, z = problem
-    everything = np.ones(len(ids), dtype=bool)
-    values = _solve(_graph(model, *problem, everything, robust=True), initial)
-    kept = ~_outliers(values, node, ids, z)
-    values = _without_lost_tags(values, ids, kept)
-    return _solve(_graph(model, *problem, kept, robust=False), values), kept
+    robust = _solved(model, problem, X_AB, np.ones(len(problem[3]), dtype=bool), HUBER_SIGMAS)
+    kept = ~_outliers(robust)
+    return _solved(model, problem, robust.X_AB, kept), kept
+
+
+def _outliers(solution: _Solution) -> BoolArray:
+    """(m,) True where a detection lies too far from the solution."""
+    return solution.squared > OUTLIER_SIGMAS**2
+
+
+def _solved(
+    model: OdometryModel, problem: _Problem, X_AB: FloatArray, kept: BoolArray, huber: float = math.inf
+) -> _Solution:
+    """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
+    sigmas."""
+    clock, X_OB, node, ids, z = problem
+    node, z, X_AB = node[kept], z[kept], X_AB.copy()
+    ids, tag, sightings = np.unique(ids[kept], return_inverse=True, return_counts=True)
+    border = np.empty(3 + 2 * len(ids))
+    border[:3] = model.calibration
+    angle = X_AB[node, 2] + z[:, 0]
+    for i, direction in enumerate((np.cos(angle), np.sin(angle))):
+        border[3 + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
+    last, rest, squared = _optimise(
+        X_AB,
+        np.diff(clock),
+        X_OB,
+        model.noise,
+        model.calibration,
+        np.asarray(np.linalg.inv(model.calibration_covariance), dtype=float),
+        node,
+        tag,
+        z,
+        border,
+        huber,
+    )
+    X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
+    # The factor of (last pose, border): of the inverse, too, the upper triangle counts.
+    factor = np.zeros((3 + len(rest), 3 + len(rest)))
+    factor[:3, :3], factor[:3, 3:], factor[3:, 3:] = last[:, :3], last[:, 6:-1], rest[:, :-1]
+    upper = np.triu(lapack.dpotri(factor)[0])
+    covariance = np.roll(upper + np.triu(upper, 1).T, (-3, -3), (0, 1))
+    return _Solution(ids, border[3:].reshape(-1, 2), sightings, X_AB, border[:3], covariance, squared)
 
 
 def _nodes(
     begin: TurnFrame, frames: tuple[TurnFrame, ...], end: TurnFrame
 ) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
-    """Stamps and clock (t,) and odometry (t, 3) of the graph's poses, and the pose of each frame; coinciding stamps
-    share one."""
+    """Stamps and clock (t,) and odometry (t, 3) of the poses, and the pose of each frame and of the end; coinciding
+    stamps share one."""
     stamps, clock, X_OB, node = [begin.stamp], [begin.clock], [begin.X_OB], []
     for frame in (*frames, end):
-        if frame.stamp - stamps[-1] > 1e-9:
+        if frame.stamp - stamps[-1] > SAME_INSTANT:
             stamps.append(frame.stamp)
             clock.append(frame.clock)
             X_OB.append(frame.X_OB)
         node.append(len(stamps) - 1)
     if len(stamps) == 1:
-        stamps.append(begin.stamp + 1e-6)
-        clock.append(begin.clock + 1e-6)
+        stamps.append(begin.stamp + SAME_INSTANT)
+        clock.append(begin.clock + SAME_INSTANT)
         X_OB.append(end.X_OB)
-    return np.array(stamps), np.array(clock), np.array(X_OB), node[:-1]
+    return np.array(stamps), np.array(clock), np.array(X_OB), node
 
 
-def _initial_value(X_OB: FloatArray, node: IntArray, ids: IntArray, z: FloatArray) -> gtsam.Values:
-    X_AB = se2.between(X_OB[0], X_OB)
-    values = gtsam.Values()
-    for i, pose in enumerate(X_AB):
-        values.insert(B(i), gtsam.Pose2(*pose))
-    values.insert(C(0), np.zeros(3))
-    angle = X_AB[node, 2] + z[:, 0]
-    points = X_AB[node, :2] + z[:, 1:2] * np.column_stack([np.cos(angle), np.sin(angle)])
-    for tag in np.unique(ids):
-        values.insert(L(int(tag)), points[ids == tag].mean(axis=0))
-    return values
-
-
-def _graph(
-    model: OdometryModel,
-    clock: FloatArray,
+@njit(cache=True)
+def _optimise(
+    X: FloatArray,
+    dt: FloatArray,
     X_OB: FloatArray,
+    noise: FloatArray,
+    calibration: FloatArray,
+    information: FloatArray,
     node: IntArray,
-    ids: IntArray,
+    tag: IntArray,
     z: FloatArray,
-    kept: BoolArray,
-    *,
-    robust: bool,
-) -> gtsam.NonlinearFactorGraph:
-    """Poses B(i), calibration C(0), tags L(id): prior at A, odometry between poses, bearing and range of tags."""
-    graph = gtsam.NonlinearFactorGraph()
-    graph.add(gtsam.PriorFactorPose2(B(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, ORIGIN_SIGMA)))
-    prior = gtsam.noiseModel.Gaussian.Covariance(model.calibration_covariance)
-    graph.add(gtsam.PriorFactorVector(C(0), model.calibration, prior))
-    for i in range(len(clock) - 1):
-        increment, dt = arc(X_OB[i], X_OB[i + 1]), clock[i + 1] - clock[i]
-        graph.add(odometry_factor(B(i), B(i + 1), C(0), increment, dt, model.noise))
-    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_SIGMAS)
-    for j in np.flatnonzero(kept):
-        bearing, distance, sigma_bearing, sigma_range = z[j]
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Sigmas(np.array([sigma_bearing, sigma_range]))
-        if robust:
-            noise = gtsam.noiseModel.Robust.Create(huber, noise)
-        graph.add(
-            gtsam.BearingRangeFactor2D(B(int(node[j])), L(int(ids[j])), gtsam.Rot2.fromAngle(bearing), distance, noise)
-        )
-    return graph
+    border: FloatArray,
+    huber: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Bring the poses X (t, 3), the first of which is fixed, and the border (3 + 2n,), calibration and tags, to the
+    least squares, in place.
 
-
-def _solve(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values) -> gtsam.Values:
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setRelativeErrorTol(1e-6)
-    parameters.setMaxIterations(30)
-    return gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters).optimize()
-
-
-def _outliers(values: gtsam.Values, node: IntArray, ids: IntArray, z: FloatArray) -> BoolArray:
-    """(m,) True where a detection lies too far from the solution."""
-    X_AB = np.array([_pose(values, i) for i in range(int(node.max()) + 1)])[node]
-    tags, row = np.unique(ids, return_inverse=True)
-    p_AL = np.array([values.atPoint2(L(int(tag))) for tag in tags])[row]
-    d = p_AL - X_AB[:, :2]
-    bearing = se2.wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - X_AB[:, 2] - z[:, 0]) / z[:, 2]
-    distance = (np.hypot(d[:, 0], d[:, 1]) - z[:, 1]) / z[:, 3]
-    return np.asarray(bearing**2 + distance**2 > OUTLIER_SIGMAS**2)
-
-
-def _without_lost_tags(values: gtsam.Values, ids: IntArray, kept: BoolArray) -> gtsam.Values:
-    for tag in np.setdiff1d(ids, ids[kept]):
-        values.erase(L(int(tag)))
-    return values
-
-
-def _pose(values: gtsam.Values, i: int) -> tuple[float, float, float]:
-    pose = values.atPose2(B(i))
-    return pose.x(), pose.y(), pose.theta()
-
-
-def _joint_covariance(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ids: IntArray, nodes: int) -> FloatArray:
-    """(2n + 6, 2n + 6) covariance of (calibration, tags, X_AD) given A: the other poses eliminated.
-
-    A Schur complement of GTSAM's linearised system; GTSAM's pose increments are in the body's frame, so that of D is
-    rotated into A.
+    dt: (t - 1,) s between the poses. calibration, information: (3,), (3, 3) of the prior. node, tag: (m,) pose and tag
+    of each sighting, z: (m, 4) its bearing, range and their sigmas. Other arguments as in OdometryModel and TurnFrame.
+    Returns the factored rows of the last pose and of the border, see `_eliminate`, and the squared errors (m,) of the
+    sightings, in sigmas.
     """
-    ordering = gtsam.Ordering()
-    for i in range(nodes - 1):
-        ordering.push_back(B(i))
-    ordering.push_back(C(0))
-    for tag in ids:
-        ordering.push_back(L(int(tag)))
-    ordering.push_back(B(nodes - 1))
-    information = graph.linearize(values).hessian(ordering)[0][3:, 3:]
-    split = 3 * (nodes - 2)
-    reduced = information[split:, split:]
-    if split > 0:
-        factor = scipy.linalg.cholesky(information[:split, :split], lower=True, check_finite=False)
-        half = scipy.linalg.solve_triangular(factor, information[:split, split:], lower=True, check_finite=False)
-        reduced = reduced - half.T @ half
-    covariance = scipy.linalg.cho_solve(
-        scipy.linalg.cho_factor(reduced, check_finite=False), np.eye(len(reduced)), check_finite=False
-    )
-    R_AD = se2.rotation(_pose(values, nodes - 1)[2])
-    covariance[-3:-1] = R_AD @ covariance[-3:-1]
-    covariance[:, -3:-1] = covariance[:, -3:-1] @ R_AD.T
-    return np.asarray(0.5 * (covariance + covariance.T))
+    poses, size = len(X), len(border)
+    increments, covariance = np.empty((poses - 1, 3)), np.empty((poses - 1, 3, 3))
+    for i in range(poses - 1):
+        increment = arc(X_OB[i], X_OB[i + 1])
+        _, _, random = predict_increment(increment, dt[i], np.zeros(3), noise)
+        for a in range(3):
+            increments[i, a] = increment[a]
+            for b in range(3):
+                covariance[i, a, b] = random[a, b]
+    # The normal equations, of which the upper triangle counts: each pose has three rows of `chain`, with columns for
+    # itself, the next pose, the border and the gradient; `rest` are the border's rows.
+    chain, rest, squared = np.empty((poses, 3, 7 + size)), np.empty((size, size + 1)), np.empty(len(node))
+    step_X, step = np.zeros((poses, 3)), np.zeros(size)
+    cost, share = math.inf, 1.0
+    for attempt in range(MOST_STEPS):
+        chain.fill(0.0)
+        rest.fill(0.0)
+        new_cost = _add_prior(border, calibration, information, rest)
+        new_cost += _add_odometry(X, border, increments, dt, noise, covariance, chain, rest)
+        new_cost += _add_sightings(X, border, node, tag, z, huber, chain, rest, squared)
+        if 0 < attempt < MOST_STEPS - 1 and not new_cost <= cost + ROUNDING * (1.0 + cost):
+            share *= 0.5
+            _move(X, border, step_X, step, -share)
+            continue
+        cost, share = new_cost, 1.0
+        _eliminate(chain, rest)
+        longest = _back_substitute(chain, rest, step_X, step)
+        _move(X, border, step_X, step, share)
+        if longest < LAST_STEP:
+            break
+    return chain[-1], rest, squared
+
+
+@njit(cache=True)
+def _move(X: FloatArray, border: FloatArray, step_X: FloatArray, step: FloatArray, share: float) -> None:
+    for i in range(len(X)):
+        for a in range(3):
+            X[i, a] += share * step_X[i, a]
+    for a in range(len(border)):
+        border[a] += share * step[a]
+
+
+@njit(cache=True)
+def _add_prior(border: FloatArray, calibration: FloatArray, information: FloatArray, rest: FloatArray) -> float:
+    """Add the normal equations of what was known of the calibration before; returns the cost."""
+    cost = 0.0
+    for a in range(3):
+        for b in range(3):
+            force = information[a, b] * (border[b] - calibration[b])
+            rest[a, b] += information[a, b]
+            rest[a, -1] += force
+            cost += 0.5 * force * (border[a] - calibration[a])
+    return cost
+
+
+@njit(cache=True)
+def _add_odometry(
+    X: FloatArray,
+    border: FloatArray,
+    increments: FloatArray,
+    dt: FloatArray,
+    noise: FloatArray,
+    covariance: FloatArray,
+    chain: FloatArray,
+    rest: FloatArray,
+) -> float:
+    """Add the normal equations of the odometry between poses (t, 3); returns the cost.
+
+    increments: (t - 1, 3) of `arc`, dt: (t - 1,) s, covariance: (t - 1, 3, 3).
+    """
+    cost = 0.0
+    # The covariance, to whiten by, beside the Jacobians on both poses and the calibration, and the error.
+    rows = np.empty((3, 13))
+    for i in range(len(X) - 1):
+        predicted, on_calibration, _ = predict_increment(increments[i], dt[i], border[:3], noise)
+        c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
+        dx, dy = X[i + 1, 0] - X[i, 0], X[i + 1, 1] - X[i, 1]
+        x, y = c * dx + s * dy, -s * dx + c * dy
+        rows.fill(0.0)
+        rows[0, 3], rows[0, 4], rows[0, 5], rows[0, 6], rows[0, 7] = -c, -s, y, c, s
+        rows[1, 3], rows[1, 4], rows[1, 5], rows[1, 6], rows[1, 7] = s, -c, -x, -s, c
+        rows[2, 5], rows[2, 8] = -1.0, 1.0
+        for a in range(3):
+            for b in range(3):
+                rows[a, b], rows[a, 9 + b] = covariance[i, a, b], -on_calibration[a, b]
+        rows[0, 12], rows[1, 12] = x - predicted[0], y - predicted[1]
+        rows[2, 12] = wrap(X[i + 1, 2] - X[i, 2] - predicted[2])
+        _factor(rows)
+        for a in range(3):
+            for b in range(9):
+                chain[i, a, b] += _dot(rows, 3 + a, 3 + b)
+            for b in range(3):
+                chain[i + 1, a, b] += _dot(rows, 6 + a, 6 + b)
+                chain[i + 1, a, 6 + b] += _dot(rows, 6 + a, 9 + b)
+                rest[a, b] += _dot(rows, 9 + a, 9 + b)
+            chain[i, a, -1] += _dot(rows, 3 + a, 12)
+            chain[i + 1, a, -1] += _dot(rows, 6 + a, 12)
+            rest[a, -1] += _dot(rows, 9 + a, 12)
+        cost += 0.5 * _dot(rows, 12, 12)
+    return cost
+
+
+@njit(cache=True)
+def _add_sightings(
+    X: FloatArray,
+    border: FloatArray,
+    node: IntArray,
+    tag: IntArray,
+    z: FloatArray,
+    huber: float,
+    chain: FloatArray,
+    rest: FloatArray,
+    squared: FloatArray,
+) -> float:
+    """Add the normal equations of the sightings and set their squared errors (m,), in sigmas; returns the cost."""
+    cost = 0.0
+    # Jacobians on pose and tag, and the error, of bearing and range.
+    rows = np.zeros((2, 6))
+    for j in range(len(node)):
+        i, k = node[j], 3 + 2 * tag[j]
+        dx, dy = border[k] - X[i, 0], border[k + 1] - X[i, 1]
+        r2 = max(dx * dx + dy * dy, 1e-12)
+        r = math.sqrt(r2)
+        bearing, distance = wrap(math.atan2(dy, dx) - X[i, 2] - z[j, 0]) / z[j, 2], (r - z[j, 1]) / z[j, 3]
+        squared[j] = bearing * bearing + distance * distance
+        sigmas, weight = math.sqrt(squared[j]), 1.0
+        if sigmas > huber:
+            # Farther off than the threshold it pulls with a constant force.
+            weight = math.sqrt(huber / sigmas)
+            cost += huber * (sigmas - 0.5 * huber)
+        else:
+            cost += 0.5 * squared[j]
+        u, v = weight / (z[j, 2] * r2), weight / (z[j, 3] * r)
+        rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 3], rows[0, 4] = u * dy, -u * dx, -u * r2, -u * dy, u * dx
+        rows[1, 0], rows[1, 1], rows[1, 3], rows[1, 4] = -v * dx, -v * dy, v * dx, v * dy
+        rows[0, 5], rows[1, 5] = weight * bearing, weight * distance
+        for a in range(3):
+            for b in range(3):
+                chain[i, a, b] += _dot(rows, a, b)
+            for b in range(2):
+                chain[i, a, 6 + k + b] += _dot(rows, a, 3 + b)
+            chain[i, a, -1] += _dot(rows, a, 5)
+        for a in range(2):
+            for b in range(2):
+                rest[k + a, k + b] += _dot(rows, 3 + a, 3 + b)
+            rest[k + a, -1] += _dot(rows, 3 + a, 5)
+    return cost
+
+
+@njit(cache=True)
+def _eliminate(chain: FloatArray, rest: FloatArray) -> None:
+    """Factor the normal equations in place: the poses after the first, which is fixed, one by one, then the border."""
+    for i in range(1, len(chain)):
+        rows = chain[i]
+        _factor(rows)
+        for a in range(3 if i + 1 < len(chain) else 0):
+            _subtract(chain[i + 1, a], 0, rows, 3 + a, 3, 6)
+            _subtract(chain[i + 1, a], 6, rows, 3 + a, 6, rows.shape[1])
+        for a in range(len(rest)):
+            _subtract(rest[a], a, rows, 6 + a, 6 + a, rows.shape[1])
+    _factor(rest)
+
+
+@njit(cache=True)
+def _factor(rows: FloatArray) -> None:
+    """Turn (S, B) with a positive definite S = U^T U into (U, U^-T B), in place; of S the upper triangle counts."""
+    for j in range(len(rows)):
+        pivot = math.sqrt(max(rows[j, j], LEAST_PIVOT))
+        for q in range(j, rows.shape[1]):
+            rows[j, q] /= pivot
+        for a in range(j + 1, len(rows)):
+            factor = rows[j, a]
+            if factor != 0.0:
+                for q in range(a, rows.shape[1]):
+                    rows[a, q] -= factor * rows[j, q]
+
+
+@njit(cache=True)
+def _subtract(target: FloatArray, at: int, rows: FloatArray, column: int, begin: int, end: int) -> None:
+    """Take three rows' columns [begin, end), each times its row's entry in another, off the target from `at` on."""
+    u, v, w = rows[0, column], rows[1, column], rows[2, column]
+    if u != 0.0 or v != 0.0 or w != 0.0:
+        for q in range(end - begin):
+            target[at + q] -= u * rows[0, begin + q] + v * rows[1, begin + q] + w * rows[2, begin + q]
+
+
+@njit(cache=True)
+def _dot(rows: FloatArray, a: int, b: int) -> float:
+    """Two columns' product."""
+    value = 0.0
+    for k in range(len(rows)):
+        value += rows[k, a] * rows[k, b]
+    return value
+
+
+@njit(cache=True)
+def _back_substitute(chain: FloatArray, rest: FloatArray, step_X: FloatArray, step: FloatArray) -> float:
+    """Set the Gauss-Newton step of poses (t, 3) and border from the factors; returns the largest entry's size."""
+    longest = 0.0
+    for a in range(len(step) - 1, -1, -1):
+        value = -rest[a, -1]
+        for b in range(a + 1, len(step)):
+            value -= rest[a, b] * step[b]
+        step[a] = value / rest[a, a]
+        longest = max(longest, abs(step[a]))
+    for i in range(len(chain) - 1, 0, -1):
+        rows = chain[i]
+        for a in range(2, -1, -1):
+            value = -rows[a, -1]
+            for b in range(len(step)):
+                value -= rows[a, 6 + b] * step[b]
+            for b in range(a + 1, 3):
+                value -= rows[a, b] * step_X[i, b]
+            if i + 1 < len(chain):
+                for b in range(3):
+                    value -= rows[a, 3 + b] * step_X[i + 1, b]
+            step_X[i, a] = value / rows[a, a]
+            longest = max(longest, abs(step_X[i, a]))
+    return longest
