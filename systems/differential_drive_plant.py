@@ -8,10 +8,10 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import DisturbanceConfig, RobotConfig
-from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.disturbance import displacement
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.world.world import World
 
@@ -50,7 +50,7 @@ class DifferentialDrivePlant(LeafSystem):
         self.DeclareVectorOutputPort("contacts", 1, self._CalcContacts, {state})
         self.DeclareVectorOutputPort("clearance", 1, self._CalcClearance, {state})
 
-    @metered_in_detail("differential_drive_plant")
+    @metered("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
         command, state = self._command.Eval(context), self._State(context)
         moved = drive.UNMOVED
@@ -62,7 +62,7 @@ class DifferentialDrivePlant(LeafSystem):
         state: FloatArray = context.get_discrete_state_vector().value()
         return state
 
-    @metered_in_detail("differential_drive_plant")
+    @metered("differential_drive_plant")
     def _CalcPose(self, context: Context, output: BasicVector) -> None:
         # The state holds at the end of the running step; sensors whose periods are no multiple of ours look inside it.
         state = self._State(context)

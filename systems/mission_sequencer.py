@@ -8,7 +8,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import (
     FollowerStatus,
     GoalChoice,
@@ -80,7 +79,6 @@ class MissionSequencer(LeafSystem):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
-    @metered("mission_sequencer")
     def _Update(self, context: Context, state: State) -> EventStatus:
         status = state_message(context, self._status, MissionStatus)
         if status.phase == "done":

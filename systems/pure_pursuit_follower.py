@@ -6,10 +6,10 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PoseEstimate
 from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn_to_see
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 
 PERIOD = 1 / 16
