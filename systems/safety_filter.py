@@ -79,17 +79,19 @@ class SafetyFilter(LeafSystem):
     @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
         enabled = not self._enable.HasValue(context) or self._enable.Eval(context)[0] != 0.0
-        state = context.get_discrete_state_vector().value()[:STATE_SIZE]
+        state, after = context.get_discrete_state_vector().value()[:STATE_SIZE], update.get_mutable_value()
+        after[STATE_SIZE] = enabled
         if not enabled:
-            update.set_value(np.append(stopped(state, self._robot, PERIOD), 0.0))
+            after[:STATE_SIZE] = stopped(state, self._robot, PERIOD)
             return
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
         scan, watch = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
         now = context.get_time()
         X_OB = _pose_at(eval_message(self._odometry, context, Odometry), now)
-        after = filter_command(state, now, command, hazards, scan, watch, X_OB, self._robot, self._safety, PERIOD)
-        update.set_value(np.append(after, 1.0))
+        after[:STATE_SIZE] = filter_command(
+            state, now, command, hazards, scan, watch, X_OB, self._robot, self._safety, PERIOD
+        )
 
     @metered("safety_filter")
     def _Watch(self, context: Context, state: State) -> EventStatus:
