@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import DisturbanceConfig, RobotConfig
@@ -64,12 +63,8 @@ class DifferentialDrivePlant(LeafSystem):
 
     @metered("differential_drive_plant")
     def _CalcPose(self, context: Context, output: BasicVector) -> None:
-        # The state holds at the end of the running step; sensors whose periods are no multiple of ours look inside it.
-        state = self._State(context)
-        pose = state[drive.X : drive.THETA + 1]
-        speed, turn_rate = state[drive.SPEED], state[drive.TURN_RATE]
-        pose = drive.advance(pose, speed, turn_rate, context.get_time() - state[drive.TIME])
-        output.SetFromVector(np.array([*pose, speed, turn_rate]))
+        # Sensors whose periods are no multiple of ours look inside the running step.
+        output.SetFromVector(drive.pose_at(self._State(context), context.get_time()))
 
     def _Hazards(self, context: Context) -> Hazards:
         return Hazards(context.get_time(), int(self._State(context)[drive.BUMPER]), cliff=0, wheel_drop=0)

@@ -116,29 +116,34 @@ class PrmPlanner(LeafSystem):
         now = self._State(context)
         working = eval_message(self._working_map, context, WorkingMap)
         mission = eval_message(self._mission, context, MissionStatus)
+        scan = eval_message(self._scan, context, LaserScan)
         if working.stage > now.nodes.stage:
             take = self._Extend
         elif mission.phase == "plan":
             take = self._Plan
-        else:
+        elif mission.drives and scan.stamp > now.scan_stamp:
             take = self._Watch
-        updated = take(context, now, working, mission)
+        else:
+            take = self._Step
+        updated = take(context, now, working, scan, mission)
         if updated is now:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, updated)
         return EventStatus.Succeeded()
 
-    def _Step(self, context: Context, now: PlannerState, working: WorkingMap, mission: MissionStatus) -> PlannerState:
+    def _Step(
+        self, context: Context, now: PlannerState, working: WorkingMap, scan: LaserScan, mission: MissionStatus
+    ) -> PlannerState:
         return step(
             now,
             working,
             lambda: self._Whole(context),
             eval_message(self._pose, context, PoseEstimate),
             eval_message(self._goal, context, GoalChoice),
-            eval_message(self._scan, context, LaserScan),
+            scan,
             mission,
             self._parameters,
         )
 
-    # What the step is going to do is what its time is charged to.
+    # A step's time is charged to what is due.
     _Extend, _Plan, _Watch = metered("roadmap")(_Step), metered("path")(_Step), metered("prm_planner")(_Step)

@@ -7,10 +7,9 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.messages import TagDetections
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect, no_detections
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+from tfg_drake.systems.ports import set_state_message
 from tfg_drake.world.world import World
 
 
@@ -39,12 +38,7 @@ class TagSensor(LeafSystem):
         )
         self._message = self.DeclareAbstractState(AbstractValue.Make(no_detections()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Detect)
-        declare_message_output(
-            self,
-            "detections",
-            lambda context: state_message(context, self._message, TagDetections),
-            {self.abstract_state_ticket(self._message)},
-        )
+        self.DeclareStateOutputPort("detections", self._message)
 
     @metered("tag_sensor")
     def _Detect(self, context: Context, state: State) -> None:

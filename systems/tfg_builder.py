@@ -113,7 +113,8 @@ class TfgBuilder(LeafSystem):
         return EventStatus.Succeeded()
 
     def _Collect(self, context: Context, now: _BuilderState, phase: str) -> _BuilderState:
-        sightings = note_sightings(now.sightings, eval_message(self._pose, context, PoseEstimate))
+        pose = eval_message(self._pose, context, PoseEstimate)
+        sightings = note_sightings(now.sightings, pose) if len(pose.new_ids) else now.sightings
         scans = now.scans
         if phase == "observe" or (phase == "glance" and len(scans) < GLANCE_SCANS):
             scan = eval_message(self._scan, context, LaserScan)
