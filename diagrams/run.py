@@ -30,7 +30,6 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
-from tfg_drake.cpu_meter import cpu_totals
 from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.report import write_report
@@ -47,6 +46,7 @@ from tfg_drake.mapfile.saved_map import SavedMap, save_map
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.port_recording import FILE_NAME, PortWriter
 from tfg_drake.pose_prediction import pose_at
+from tfg_drake.systems.cpu_meter import CpuMeter
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
 from tfg_drake.systems.picture import Picture
@@ -58,7 +58,7 @@ from tfg_drake.world.world import World
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
 ESTIMATOR = ("slam_estimator", "grid_mapper")
 STAGE = ("tfg", "roadmap", "goal", "path")
-PLANNER = (*STAGE, "tfg_builder", "prm_planner", "goal_selector", "grid_planner", "follower", "mission_sequencer")
+PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
 
 # A line of stages.jsonl.
 STAGE_FIELDS = (
@@ -104,13 +104,14 @@ class Progress:
 
 @dataclasses.dataclass(frozen=True)
 class RunResult:
-    """A finished mission: the contents of summary.json and stages.jsonl, the folder they are in, and the files there
-    that could not be written, with the reason."""
+    """A finished mission: the contents of summary.json and stages.jsonl, the folder they are in, the files there that
+    could not be written, with the reason, and the CPU seconds of the explorer's components by what they did."""
 
     summary: dict[str, Any]
     stages: list[dict[str, Any]]
     folder: Path
     unwritten: dict[str, str]
+    spent: dict[str, float]
 
 
 def explore(
@@ -177,7 +178,7 @@ def explore(
             folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
-    return RunResult(summary, mission.stages, folder.path, folder.unwritten)
+    return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent)
 
 
 class _Keeper:
@@ -221,7 +222,8 @@ class Mission:
     """One mission and what is observed of it from outside.
 
     world: None where it is not known. X_WM: (3,) pose of the map frame in the world, zeros where that is not known.
-    truth: what only a simulation knows, None for any other robot and until the diagram is built.
+    truth: what only a simulation knows, None for any other robot and until the diagram is built. meter: the CPU time of
+    the explorer's components.
     """
 
     def __init__(
@@ -234,7 +236,7 @@ class Mission:
         writer: PortWriter | None = None,
     ) -> None:
         """writer: where the station's ports are recorded; see `explore` for the others."""
-        self._cpu_start, self._meters_start = time.process_time(), cpu_totals()
+        self._cpu_start, self.meter = time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self.X_WM: FloatArray = self.world.start if self.world is not None else np.zeros(3)
         self.method, self.robot = method, robot
@@ -360,13 +362,13 @@ class Mission:
         if truth_log is not None:
             self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
         self._explorer = diagram.GetSubsystemByName("explorer")
+        self.meter.attach(self._explorer)
         self._context = self._simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self._scenario.seed))
 
     def _spent(self, names: tuple[str, ...]) -> float:
-        """CPU seconds charged to some systems since the mission was made."""
-        totals = cpu_totals()
-        return sum(totals.get(name, 0.0) - self._meters_start.get(name, 0.0) for name in names)
+        """CPU seconds that the explorer has spent on some of what it does."""
+        return sum(self.meter.spent.get(name, 0.0) for name in names)
 
     def _ended(self, interrupted: threading.Event, max_time: float) -> bool:
         if self.status.phase == "done":

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import DisturbanceConfig, RobotConfig
-from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.disturbance import displacement
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.world.world import World
 
@@ -50,7 +49,7 @@ class DifferentialDrivePlant(LeafSystem):
         self.DeclareVectorOutputPort("contacts", 1, self._CalcContacts, {state})
         self.DeclareVectorOutputPort("clearance", 1, self._CalcClearance, {state})
 
-    @metered_in_detail("differential_drive_plant")
+    @metered("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
         command, state = self._command.Eval(context), self._State(context)
         moved = drive.UNMOVED
@@ -62,14 +61,10 @@ class DifferentialDrivePlant(LeafSystem):
         state: FloatArray = context.get_discrete_state_vector().value()
         return state
 
-    @metered_in_detail("differential_drive_plant")
+    @metered("differential_drive_plant")
     def _CalcPose(self, context: Context, output: BasicVector) -> None:
-        # The state holds at the end of the running step; sensors whose periods are no multiple of ours look inside it.
-        state = self._State(context)
-        pose = state[drive.X : drive.THETA + 1]
-        speed, turn_rate = state[drive.SPEED], state[drive.TURN_RATE]
-        pose = drive.advance(pose, speed, turn_rate, context.get_time() - state[drive.TIME])
-        output.SetFromVector(np.array([*pose, speed, turn_rate]))
+        # Sensors whose periods are no multiple of ours look inside the running step.
+        output.SetFromVector(drive.pose_at(self._State(context), context.get_time()))
 
     def _Hazards(self, context: Context) -> Hazards:
         return Hazards(context.get_time(), int(self._State(context)[drive.BUMPER]), cliff=0, wheel_drop=0)

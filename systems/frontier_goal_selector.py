@@ -8,10 +8,10 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
 from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, Path, PathStatus, PoseEstimate, message, replace
 from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -71,13 +71,11 @@ class FrontierGoalSelector(LeafSystem):
     def _State(self, context: Context) -> _SelectorState:
         return state_message(context, self._state, _SelectorState)
 
-    @metered("goal_selector")
     def _Update(self, context: Context, state: State) -> EventStatus:
         now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
         grid = eval_message(self._grid, context, GridMap)
         if mission.phase == "choose" and mission.stage == grid.stage > now.goal.stage:
-            goal, tried = self._choose(grid, eval_message(self._pose, context, PoseEstimate), now.tried)
-            after = _SelectorState(goal, tried)
+            after = self._Choose(context, now, grid)
         elif now.goal.stage == mission.stage and not now.goal.spent and self._Pointless(context, now, mission, grid):
             after = _SelectorState(replace(now.goal, spent=True), now.tried)
         else:
@@ -85,6 +83,11 @@ class FrontierGoalSelector(LeafSystem):
         set_state_message(state, self._state, after)
         return EventStatus.Succeeded()
 
+    @metered("goal")
+    def _Choose(self, context: Context, now: _SelectorState, grid: GridMap) -> _SelectorState:
+        return _SelectorState(*self._choose(grid, eval_message(self._pose, context, PoseEstimate), now.tried))
+
+    @metered("goal_selector")
     def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:
         """Whether it is no use to drive on: no path leads there, or a newer map has no frontier there any more."""
         if mission.phase == "plan":

@@ -6,7 +6,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import GridConfig, OdometryConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.grid.gmapping import (
     GmappingState,
     grid_map,
@@ -16,6 +15,7 @@ from tfg_drake.grid.gmapping import (
     process_scan,
 )
 from tfg_drake.messages import GridMap, LaserScan, MissionStatus, Odometry, message
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,

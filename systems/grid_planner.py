@@ -8,7 +8,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.grid.path import find_ways, path_in_grid_is_free, path_in_scan_is_free, plan_path, with_returns
 from tfg_drake.messages import (
     FloatArray,
@@ -24,6 +23,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.planning.planner import initial_state
 from tfg_drake.pose_prediction import pose_at
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -85,7 +85,6 @@ class GridPlanner(LeafSystem):
     def _State(self, context: Context) -> _PlannerState:
         return state_message(context, self._state, _PlannerState)
 
-    @metered("grid_planner")
     def _Update(self, context: Context, state: State) -> EventStatus:
         now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
         goal = eval_message(self._goal, context, GoalChoice)
@@ -102,6 +101,7 @@ class GridPlanner(LeafSystem):
         set_state_message(state, self._state, after)
         return EventStatus.Succeeded()
 
+    @metered("grid_planner")
     def _Plan(
         self,
         now: _PlannerState,
@@ -122,6 +122,7 @@ class GridPlanner(LeafSystem):
             status = PathStatus(path.id, free=False, unreachable=True)
         return _PlannerState(path, status, mission.replans, scan.stamp, grid.stamp)
 
+    @metered("grid_planner")
     def _Watch(self, now: _PlannerState, grid: GridMap, scan: LaserScan, pose: PoseEstimate) -> _PlannerState:
         points, X_MS = now.path.points, pose_at(pose, scan.stamp)
         free = path_in_scan_is_free(points, grid, scan, X_MS, self._robot)

@@ -7,10 +7,10 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, WorkingMap, message
 from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import choose, empty_choice, remember
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -80,7 +80,6 @@ class InfoGainGoalSelector(LeafSystem):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
-    @metered("goal_selector")
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self._mission, context, MissionStatus)
         now = state_message(context, self._state, _SelectorState)
@@ -90,6 +89,11 @@ class InfoGainGoalSelector(LeafSystem):
         roadmap = eval_message(self._working_roadmap, context, Roadmap)
         if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
+        set_state_message(state, self._state, self._Choose(context, now, working, roadmap))
+        return EventStatus.Succeeded()
+
+    @metered("goal")
+    def _Choose(self, context: Context, now: _SelectorState, working: WorkingMap, roadmap: Roadmap) -> _SelectorState:
         # On a long way the robot weighs all there is against its goal.
         recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
         goal = None
@@ -101,8 +105,7 @@ class InfoGainGoalSelector(LeafSystem):
             roadmap = eval_message(self._roadmap, context, Roadmap)
             goal = choose(estimate, tfg, roadmap, self._parameters, now.remembered, recalled=recalled)
         remembered = remember(now.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
-        set_state_message(state, self._state, _SelectorState(goal, remembered))
-        return EventStatus.Succeeded()
+        return _SelectorState(goal, remembered)
 
 
 def _is_nearest(goal: GoalChoice, roadmap: Roadmap, reach: float) -> bool:

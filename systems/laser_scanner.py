@@ -7,10 +7,9 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from tfg_drake.config import ScanConfig
-from tfg_drake.cpu_meter import metered_in_detail
-from tfg_drake.messages import LaserScan
 from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan
-from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+from tfg_drake.systems.cpu_meter import metered
+from tfg_drake.systems.ports import set_state_message
 from tfg_drake.world.world import World
 
 
@@ -38,14 +37,9 @@ class LaserScanner(LeafSystem):
         self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
         self._message = self.DeclareAbstractState(AbstractValue.Make(no_scan(config)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Scan)
-        declare_message_output(
-            self,
-            "ranges",
-            lambda context: state_message(context, self._message, LaserScan),
-            {self.abstract_state_ticket(self._message)},
-        )
+        self.DeclareStateOutputPort("ranges", self._message)
 
-    @metered_in_detail("laser_scanner")
+    @metered("laser_scanner")
     def _Scan(self, context: Context, state: State) -> None:
         X_WB = self._pose.Eval(context)[:3]
         noise = self._noise.Eval(context)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import (
     FollowerStatus,
     GoalChoice,
@@ -22,7 +22,6 @@ from tfg_drake.messages import (
 from tfg_drake.mission import MissionInputs, initial_status, step
 from tfg_drake.systems.ports import (
     declare_message_input,
-    declare_message_output,
     eval_message,
     set_state_message,
     state_message,
@@ -62,43 +61,35 @@ class MissionSequencer(LeafSystem):
         which have a stage."""
         super().__init__()
         self._max_speed, self._glance_period = robot.max_speed, glance_period
-        self._maps = {declare_message_input(self, name): kind for name, kind in maps.items()}
-        self._goal = declare_message_input(self, "goal")
-        self._path = declare_message_input(self, "path")
-        self._path_status = declare_message_input(self, "path_status")
-        self._follower = declare_message_input(self, "follower_status")
+
+        def asked(name: str, kind: type) -> Callable[[Context], Any]:
+            port = declare_message_input(self, name)
+            return lambda context: eval_message(port, context, kind)
+
+        mapped = [asked(name, kind) for name, kind in maps.items()]
+        self._ask: Mapping[str, Callable[[Context], object]] = {
+            "mapped_stage": lambda context: min(newest(context).stage for newest in mapped),
+            "goal": asked("goal", GoalChoice),
+            "path": asked("path", Path),
+            "path_status": asked("path_status", PathStatus),
+            "follower": asked("follower_status", FollowerStatus),
+        }
         self._hazards = declare_message_input(self, "hazards")
         self._pause = self.DeclareVectorInputPort("pause", 1)
         self._enable = self.DeclareVectorInputPort("enable", 1)
         self._stop = self.DeclareVectorInputPort("stop", 1)
         self._status = self.DeclareAbstractState(AbstractValue.Make(initial_status()))
-        declare_message_output(
-            self,
-            "mission",
-            lambda context: state_message(context, self._status, MissionStatus),
-            {self.abstract_state_ticket(self._status)},
-        )
+        self.DeclareStateOutputPort("mission", self._status)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
-    @metered("mission_sequencer")
     def _Update(self, context: Context, state: State) -> EventStatus:
         status = state_message(context, self._status, MissionStatus)
         if status.phase == "done":
             return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
-        updated = step(status, self._Inputs(context))
-        if updated is status:
-            return EventStatus.DidNothing()
-        set_state_message(state, self._status, updated)
-        return EventStatus.Succeeded()
-
-    def _Inputs(self, context: Context) -> MissionInputs:
-        return MissionInputs(
+        inputs = _Inputs(
+            self._ask,
+            context,
             time=context.get_time(),
-            follower=eval_message(self._follower, context, FollowerStatus),
-            goal=eval_message(self._goal, context, GoalChoice),
-            path=eval_message(self._path, context, Path),
-            path_status=eval_message(self._path_status, context, PathStatus),
-            mapped_stage=min(eval_message(port, context, kind).stage for port, kind in self._maps.items()),
             max_speed=self._max_speed,
             glance_period=self._glance_period,
             bumper=eval_message(self._hazards, context, Hazards).bumper != 0,
@@ -106,6 +97,22 @@ class MissionSequencer(LeafSystem):
             enable=_flag(self._enable, context, True),
             stop=_flag(self._stop, context, False),
         )
+        updated = step(status, inputs)
+        if updated is status:
+            return EventStatus.DidNothing()
+        set_state_message(state, self._status, updated)
+        return EventStatus.Succeeded()
+
+
+class _Inputs(MissionInputs):
+    """What the sequencer sees; a message is asked for when the phase is interested in it."""
+
+    def __init__(self, ask: Mapping[str, Callable[[Context], object]], context: Context, **known: object) -> None:
+        self.__dict__.update(known, _ask=ask, _context=context)
+
+    def __getattr__(self, name: str) -> object:
+        value = self.__dict__[name] = self._ask[name](self._context)
+        return value
 
 
 def _flag(port, context: Context, default: bool) -> bool:

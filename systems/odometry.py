@@ -8,11 +8,11 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import DisturbanceConfig, OdometryConfig
-from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.differential_drive import UNMOVED
 from tfg_drake.simulation.disturbance import displacement
 from tfg_drake.simulation.odometry import TIME, initial_state, integrate, message, run_errors
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_output
 
 PERIOD = 1.0 / 16.0
@@ -51,7 +51,7 @@ class Odometry(LeafSystem):
             {self.xd_ticket()},
         )
 
-    @metered_in_detail("odometry")
+    @metered("odometry")
     def _Integrate(self, context: Context, update: DiscreteValues) -> None:
         state = context.get_discrete_state_vector().value()
         errors = run_errors(self._run_errors.Eval(context), self._config)

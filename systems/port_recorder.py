@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
-from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.port_recording import COMMAND, ENABLED, MESSAGES, PortWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
@@ -49,7 +48,6 @@ class PortRecorder(LeafSystem):
         builder.Connect(explorer.GetOutputPort("velocity_commanded"), recorder.GetInputPort(COMMAND))
         return recorder
 
-    @metered_in_detail("port_recorder")
     def _Write(self, context: Context) -> EventStatus:
         now = context.get_time()
         for name, (port, kind) in self._messages.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from tfg_drake.messages import PoseEstimate
@@ -27,4 +28,6 @@ class PoseVector(LeafSystem):
 
     def _CalcVector(self, context: Context, output: BasicVector) -> None:
         pose = eval_message(self._pose, context, PoseEstimate)
-        output.SetFromVector([pose.stamp, *pose.X_MB])
+        vector = np.empty(4)
+        vector[0], vector[1:] = pose.stamp, pose.X_MB
+        output.SetFromVector(vector)

@@ -9,7 +9,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import (
     GoalChoice,
     LaserScan,
@@ -24,6 +23,7 @@ from tfg_drake.planning.planner import PlannerState, initial_state, make_roadmap
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState
 from tfg_drake.planning.roadmap_parts import whole_roadmap
 from tfg_drake.resting import Parted
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -112,20 +112,38 @@ class PrmPlanner(LeafSystem):
         segments = np.frombuffer(obstacles).reshape(-1, 4)
         return make_roadmap(whole_roadmap(parts, estimate.X_MA), tfg, estimate, self._parameters, segments, driven)
 
-    @metered("prm_planner")
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = self._State(context)
-        updated = step(
-            now,
-            eval_message(self._working_map, context, WorkingMap),
-            lambda: self._Whole(context),
-            eval_message(self._pose, context, PoseEstimate),
-            eval_message(self._goal, context, GoalChoice),
-            eval_message(self._scan, context, LaserScan),
-            eval_message(self._mission, context, MissionStatus),
-            self._parameters,
-        )
+        working = eval_message(self._working_map, context, WorkingMap)
+        mission = eval_message(self._mission, context, MissionStatus)
+        scan = eval_message(self._scan, context, LaserScan)
+        if working.stage > now.nodes.stage:
+            take = self._Extend
+        elif mission.phase == "plan":
+            take = self._Plan
+        elif mission.drives and scan.stamp > now.scan_stamp:
+            take = self._Watch
+        else:
+            take = self._Step
+        updated = take(context, now, working, scan, mission)
         if updated is now:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, updated)
         return EventStatus.Succeeded()
+
+    def _Step(
+        self, context: Context, now: PlannerState, working: WorkingMap, scan: LaserScan, mission: MissionStatus
+    ) -> PlannerState:
+        return step(
+            now,
+            working,
+            lambda: self._Whole(context),
+            eval_message(self._pose, context, PoseEstimate),
+            eval_message(self._goal, context, GoalChoice),
+            scan,
+            mission,
+            self._parameters,
+        )
+
+    # A step's time is charged to what is due.
+    _Extend, _Plan, _Watch = metered("roadmap")(_Step), metered("path")(_Step), metered("prm_planner")(_Step)

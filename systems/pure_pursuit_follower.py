@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PoseEstimate
 from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn_to_see
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 
 PERIOD = 1 / 16
@@ -19,14 +19,13 @@ LOOK_TIME = 0.75
 # A robot that was told to move and has not for this long is held up, s.
 PATIENCE = 3.0
 
-# The discrete state: speed (m/s) and turn rate (rad/s) commanded; time of the last update, s; when the running turn
-# began, s, how far it has turned and the last heading, rad; how far it is to turn first and then, rad, and how many of
-# the two are done; the path's id, the progress on it, m, and whether the robot turns in place on it; whether it is
-# finished; when the robot last did as it was told, s, and how much of the path is left, m.
+# The discrete state: time of the last update, s; when the running turn began, s, how far it has turned and the last
+# heading, rad; how far it is to turn first and then, rad, and how many of the two are done; the path's id, the progress
+# on it, m, and whether the robot turns in place on it; whether it is finished; when the robot last did as it was told,
+# s, and how much of the path is left, m.
 (
-    SPEED, TURN_RATE, STAMP, TURN_SINCE, TURNED, HEADING, FIRST, THEN, LEGS, PATH, PROGRESS, TURNING, FINISHED, OBEYED,
-    LEFT,
-) = range(15)  # fmt: skip
+    STAMP, TURN_SINCE, TURNED, HEADING, FIRST, THEN, LEGS, PATH, PROGRESS, TURNING, FINISHED, OBEYED, LEFT,
+) = range(13)  # fmt: skip
 
 
 class PurePursuitFollower(LeafSystem):
@@ -60,45 +59,44 @@ class PurePursuitFollower(LeafSystem):
         self._path = declare_message_input(self, "path")
         self._goal = declare_message_input(self, "goal")
         self._mission = declare_message_input(self, "mission")
-        initial = np.zeros(15)
+        initial = np.zeros(13)
         initial[[TURN_SINCE, PATH]] = -1.0
-        ticket = {self.discrete_state_ticket(self.DeclareDiscreteState(initial))}
-        self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity, ticket)
-        declare_message_output(self, "follower_status", self._CalcStatus, ticket)
+        self._state, self._command = self.DeclareDiscreteState(initial), self.DeclareDiscreteState(2)
+        self.DeclareStateOutputPort("velocity_commanded", self._command)
+        declare_message_output(self, "follower_status", self._CalcStatus, {self.discrete_state_ticket(self._state)})
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Update)
 
-    def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_discrete_state_vector().value()[[SPEED, TURN_RATE]])
-
     def _CalcStatus(self, context: Context) -> FollowerStatus:
-        x = context.get_discrete_state_vector().value()
+        x = context.get_discrete_state(self._state).value().tolist()
         return FollowerStatus(
-            stamp=float(x[STAMP]),
+            stamp=x[STAMP],
             path_id=int(x[PATH]),
             arrived=bool(x[FINISHED]),
-            turned=float(x[TURNED]),
-            turn_done=bool(x[LEGS] == 2.0 and x[STAMP] - x[TURN_SINCE] >= LOOK_TIME),
-            stalled=bool(x[STAMP] - x[OBEYED] > PATIENCE),
-            left=float(x[LEFT]),
+            turned=x[TURNED],
+            turn_done=x[LEGS] == 2.0 and x[STAMP] - x[TURN_SINCE] >= LOOK_TIME,
+            stalled=x[STAMP] - x[OBEYED] > PATIENCE,
+            left=x[LEFT],
         )
 
     @metered("follower")
     def _Update(self, context: Context, discrete: DiscreteValues) -> EventStatus:
-        x = context.get_discrete_state_vector().value().tolist()
+        x = context.get_discrete_state(self._state).value().tolist()
         mission = eval_message(self._mission, context, MissionStatus)
         pose = eval_message(self._pose, context, PoseEstimate)
         x[STAMP] = context.get_time()
-        x[SPEED] = x[TURN_RATE] = 0.0
+        speed = turn_rate = 0.0
         if mission.phase == "observe":
-            self._Turn(x, mission, eval_message(self._goal, context, GoalChoice), pose)
+            turn_rate = self._Turn(x, mission, eval_message(self._goal, context, GoalChoice), pose)
         elif mission.drives:
-            self._Follow(x, eval_message(self._path, context, Path), pose)
-        if (x[SPEED] == 0.0 and x[TURN_RATE] == 0.0) or not at_rest(*pose.speed):
+            speed, turn_rate = self._Follow(x, eval_message(self._path, context, Path), pose)
+        if (speed == 0.0 and turn_rate == 0.0) or not at_rest(*pose.speed.tolist()):
             x[OBEYED] = x[STAMP]
-        discrete.get_mutable_vector().SetFromVector(x)
+        discrete.set_value(self._state, x)
+        discrete.set_value(self._command, [speed, turn_rate])
         return EventStatus.Succeeded()
 
-    def _Turn(self, x: list[float], mission: MissionStatus, goal: GoalChoice, pose: PoseEstimate) -> None:
+    def _Turn(self, x: list[float], mission: MissionStatus, goal: GoalChoice, pose: PoseEstimate) -> float:
+        """The turn rate, rad/s."""
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
@@ -108,21 +106,25 @@ class PurePursuitFollower(LeafSystem):
                 x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
+        turn_rate = 0.0
         if mission.stage == 0 and x[STAMP] < mission.since + self._explorer.first_look:
-            return
+            return turn_rate
         before = 0.0
         for leg, target in enumerate((x[FIRST], x[THEN])):
             if x[LEGS] == leg:
                 x[LEGS] += (target - x[TURNED]) * (target - before) <= 0.0
             if x[LEGS] == leg:
-                x[TURN_RATE] = turn_in_place(x[TURNED], target, self._explorer.turn_rate, self._robot)
+                turn_rate = turn_in_place(x[TURNED], target, self._explorer.turn_rate, self._robot)
             before = target
+        return turn_rate
 
-    def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> None:
+    def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> tuple[float, float]:
+        """Forward speed, m/s, and turn rate, rad/s."""
         if x[PATH] != path.id:
             x[TURNING], x[PATH], x[PROGRESS], x[FINISHED] = 0.0, path.id, 0.0, 0.0
         if x[FINISHED]:
-            return
+            return 0.0, 0.0
         command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)
-        x[SPEED], x[TURN_RATE], x[PROGRESS] = command.speed, command.turn_rate, command.progress
-        x[TURNING], x[FINISHED], x[LEFT] = command.turning, command.finished, command.left
+        x[PROGRESS], x[LEFT] = command.progress, command.left
+        x[TURNING], x[FINISHED] = command.turning, command.finished
+        return command.speed, command.turn_rate

@@ -9,12 +9,12 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
-from tfg_drake.cpu_meter import metered_in_detail
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
 from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
 from tfg_drake.safety.velocity_filter import SPEED, STATE_SIZE, filter_command, held, stopped
 from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.laser_scanner import no_scan
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -76,22 +76,24 @@ class SafetyFilter(LeafSystem):
             {self.abstract_state_ticket(self._watch)},
         )
 
-    @metered_in_detail("safety_filter")
+    @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
         enabled = not self._enable.HasValue(context) or self._enable.Eval(context)[0] != 0.0
-        state = context.get_discrete_state_vector().value()[:STATE_SIZE]
+        state, after = context.get_discrete_state_vector().value()[:STATE_SIZE], update.get_mutable_value()
+        after[STATE_SIZE] = enabled
         if not enabled:
-            update.set_value(np.append(stopped(state, self._robot, PERIOD), 0.0))
+            after[:STATE_SIZE] = stopped(state, self._robot, PERIOD)
             return
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
         scan, watch = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
         now = context.get_time()
         X_OB = _pose_at(eval_message(self._odometry, context, Odometry), now)
-        after = filter_command(state, now, command, hazards, scan, watch, X_OB, self._robot, self._safety, PERIOD)
-        update.set_value(np.append(after, 1.0))
+        after[:STATE_SIZE] = filter_command(
+            state, now, command, hazards, scan, watch, X_OB, self._robot, self._safety, PERIOD
+        )
 
-    @metered_in_detail("safety_filter")
+    @metered("safety_filter")
     def _Watch(self, context: Context, state: State) -> EventStatus:
         scan, before = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
         if not scan.stamp > before.newest:

@@ -6,7 +6,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
 from tfg_drake.slam.estimator import (
     begin_turn,
@@ -19,6 +18,7 @@ from tfg_drake.slam.estimator import (
 )
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,

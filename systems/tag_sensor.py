@@ -7,10 +7,9 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.cpu_meter import metered_in_detail
-from tfg_drake.messages import TagDetections
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect, no_detections
-from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+from tfg_drake.systems.cpu_meter import metered
+from tfg_drake.systems.ports import set_state_message
 from tfg_drake.world.world import World
 
 
@@ -39,14 +38,9 @@ class TagSensor(LeafSystem):
         )
         self._message = self.DeclareAbstractState(AbstractValue.Make(no_detections()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Detect)
-        declare_message_output(
-            self,
-            "detections",
-            lambda context: state_message(context, self._message, TagDetections),
-            {self.abstract_state_ticket(self._message)},
-        )
+        self.DeclareStateOutputPort("detections", self._message)
 
-    @metered_in_detail("tag_sensor")
+    @metered("tag_sensor")
     def _Detect(self, context: Context, state: State) -> None:
         X_WB = self._pose.Eval(context)[:3]
         noise = self._noise.Eval(context).reshape(-1, NOISE_PER_TAG)

@@ -9,10 +9,10 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, WorkingMap, message, replace
 from tfg_drake.resting import Parted
 from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
@@ -99,25 +99,23 @@ class TfgBuilder(LeafSystem):
     def _Whole(self, now: _BuilderState) -> TfgMap:
         return now.working.tfg if now.working.is_all else self._Resolved(now.graphs, now.estimate)
 
-    @metered("tfg_builder")
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = self._State(context)
         estimate = eval_message(self._map, context, MapEstimate)
         mission = eval_message(self._mission, context, MissionStatus)
-        after = (
-            self._AddGoal(now, estimate, mission.moving)
-            if estimate.stage > now.estimate.stage
-            else self._Collect(context, now)
-        )
+        if estimate.stage > now.estimate.stage:
+            after = self._AddGoal(now, estimate, mission.moving)
+        else:
+            after = self._Collect(context, now, mission.phase)
         if after is now:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, after)
         return EventStatus.Succeeded()
 
-    def _Collect(self, context: Context, now: _BuilderState) -> _BuilderState:
-        sightings = note_sightings(now.sightings, eval_message(self._pose, context, PoseEstimate))
+    def _Collect(self, context: Context, now: _BuilderState, phase: str) -> _BuilderState:
+        pose = eval_message(self._pose, context, PoseEstimate)
+        sightings = note_sightings(now.sightings, pose) if len(pose.new_ids) else now.sightings
         scans = now.scans
-        phase = eval_message(self._mission, context, MissionStatus).phase
         if phase == "observe" or (phase == "glance" and len(scans) < GLANCE_SCANS):
             scan = eval_message(self._scan, context, LaserScan)
             if math.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
@@ -126,6 +124,7 @@ class TfgBuilder(LeafSystem):
             return now
         return replace(now, scans=scans, sightings=sightings)
 
+    @metered("tfg")
     def _AddGoal(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
         panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
         graphs = update(

@@ -15,7 +15,6 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Leaf
 from tfg_drake.caption import HEIGHT as CAPTION_HEIGHT
 from tfg_drake.caption import WIDTH as CAPTION_WIDTH
 from tfg_drake.caption import Colour, caption_gltf, gain_colours, render_caption
-from tfg_drake.cpu_meter import metered
 from tfg_drake.drawing import Mesh as Triangles
 from tfg_drake.drawing import discs, ellipses, outline_segments, polyline_segments, ribbons
 from tfg_drake.geometry.se2 import transform
@@ -193,7 +192,6 @@ class TfgVisualizer(LeafSystem):
         self._picture.attempt(lambda: self._ShowEverything(context), None)
         return EventStatus.Succeeded()
 
-    @metered("visualizer")
     def _Draw(self, context: Context) -> EventStatus:
         self._picture.attempt(lambda: self._ShowChanges(context), None)
         return EventStatus.Succeeded()

@@ -189,7 +189,8 @@ def test_a_cloned_context_goes_on_alike():
     clone = rig.context.Clone()
     port = rig.follower.GetOutputPort("velocity_commanded")
     assert (port.Eval(clone) == rig.command()).all()
-    assert (clone.get_discrete_state_vector().value() == rig.context.get_discrete_state_vector().value()).all()
+    for index in range(clone.num_discrete_state_groups()):
+        assert (clone.get_discrete_state(index).value() == rig.context.get_discrete_state(index).value()).all()
 
 
 def test_a_robot_that_does_not_move_when_told_to_is_held_up():

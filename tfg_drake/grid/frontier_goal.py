@@ -13,7 +13,6 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.grid.frontier import FREE, OCCUPIED, cell_at, center_of, classify, find_frontiers, next_to_unknown
 from tfg_drake.grid.path import Ways, find_ways, in_cells, sees
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, GridMap, IntArray, PoseEstimate, message, replace
@@ -125,7 +124,6 @@ def why_end(access: Access, shut_in: bool, resolution: float, least_length: floa
     return "complete", f"No frontier is left{f' but {left:.1f} m too narrow for the robot' if left else ''}."
 
 
-@metered("goal")
 def choose(
     grid: GridMap, pose: PoseEstimate, tried: TriedPlaces, robot: RobotConfig, explorer: ExplorerConfig
 ) -> tuple[GoalChoice, TriedPlaces]:

@@ -21,7 +21,6 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, GridConfig, OdometryConfig, RobotConfig, ScanConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.grid.frontier import FREE, OCCUPIED, UNKNOWN, CellArray, center_of
 from tfg_drake.grid.frontier_goal import Access, TriedPlaces, find_access, flat_index, no_goal
 from tfg_drake.grid.path import Ways, find_ways, in_cells
@@ -171,7 +170,6 @@ def _candidates(
     return np.vstack([access.stand[rows], places[new]]), np.vstack([access.p_MF[rows], centers[new]]), len(rows)
 
 
-@metered("goal")
 def choose(
     grid: GridMap,
     pose: PoseEstimate,

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
 from tfg_drake.planning.barred import barred_places, looked_again, worth_of_looking
 from tfg_drake.planning.budget import Budget, budget_left, way_home
@@ -50,7 +49,6 @@ def empty_choice() -> GoalChoice:
     )
 
 
-@metered("goal")
 def choose(
     estimate: MapEstimate,
     tfg: TfgMap,

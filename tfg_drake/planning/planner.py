@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import (
     BoolArray,
@@ -155,7 +154,6 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
     return float(np.hypot(*np.diff(driven[1:], axis=0).T).sum()) + unnoted
 
 
-@metered("roadmap")
 def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters) -> PlannerState:
     """The state with the roadmap extended to the newest goal of the map; what of that rests, rests here, too."""
     estimate, tfg = working.estimate, working.tfg
@@ -254,7 +252,6 @@ def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
     return replace(state, obstacles=state.obstacles[keep], obstacle_goal=state.obstacle_goal[keep])
 
 
-@metered("path")
 def _plan(
     state: PlannerState,
     nodes: RoadmapState,

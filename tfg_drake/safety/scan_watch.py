@@ -63,7 +63,7 @@ def watched(
     X_OB: (3,) odometry where it was taken. at_rest: no wheel turns. radius: of the robot, m. least_range: m, nearer the
     scanner sees nothing.
     """
-    same = np.array_equal(scan.ranges, watch.content.ranges, equal_nan=True) and len(scan.ranges) > 0
+    same = _same(scan.ranges, watch.content.ranges) and len(scan.ranges) > 0
     content, X_OC = (watch.content, watch.X_OC) if same else (scan, X_OB)
     X_OC = X_OB if at_rest else X_OC
     believed, reach = watch.believed, _REACH_SHARE * scan.range_max
@@ -80,8 +80,32 @@ def watched(
 def _shows(before: LaserScan, scan: LaserScan, X_SB: FloatArray, least: float, reach: float) -> bool:
     """Whether a scan taken at X_SB (3,) in the frame of the one before meets enough of what that one met; what lies
     nearer than least (m) or farther than reach (m) is not expected."""
+    met = _returns(scan.ranges)
+    # No more is expected than was met then.
+    if met >= _SHOWN_SHARE * _returns(before.ranges):
+        return True
     expected = _in_view(before.angles, before.ranges, X_SB, least, reach)
-    return expected < _LEAST_SHOWN or bool(np.isfinite(scan.ranges).sum() >= _SHOWN_SHARE * expected)
+    return expected < _LEAST_SHOWN or bool(met >= _SHOWN_SHARE * expected)
+
+
+@njit(cache=True)
+def _same(ranges: FloatArray, others: FloatArray) -> bool:
+    """Whether two scans say the same; nan is nan."""
+    if len(ranges) != len(others):
+        return False
+    for k in range(len(ranges)):
+        if ranges[k] != others[k] and not (math.isnan(ranges[k]) and math.isnan(others[k])):
+            return False
+    return True
+
+
+@njit(cache=True)
+def _returns(ranges: FloatArray) -> int:
+    """How many rays met something."""
+    count = 0
+    for k in range(len(ranges)):
+        count += math.isfinite(ranges[k])
+    return count
 
 
 @njit(cache=True)

@@ -80,10 +80,11 @@ def _remembered(
     # Where the robot is in the window, in cells; (u, v) count cells from its corner.
     u_B, v_B = X_OB[0] / CELL - i0, X_OB[1] / CELL - j0
     # Rays a cell: that went through it, ended in it, or would have come there if a gap of them had not been lost.
-    passed = np.zeros((CELLS, CELLS), dtype=np.int32)
+    passed = np.zeros(CELLS * CELLS, dtype=np.int32)
     ended, lost = np.zeros_like(passed), np.zeros_like(passed)
-    total = np.zeros((CELLS, CELLS, 2))
+    total = np.zeros((CELLS * CELLS, 2))
     reach = (HALF - 1) * CELL
+    way = np.empty(int(reach / (_STEP * CELL)) + 1, dtype=np.int64)
     gap_begin = gap_end = 0
     for k in range(len(ranges)):
         says = ranges[k] >= 0.0
@@ -97,36 +98,42 @@ def _remembered(
         free = min(reach, ranges[k] - _BEFORE_RETURN) if says else reach
         counted = passed if says else lost
         cosine, sine = math.cos(X_OB[2] + angles[k]), math.sin(X_OB[2] + angles[k])
-        last_u, last_v = -1, -1
-        for n in range(int(free / (_STEP * CELL)) + 1 if free > 0.0 else 0):
-            u, v = int(u_B + n * _STEP * cosine), int(v_B + n * _STEP * sine)
-            if u != last_u or v != last_v:
-                counted[u, v] += 1
-                last_u, last_v = u, v
+        steps = int(free / (_STEP * CELL)) + 1 if free > 0.0 else 0
+        for n in range(steps):
+            way[n] = int(u_B + n * _STEP * cosine) * CELLS + int(v_B + n * _STEP * sine)
+        last = -1
+        for n in range(steps):
+            if way[n] != last:
+                last = way[n]
+                counted[last] += 1
         if ranges[k] < reach:
-            u, v = int(u_B + ranges[k] / CELL * cosine), int(v_B + ranges[k] / CELL * sine)
-            ended[u, v] += 1
-            total[u, v, 0] += X_OB[0] + ranges[k] * cosine
-            total[u, v, 1] += X_OB[1] + ranges[k] * sine
-            if u == last_u and v == last_v:
-                passed[u, v] -= 1
+            cell = int(u_B + ranges[k] / CELL * cosine) * CELLS + int(v_B + ranges[k] / CELL * sine)
+            ended[cell] += 1
+            total[cell, 0] += X_OB[0] + ranges[k] * cosine
+            total[cell, 1] += X_OB[1] + ranges[k] * sine
+            if cell == last:
+                passed[cell] -= 1
     beneath = radius / CELL - 1.0
+    first_a, first_b = i0 % CELLS, j0 % CELLS
     for u in range(CELLS):
+        a = first_a + u if first_a + u < CELLS else first_a + u - CELLS
         for v in range(CELLS):
-            a, b = (i0 + u) % CELLS, (j0 + v) % CELLS
+            b = first_b + v if first_b + v < CELLS else first_b + v - CELLS
             if not (0 <= i0 + u - corner[0] < CELLS and 0 <= j0 + v - corner[1] < CELLS):
                 # It has come into the window.
                 after[a, b], occupied[a, b] = -np.inf, False
+            cell = u * CELLS + v
             x, y = u + 0.5 - u_B, v + 0.5 - v_B
             if x * x + y * y < beneath * beneath:
                 after[a, b], occupied[a, b] = stamp, False
-            elif occupied[a, b] and lost[u, v] > 0:
+            elif occupied[a, b] and lost[cell] > 0:
                 # Past the edge of what is too near to be seen rays pass, or end in what noise has moved away.
                 continue
-            elif ended[u, v] > _MET_SHARE * (passed[u, v] + ended[u, v]):
+            elif ended[cell] > _MET_SHARE * (passed[cell] + ended[cell]):
                 after[a, b], occupied[a, b] = stamp, True
-                where[a, b] = total[u, v] / ended[u, v]
-            elif passed[u, v] > lost[u, v]:
+                for axis in range(2):
+                    where[a, b, axis] = total[cell, axis] / ended[cell]
+            elif passed[cell] > lost[cell]:
                 after[a, b], occupied[a, b] = stamp, False
     return np.array([i0, j0]), after, occupied, where
 
@@ -142,22 +149,14 @@ def open_distance(
     within the outline's way: beside it a wall may stand that no ray passes. What was met may reach half a cell farther
     than where it was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see.
     """
-    distance: float = _open_distance(
-        space.corner,
-        space.seen,
-        space.met,
-        space.p_OM,
-        X_OB,
-        curvature,
-        radius,
-        radius + reach + 2.0 * CELL,
-        newest,
+    distance: float = open_distance_among(
+        space.corner, space.seen, space.met, space.p_OM, X_OB, curvature, radius, reach, newest
     )
     return distance
 
 
 @njit(cache=True)
-def _open_distance(
+def open_distance_among(
     corner: IntArray,
     seen: FloatArray,
     met: BoolArray,
@@ -165,14 +164,18 @@ def _open_distance(
     X_OB: FloatArray,
     curvature: float,
     radius: float,
-    span: float,
+    reach: float,
     newest: float,
 ) -> float:
+    """As open_distance, of a memory's arrays."""
+    span = radius + reach + 2.0 * CELL
     cosine, sine = math.cos(X_OB[2]), math.sin(X_OB[2])
     least = np.inf
+    first_j = math.floor((X_OB[1] - span) / CELL)
     for i in range(math.floor((X_OB[0] - span) / CELL), math.floor((X_OB[0] + span) / CELL) + 1):
-        for j in range(math.floor((X_OB[1] - span) / CELL), math.floor((X_OB[1] + span) / CELL) + 1):
-            a, b = i % CELLS, j % CELLS
+        a, b = i % CELLS, (first_j - 1) % CELLS
+        for j in range(first_j, math.floor((X_OB[1] + span) / CELL) + 1):
+            b = b + 1 if b + 1 < CELLS else 0
             dx, dy = (i + 0.5) * CELL - X_OB[0], (j + 0.5) * CELL - X_OB[1]
             outline, corridor = radius, radius - CELL
             if 0 <= i - corner[0] < CELLS and 0 <= j - corner[1] < CELLS:

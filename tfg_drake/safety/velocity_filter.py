@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import RobotConfig, SafetyConfig
-from tfg_drake.messages import FloatArray, Hazards, LaserScan
+from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan
 from tfg_drake.safety.corridor import touch_distance
 from tfg_drake.safety.scan_watch import ScanWatch
-from tfg_drake.safety.seen_space import open_distance
+from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
 from tfg_drake.simulation.differential_drive import advance
 
 # Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
@@ -26,12 +26,20 @@ _DOUBTED = 0.25
 
 @njit(cache=True)
 def _free_distance(
-    angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, curvature: float, radius: float, margin: float
+    angles: FloatArray,
+    ranges: FloatArray,
+    X_SB: FloatArray,
+    curvature: float,
+    radius: float,
+    margin: float,
+    reach: float,
 ) -> float:
     cosine, sine = math.cos(X_SB[2]), math.sin(X_SB[2])
+    # On its way the base's centre gets no nearer to what it touches than this.
+    farthest = reach + radius + margin + math.hypot(X_SB[0], X_SB[1])
     least = np.inf
     for i in range(angles.shape[0]):
-        if ranges[i] < np.inf:
+        if ranges[i] < np.inf and ranges[i] <= farthest:
             dx = ranges[i] * math.cos(angles[i]) - X_SB[0]
             dy = ranges[i] * math.sin(angles[i]) - X_SB[1]
             x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
@@ -48,7 +56,7 @@ def free_distance(
     returns ahead and inside the corridor swept by a disc of radius + margin (m) count, so neither a wall alongside nor
     a door's jambs do.
     """
-    distance: float = _free_distance(scan.angles, scan.ranges, X_SB, turn_rate / speed, radius, margin)
+    distance: float = _free_distance(scan.angles, scan.ranges, X_SB, turn_rate / speed, radius, margin, math.inf)
     return distance
 
 
@@ -84,10 +92,12 @@ def _nearest_while_braking(
     return least
 
 
+@njit(cache=True)
 def _bounded(value: float, bound: float) -> float:
     return min(bound, max(-bound, value))
 
 
+@njit(cache=True)
 def _towards(value: float, wanted: float, step: float) -> float:
     """The value after one step at most towards what is wanted."""
     return value + _bounded(wanted - value, step)
@@ -139,59 +149,97 @@ def filter_command(
         return stopped(state, robot, period)
     left = float(state[REFLEX_LEFT]) - period
     bits = int(state[REFLEX_BITS]) | hazards.bumper if left > 0.0 else hazards.bumper
-    step, turn_step = robot.max_acceleration * period, robot.max_turn_acceleration * period
-    base_before = float(state[BASE_SPEED])
     if bits:
         speed, turn_rate = _reflex(bits, safety)
-        base = _towards(base_before, speed, step)
+        base = _towards(float(state[BASE_SPEED]), speed, robot.max_acceleration * period)
         return np.array([speed, turn_rate, bits, left if left > 0.0 else safety.reflex_time, base])
 
-    wanted = command if np.isfinite(command).all() else np.zeros(2)
-    before, turn_before = float(state[SPEED]), float(state[TURN_RATE])
-    speed = _towards(before, _bounded(float(wanted[0]), robot.max_speed), step)
-    turn_wanted = _bounded(float(wanted[1]), robot.max_turn_rate)
+    trusted = not watch.doubt or stamp - watch.believed.stamp <= _DOUBTED
+    space = watch.space
+    after: FloatArray = _let_through(
+        state,
+        command,
+        scan.angles,
+        scan.ranges,
+        stamp - scan.stamp,
+        trusted,
+        space.corner,
+        space.seen,
+        space.met,
+        space.p_OM,
+        watch.newest,
+        X_OB,
+        robot.radius,
+        robot.max_speed,
+        robot.max_turn_rate,
+        robot.max_acceleration,
+        robot.max_turn_acceleration,
+        safety.stop_distance,
+        safety.side_margin,
+        safety.scan_timeout,
+        period,
+    )
+    return after
+
+
+@njit(cache=True)
+def _let_through(
+    state: FloatArray,
+    command: FloatArray,
+    angles: FloatArray,
+    ranges: FloatArray,
+    age: float,
+    trusted: bool,
+    corner: IntArray,
+    seen: FloatArray,
+    met: BoolArray,
+    p_OM: FloatArray,
+    newest: float,
+    X_OB: FloatArray,
+    radius: float,
+    max_speed: float,
+    max_turn_rate: float,
+    acceleration: float,
+    turn_acceleration: float,
+    stop_distance: float,
+    side_margin: float,
+    scan_timeout: float,
+    period: float,
+) -> FloatArray:
+    """filter_command where nothing is pressed. age: of the scan, s; trusted: what it shows, or showed a moment ago, is
+    believed; then the memory of what was seen."""
+    step, turn_step = acceleration * period, turn_acceleration * period
+    base_before, turn_before = state[BASE_SPEED], state[TURN_RATE]
+    wanted, turn_wanted = command[0], command[1]
+    if not (math.isfinite(wanted) and math.isfinite(turn_wanted)):
+        wanted, turn_wanted = 0.0, 0.0
+    speed = _towards(state[SPEED], _bounded(wanted, max_speed), step)
+    turn_wanted = _bounded(turn_wanted, max_turn_rate)
     turn_rate = _towards(turn_before, turn_wanted, turn_step)
-    X_SB = _pose_in_scan(state, stamp - scan.stamp, safety)
+    young = age <= scan_timeout
+    # The base has moved on since the scan; its velocity changed little in that time.
+    X_SB = advance(np.zeros(3), base_before, turn_before, age) if young else np.zeros(3)
     if speed > 0.0:
         room = 0.0
-        if X_SB is not None and (not watch.doubt or stamp - watch.believed.stamp <= _DOUBTED):
-            room = _room(scan, X_SB, watch, X_OB, speed, turn_rate, robot, safety, period)
-        speed = min(speed, _speed_allowed(room, robot, period))
+        if young and trusted:
+            # Where it has more room than to stop in, it makes no difference how much.
+            curvature = turn_rate / speed
+            reach = stop_distance + speed * 2.0 * period + 0.5 * speed * speed / acceleration
+            clear = _free_distance(angles, ranges, X_SB, curvature, radius, side_margin, reach + CELL)
+            known = open_distance_among(corner, seen, met, p_OM, X_OB, curvature, radius, reach, newest)
+            room = min(clear - stop_distance, known - stop_distance)
+        speed = min(speed, _speed_allowed(room, acceleration, period))
     base = _towards(base_before, speed, step)
-    brakes = base_before > 0.0 and base > max(0.0, min(speed, float(wanted[0])))
-    velocity = state[[BASE_SPEED, TURN_RATE]]
-    if brakes and X_SB is not None and not _turn_allowed(scan, X_SB, velocity, turn_wanted, robot, safety, period):
-        turn_rate = _towards(turn_before, turn_before / base_before * base, turn_step)
+    if young and base_before > 0.0 and base > max(0.0, min(speed, wanted)):
+        # It brakes.
+        limits, near = np.array([acceleration, turn_acceleration]), radius + stop_distance
+        velocity = np.array([base_before, turn_before])
+        nearest = _nearest_while_braking(angles, ranges, X_SB, velocity, turn_wanted, limits, near, period)
+        if nearest != near and not nearest >= _nearest_while_braking(
+            angles, ranges, X_SB, velocity, math.nan, limits, near, period
+        ):
+            turn_rate = _towards(turn_before, turn_before / base_before * base, turn_step)
     return np.array([speed, turn_rate, 0.0, 0.0, base])
-
-
-def _pose_in_scan(state: FloatArray, age: float, safety: SafetyConfig) -> FloatArray | None:
-    """The body's pose now in the frame of a scan of this age (s); None where that is too old."""
-    # The base has moved on since the scan; its velocity changed little in that time.
-    return None if age > safety.scan_timeout else advance(np.zeros(3), state[BASE_SPEED], state[TURN_RATE], age)
-
-
-def _turn_allowed(
-    scan: LaserScan,
-    X_SB: FloatArray,
-    velocity: FloatArray,
-    turn_wanted: float,
-    robot: RobotConfig,
-    safety: SafetyConfig,
-    period: float,
-) -> bool:
-    """Whether the base may go over to a turn rate (rad/s) while it brakes: it stays clear, or as far as on its arc.
-
-    X_SB: as in free_distance. velocity: (2,) speed > 0 (m/s) and turn rate (rad/s) that it has.
-    """
-    limits = np.array([robot.max_acceleration, robot.max_turn_acceleration])
-    clear = robot.radius + safety.stop_distance
-
-    def nearest(turn: float) -> float:
-        return float(_nearest_while_braking(scan.angles, scan.ranges, X_SB, velocity, turn, limits, clear, period))
-
-    turned = nearest(turn_wanted)
-    return turned == clear or turned >= nearest(math.nan)
 
 
 def held(watch: ScanWatch, X_OB: FloatArray, robot: RobotConfig, safety: SafetyConfig) -> bool:
@@ -200,28 +248,11 @@ def held(watch: ScanWatch, X_OB: FloatArray, robot: RobotConfig, safety: SafetyC
     return not watch.doubt and open_distance(watch.space, X_OB, 0.0, robot.radius, near, watch.newest) <= near
 
 
-def _room(
-    scan: LaserScan,
-    X_SB: FloatArray,
-    watch: ScanWatch,
-    X_OB: FloatArray,
-    speed: float,
-    turn_rate: float,
-    robot: RobotConfig,
-    safety: SafetyConfig,
-    period: float,
-) -> float:
-    """How far (m) the base may drive on the arc of a velocity (m/s, rad/s), inf if nothing limits it."""
-    met = free_distance(scan, X_SB, speed, turn_rate, robot.radius, safety.side_margin) - safety.stop_distance
-    reach = safety.stop_distance + speed * 2.0 * period + 0.5 * speed**2 / robot.max_acceleration
-    unseen = open_distance(watch.space, X_OB, turn_rate / speed, robot.radius, reach, watch.newest)
-    return min(met, unseen - safety.stop_distance)
-
-
-def _speed_allowed(room: float, robot: RobotConfig, period: float) -> float:
+@njit(cache=True)
+def _speed_allowed(room: float, acceleration: float, period: float) -> float:
     """The greatest forward speed (m/s) from which the base can stop within some room (m)."""
     if room == math.inf:
         return math.inf
     # Speed v needs v * delay + v^2 / (2 a): the command takes effect a period later, and the next one too.
-    delay, acceleration = 2.0 * period, robot.max_acceleration
-    return acceleration * (math.sqrt(delay**2 + 2.0 * max(0.0, room) / acceleration) - delay)
+    delay = 2.0 * period
+    return acceleration * (math.sqrt(delay * delay + 2.0 * max(0.0, room) / acceleration) - delay)

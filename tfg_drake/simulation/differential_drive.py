@@ -43,6 +43,13 @@ def advance(pose: FloatArray, speed: float, turn_rate: float, duration: float) -
 
 
 @njit(cache=True)
+def pose_at(state: FloatArray, time: float) -> FloatArray:
+    """Pose X_WB, forward speed and turn rate (5,) at a time (s) in the step at whose end the state holds."""
+    pose = advance(state[X : THETA + 1], state[SPEED], state[TURN_RATE], time - state[TIME])
+    return np.array([pose[0], pose[1], pose[2], state[SPEED], state[TURN_RATE]])
+
+
+@njit(cache=True)
 def _near(walls: FloatArray, i: int, x: float, y: float, distance: float) -> bool:
     """Whether wall i's bounding box is within distance of (x, y) on both axes."""
     return bool(

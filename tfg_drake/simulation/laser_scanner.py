@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 
 from tfg_drake.config import ScanConfig
 from tfg_drake.geometry.visibility import cast_rays
@@ -30,11 +31,28 @@ def scan(
     angles: (m,) rad in B. standard_normal: (m,) numbers. A return that noise carries beyond the range is inf, one
     nearer than the least range nan.
     """
-    ranges = cast_rays(walls, X_WB[:2], angles + X_WB[2], config.range)
-    ranges = np.maximum(0.0, ranges + config.noise * standard_normal)
-    ranges[ranges > config.range] = math.inf
-    ranges[ranges < config.least_range] = math.nan
+    ranges = _measured(walls, X_WB, angles, standard_normal, config.range, config.noise, config.least_range)
     return LaserScan(stamp, angles, ranges, config.range, config.noise)
+
+
+@njit(cache=True)
+def _measured(
+    walls: FloatArray,
+    X_WB: FloatArray,
+    angles: FloatArray,
+    normal: FloatArray,
+    range_max: float,
+    noise: float,
+    least_range: float,
+) -> FloatArray:
+    ranges = cast_rays(walls, X_WB[:2], angles + X_WB[2], range_max)
+    for k in range(len(ranges)):
+        ranges[k] = max(0.0, ranges[k] + noise * normal[k])
+        if ranges[k] > range_max:
+            ranges[k] = np.inf
+        elif ranges[k] < least_range:
+            ranges[k] = np.nan
+    return ranges
 
 
 def no_scan(config: ScanConfig) -> LaserScan:

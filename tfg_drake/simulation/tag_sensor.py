@@ -56,9 +56,66 @@ def visible_tags(world: World, X_WB: FloatArray, config: TagSensorConfig) -> Int
     In view means within range and field of view, seen at no more than max_incidence from the tag's normal, and with no
     wall in between.
     """
-    rows = _in_view(world.p_WT, world.tag_facing, X_WB, config.range, config.field_of_view, config.max_incidence)
-    visible: IntArray = rows[line_of_sight(world.walls, X_WB[:2], world.p_WT[rows], _ON_SURFACE)]
+    visible: IntArray = _visible(
+        world.p_WT, world.tag_facing, world.walls, X_WB, config.range, config.field_of_view, config.max_incidence
+    )
     return visible
+
+
+@njit(cache=True)
+def _visible(
+    p_WT: FloatArray,
+    facing: FloatArray,
+    walls: FloatArray,
+    X_WB: FloatArray,
+    range_max: float,
+    field_of_view: float,
+    max_incidence: float,
+) -> IntArray:
+    rows = _in_view(p_WT, facing, X_WB, range_max, field_of_view, max_incidence)
+    return rows[line_of_sight(walls, X_WB[:2], p_WT[rows], _ON_SURFACE)]
+
+
+@njit(cache=True)
+def _sighted(
+    p_WT: FloatArray,
+    facing: FloatArray,
+    ids: IntArray,
+    walls: FloatArray,
+    X_WB: FloatArray,
+    range_max: float,
+    field_of_view: float,
+    max_incidence: float,
+    normal: FloatArray,
+    threshold: float,
+    range_scale: float,
+    range_noise: float,
+    noise_per_metre: float,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Rows (k,) of the tags that a frame shows, their ids ascending; row for row where they are from the sensor, m
+    along W's axes (k, 2), the measured range and its standard deviation, m.
+
+    threshold: a tag is shown where its third number of normal (n, NOISE_PER_TAG) is less than this.
+    """
+    rows = _visible(p_WT, facing, walls, X_WB, range_max, field_of_view, max_incidence)
+    shown = 0
+    for row in rows:
+        if normal[row, 2] < threshold:
+            # Sorted by insertion: they are few.
+            k = shown
+            while k > 0 and ids[rows[k - 1]] > ids[row]:
+                rows[k] = rows[k - 1]
+                k -= 1
+            rows[k] = row
+            shown += 1
+    rows = rows[:shown]
+    offset, measured, sigma = np.empty((shown, 2)), np.empty(shown), np.empty(shown)
+    for k in range(shown):
+        offset[k, 0], offset[k, 1] = p_WT[rows[k], 0] - X_WB[0], p_WT[rows[k], 1] - X_WB[1]
+        distance = math.hypot(offset[k, 0], offset[k, 1])
+        sigma[k] = range_noise + noise_per_metre * distance
+        measured[k] = max(0.0, range_scale * distance + sigma[k] * normal[rows[k], 0])
+    return rows, offset, measured, sigma
 
 
 def detect(
@@ -70,15 +127,23 @@ def detect(
     those of the noise: range_noise + range_noise_per_metre * r at the true range r, and bearing_noise; gross errors and
     misread ids come on top.
     """
-    rows = visible_tags(world, X_WB, config)
-    rows = rows[standard_normal[rows, 2] < ndtri(config.detection_probability)]
-    rows = rows[np.argsort(world.tag_ids[rows])]
-    offset = world.p_WT[rows] - X_WB[:2]
-    distance = np.hypot(offset[:, 0], offset[:, 1])
-    sigma_range = config.range_noise + config.range_noise_per_metre * distance
+    rows, offset, measured, sigma_range = _sighted(
+        world.p_WT,
+        world.tag_facing,
+        world.tag_ids,
+        world.walls,
+        X_WB,
+        config.range,
+        config.field_of_view,
+        config.max_incidence,
+        standard_normal,
+        ndtri(config.detection_probability),
+        config.range_scale,
+        config.range_noise,
+        config.range_noise_per_metre,
+    )
     sigma_bearing = np.full(len(rows), config.bearing_noise)
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - X_WB[2] + sigma_bearing * standard_normal[rows, 1]
-    measured = np.maximum(0.0, config.range_scale * distance + sigma_range * standard_normal[rows, 0])
     ids = world.tag_ids[rows]
     # The number that let the tag be detected is uniform below the detection probability: its lowest part makes gross
     # errors, the next misread ids, and the place within its part says which.

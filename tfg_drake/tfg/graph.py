@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.cpu_meter import metered
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
@@ -144,7 +143,6 @@ def empty_graph() -> TfgGraph:
     )
 
 
-@metered("tfg")
 def update(
     graph: TfgGraph,
     estimate: MapEstimate,
