@@ -19,8 +19,8 @@ from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 from tfg_drake.tfg.drift import DRIFT_SIGMAS
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import covered, joined, pack, sample, segments_of
-from tfg_drake.tfg.segmentation import Component
+from tfg_drake.tfg.polyline import covered, joined, sample, segments_of
+from tfg_drake.tfg.segmentation import Components
 
 # How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m.
 PUSH = 0.35
@@ -192,14 +192,12 @@ def _runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
     return starts, stops
 
 
-def find_uninspected(
-    components: list[Component], max_range: float, max_incidence: float
-) -> tuple[FloatArray, FloatArray]:
+def find_uninspected(components: Components, max_range: float, max_incidence: float) -> tuple[FloatArray, FloatArray]:
     """Points (u, 2) and normals (u, 2) in A on surfaces seen too far off or too slantwise to find a tag there.
 
     max_range: m and max_incidence: rad, as far as the tag sensor sees.
     """
-    points, normals, _, _, _ = sample(*pack([c.polyline for c in components]), UNINSPECTED_SPACING)
+    points, normals, _, _, _ = sample(components.offsets, components.vertices, UNINSPECTED_SPACING)
     distance = np.hypot(points[:, 0], points[:, 1])
     facing = -np.sum(points * normals, axis=1)
     poor = (distance > max_range) | (facing < np.cos(max_incidence) * distance)

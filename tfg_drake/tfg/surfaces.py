@@ -10,6 +10,7 @@ A surface was seen from the left of its polyline.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -22,7 +23,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, mes
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import arc_length, covered, cut, nearest, pack, sample, segments_of, taken, uncovered_runs
-from tfg_drake.tfg.segmentation import Component
+from tfg_drake.tfg.segmentation import Components
 
 EDGE, END, LOOSE = 0, 1, 2
 
@@ -164,7 +165,7 @@ def _anchors(surfaces: Surfaces, estimate: MapEstimate) -> FloatArray:
 def add_observation(
     surfaces: Surfaces,
     estimate: MapEstimate,
-    components: Sequence[Component],
+    components: Components,
     panorama: Panorama,
     known_ids: IntArray,
     known_facing: FloatArray,
@@ -202,7 +203,7 @@ def add_observation(
 def _find_tags(
     estimate: MapEstimate,
     X_AM: FloatArray,
-    components: Sequence[Component],
+    components: Components,
     range_max: float,
     known_ids: IntArray,
     known_facing: FloatArray,
@@ -211,7 +212,7 @@ def _find_tags(
     p_AL = transform(X_AM, estimate.p_ML)
     near = np.flatnonzero(np.hypot(p_AL[:, 0], p_AL[:, 1]) <= range_max + 2.0 * SEEN_TAG_DISTANCE)
     ids, p_AL = estimate.ids[near], p_AL[near]
-    component, along, distance, normal = nearest(p_AL, *pack([c.polyline for c in components]))
+    component, along, distance, normal = nearest(p_AL, components.offsets, components.vertices)
     observed = np.isin(ids, estimate.observation.ids)
     facing = np.zeros((len(estimate.ids), 2))
     row = np.searchsorted(estimate.ids, known_ids)
@@ -223,21 +224,21 @@ def _find_tags(
 
 
 def _from_components(
-    components: Sequence[Component], tags: _SeenTags, goal: int
+    components: Components, tags: _SeenTags, goal: int
 ) -> tuple[dict[tuple[int, int], _Surface], list[_Surface]]:
     """Edges between neighbouring tags of each component by their sorted ids, then wall ends and loose surfaces."""
     edges: dict[tuple[int, int], _Surface] = {}
     ends: list[_Surface] = []
     loose: list[_Surface] = []
-    for c, component in enumerate(components):
+    for c, (begin, end) in enumerate(itertools.pairwise(components.offsets.tolist())):
         mine = np.flatnonzero(tags.component == c)
         mine = mine[np.argsort(tags.along[mine], kind="stable")]
-        polyline, along = component.polyline, tags.along[mine]
+        polyline, along = components.vertices[begin:end], tags.along[mine]
         if not len(mine):
             loose.append(_Surface(LOOSE, -1, -1, goal, _farthest(polyline), polyline))
             continue
         total = float(arc_length(polyline)[-1])
-        if component.closed:
+        if components.closed:
             # Begin and end at the first tag, so that the last edge leads back to it.
             first = along[0]
             if 0.0 < first < total:
