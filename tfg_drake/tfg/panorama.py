@@ -15,6 +15,8 @@ BINS = 720
 STAMP_TOLERANCE = 1e-3
 # Rays within this many standard deviations of their bin's median range fell on the same surface.
 SAME_SURFACE = 4.0
+# So many numbers are sorted soonest by putting one after the other in its place.
+FEW = 16
 
 
 @message
@@ -44,6 +46,20 @@ class Panorama:
 
 
 @njit(cache=True)
+def _sorted(values: FloatArray) -> FloatArray:
+    """The values (n,) in ascending order, sorted in place if they are few."""
+    if len(values) > FEW:
+        return np.sort(values)
+    for i in range(1, len(values)):
+        value, at = values[i], i
+        while at > 0 and values[at - 1] > value:
+            values[at] = values[at - 1]
+            at -= 1
+        values[at] = value
+    return values
+
+
+@njit(cache=True)
 def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Bearing and range of each bin, from rays as bearing (n,) in [0, 2 pi) and range (n,), inf where free."""
     width = 2.0 * np.pi / bins
@@ -52,9 +68,9 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
     for i in index:
         start[i + 1] += 1
     start = np.cumsum(start)
-    filled, order, sorted_ranges = start.copy(), np.empty(len(index), dtype=np.int64), np.empty(len(index))
+    filled, order, by_bin = start.copy(), np.empty(len(index), dtype=np.int64), np.empty(len(index))
     for i in range(len(index)):
-        order[filled[index[i]]], sorted_ranges[filled[index[i]]] = i, ranges[i]
+        order[filled[index[i]]], by_bin[filled[index[i]]] = i, ranges[i]
         filled[index[i]] += 1
     angles = np.empty(bins)
     merged = np.full(bins, np.nan)
@@ -65,7 +81,7 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
             continue
         # The lower median is the range of an actual ray. Where the bin straddles a jump edge it lies on one of the two
         # surfaces, and only rays of that surface are averaged: no point floats between the two.
-        median = np.sort(sorted_ranges[start[b] : start[b + 1]])[(len(rays) - 1) // 2]
+        median = _sorted(by_bin[start[b] : start[b + 1]])[(len(rays) - 1) // 2]
         if median == np.inf:
             merged[b] = np.inf
             continue

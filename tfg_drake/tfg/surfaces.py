@@ -99,24 +99,26 @@ class _Draft:
         polyline = old.vertices[old.offsets[row] : old.offsets[row + 1]]
         return _Surface(int(old.kind[row]), first, second, int(old.goal[row]), float(old.range[row]), polyline)
 
-    def surfaces(self, rows: Sequence[int] | IntArray) -> Surfaces:
-        """Some of the surfaces, in this order, with vertices in A."""
-        old, made, rows = self.old, self.made, np.array(rows, dtype=np.int64)
-        offsets, vertices = pack([s.polyline for s in made])
-        offsets, vertices = taken(
-            rows,
-            np.concatenate([old.offsets, old.offsets[-1] + offsets[1:]]),
-            np.concatenate([old.vertices, vertices]),
-        )
-        numbers = np.array([(s.kind, s.first, s.second, s.goal) for s in made], dtype=np.int64).reshape(-1, 4)
-        return Surfaces(
-            np.concatenate([old.kind, numbers[:, 0]])[rows],
-            np.concatenate([old.ids, numbers[:, 1:3]])[rows],
-            np.concatenate([old.goal, numbers[:, 3]])[rows],
-            np.concatenate([old.range, [s.range for s in made]])[rows],
-            offsets,
-            vertices,
-        )
+    def packed(self, rows: Sequence[int]) -> tuple[IntArray, FloatArray]:
+        """offsets (n + 1,) and vertices (v, 2) of the polylines of some rows (n,), in this order."""
+        old = self.old
+        offsets, vertices = pack([s.polyline for s in self.made])
+        offsets = np.concatenate([old.offsets, old.offsets[-1] + offsets[1:]])
+        return taken(np.array(rows, dtype=np.int64), offsets, np.concatenate([old.vertices, vertices]))
+
+    def numbers(self, rows: Sequence[int]) -> IntArray:
+        """kind, first, second and goal (n, 4) of some rows (n,), in this order."""
+        old = self.old
+        made = np.array([(s.kind, s.first, s.second, s.goal) for s in self.made], dtype=np.int64).reshape(-1, 4)
+        return np.concatenate([np.column_stack([old.kind, old.ids, old.goal]), made])[np.array(rows, dtype=np.int64)]
+
+    def surfaces(self, rows: Sequence[int]) -> Surfaces:
+        """Some of the surfaces, by kind and else in this order, with vertices in A."""
+        numbers = self.numbers(rows)
+        order = np.argsort(numbers[:, 0], kind="stable")
+        numbers, rows = numbers[order], np.array(rows, dtype=np.int64)[order].tolist()
+        ranges = np.concatenate([self.old.range, [s.range for s in self.made]])[rows]
+        return Surfaces(numbers[:, 0], numbers[:, 1:3], numbers[:, 3], ranges, *self.packed(rows))
 
 
 class _SeenTags(NamedTuple):
@@ -195,7 +197,7 @@ def add_observation(
     kept = _trim(draft, ends + others, edge_segments, EDGE_COVERS, panorama, estimate)
     new = _trim(draft, [draft.add(piece) for piece in pieces], edge_segments, EDGE_COVERS)
     new = _trim(draft, new, _segments(draft, kept), SURFACE_COVERS)
-    merged = draft.surfaces(kept_edges + sorted(kept + new, key=lambda row: draft[row].kind))
+    merged = draft.surfaces(kept_edges + kept + new)
     observed = np.isin(tags.ids, estimate.observation.ids)
     return _packed(merged, estimate, X_MA), tags.ids[observed], tags.normal[observed]
 
@@ -299,8 +301,8 @@ def _split_edges(edges: dict[tuple[int, int], int], draft: _Draft, tags: _SeenTa
     new = np.flatnonzero(new_tag)
     if not len(new) or not edges:
         return
-    keys, of_old = list(edges), draft.surfaces(list(edges.values()))
-    owner, along, distance, normal = nearest(tags.p_AL[new], of_old.offsets, of_old.vertices)
+    keys = list(edges)
+    owner, along, distance, normal = nearest(tags.p_AL[new], *draft.packed(list(edges.values())))
     same_side = np.sum(normal * tags.normal[new], axis=1) > 0.5
     lies_on = (distance <= KNOWN_TAG_DISTANCE) & same_side
     for k in np.unique(owner[lies_on]):
@@ -336,7 +338,8 @@ def _break_refuted(
         edge, own = draft[i], owner == i
         del edges[min(edge.first, edge.second), max(edge.first, edge.second)]
         middle = 0.5 * float(stop[own][-1])
-        for a, b in uncovered_runs(refuted[own], start[own], stop[own], LEAST_LENGTH):
+        _, begin, end_at = uncovered_runs(owner[own], refuted[own], start[own], stop[own], LEAST_LENGTH)
+        for a, b in zip(begin.tolist(), end_at.tolist(), strict=True):
             anchor = edge.first if a + b <= 2.0 * middle else edge.second
             end = edge._replace(kind=END, first=anchor, second=-1, polyline=cut(edge.polyline, a, b))
             ends.append(draft.add(end))
@@ -353,22 +356,26 @@ def _trim(
 ) -> list[int]:
     """The rows of these pieces without what segments (m, 4) cover, and without what a panorama, with the map of then,
     saw to be free."""
-    pieces = draft.surfaces(rows)
-    points, normals, owner, start, stop = sample(pieces.offsets, pieces.vertices, SPACING)
+    if not rows:
+        return []
+    points, normals, owner, start, stop = sample(*draft.packed(rows), SPACING)
     drop = covered(points, normals, segments, np.full(len(points), distance))
     if refuted_by is not None and estimate is not None:
-        drop |= _refuted(points, normals, pieces.ids[owner], refuted_by, estimate)
-    less = np.bincount(owner[drop], minlength=len(rows))
-    first = np.searchsorted(owner, np.arange(len(rows) + 1))
+        drop |= _refuted(points, normals, draft.numbers(rows)[owner, 1:3], refuted_by, estimate)
+    less = np.bincount(owner[drop], minlength=len(rows)).tolist()
+    length = np.zeros(len(rows))
+    length[owner] = stop
+    left, begin, end = uncovered_runs(owner, drop, start, stop, LEAST_LENGTH)
+    begin, end = np.maximum(begin - OVERLAP, 0.0), np.minimum(end + OVERLAP, length[left])
+    runs = np.searchsorted(left, np.arange(len(rows) + 1)).tolist()
     trimmed = []
     for i, row in enumerate(rows):
         if not less[i]:
             trimmed.append(row)
             continue
-        piece, own = draft[row], slice(first[i], first[i + 1])
-        for a, b in uncovered_runs(drop[own], start[own], stop[own], LEAST_LENGTH):
-            a, b = max(a - OVERLAP, 0.0), min(b + OVERLAP, float(stop[own][-1]))
-            trimmed.append(draft.add(piece._replace(polyline=cut(piece.polyline, a, b))))
+        piece = draft[row]
+        for r in range(runs[i], runs[i + 1]):
+            trimmed.append(draft.add(piece._replace(polyline=cut(piece.polyline, begin[r], end[r]))))
     return trimmed
 
 
@@ -424,8 +431,7 @@ def _seen_past(points: FloatArray, normals: FloatArray, ranges: FloatArray, rang
 
 
 def _segments(draft: _Draft, rows: list[int]) -> FloatArray:
-    surfaces = draft.surfaces(rows)
-    return segments_of(surfaces.offsets, surfaces.vertices)[0]
+    return segments_of(*draft.packed(rows))[0]
 
 
 def _packed(surfaces: Surfaces, estimate: MapEstimate, X_MA: FloatArray) -> Surfaces:
