@@ -75,11 +75,15 @@ def test_the_far_face_of_a_thin_wall_is_not_covered() -> None:
 
 
 def test_uncovered_runs() -> None:
-    start = np.arange(5) * 0.1
-    flags = np.array([False, True, True, False, False])
-    assert uncovered_runs(flags, start, start + 0.1, 0.0) == [(0.0, 0.1), (0.30000000000000004, 0.5)]
-    assert uncovered_runs(flags, start, start + 0.1, 0.15) == [(0.30000000000000004, 0.5)]
-    assert uncovered_runs(np.ones(5, dtype=bool), start, start + 0.1, 0.0) == []
+    start, owner = np.tile(np.arange(5) * 0.1, 2), np.repeat([0, 1], 5)
+    flags = np.array([False, True, True, False, False, False, True, True, True, True])
+
+    def runs(flags: np.ndarray, least: float) -> list[tuple[int, float, float]]:
+        return list(zip(*(of.tolist() for of in uncovered_runs(owner, flags, start, start + 0.1, least)), strict=True))
+
+    assert runs(flags, 0.0) == [(0, 0.0, 0.1), (0, 0.30000000000000004, 0.5), (1, 0.0, 0.1)]
+    assert runs(flags, 0.15) == [(0, 0.30000000000000004, 0.5)]
+    assert runs(np.ones(10, dtype=bool), 0.0) == []
 
 
 def test_a_polyline_does_not_join_itself() -> None:

@@ -13,15 +13,16 @@ from tfg_drake.tfg.segmentation import find_corners, panorama_links, segment
 SQUARE = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
 
 
-def _segment(panorama: Panorama):
-    return segment(panorama, panorama_links(panorama))
+def _segment(panorama: Panorama) -> list[np.ndarray]:
+    """The polylines of the surfaces of a panorama."""
+    components = segment(panorama, panorama_links(panorama))
+    return np.split(components.vertices, components.offsets[1:-1])
 
 
 def test_a_closed_room_is_one_closed_surface_with_four_corners(simulate) -> None:
-    components = _segment(simulate(SQUARE).panorama(np.array([1.5, 2.0, 0.0])))
-    assert len(components) == 1
-    assert components[0].closed
-    polyline = components[0].polyline
+    panorama = simulate(SQUARE).panorama(np.array([1.5, 2.0, 0.0]))
+    assert segment(panorama, panorama_links(panorama)).closed
+    (polyline,) = _segment(panorama)
     np.testing.assert_array_equal(polyline[0], polyline[-1])
     assert len(polyline) <= 7
     corners = np.array([[x, y] for x in (0.0, 4.0) for y in (0.0, 4.0)]) - [1.5, 2.0]
@@ -32,14 +33,14 @@ def test_surfaces_run_counter_clockwise_round_the_robot(two_rooms) -> None:
     components = _segment(two_rooms.panorama(np.array([2.0, 3.0, 0.3])))
     assert len(components) >= 2
     for component in components:
-        a, b = component.polyline[:-1], component.polyline[1:]
+        a, b = component[:-1], component[1:]
         assert (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > -1e-9).all()
 
 
 def test_a_door_breaks_a_wall(two_rooms) -> None:
     X_WA = np.array([3.0, 3.0, 0.0])
     for component in _segment(two_rooms.panorama(X_WA)):
-        line = shapely.LineString(component.polyline + X_WA[:2])
+        line = shapely.LineString(component + X_WA[:2])
         assert line.intersection(shapely.LineString([[6.0, 2.6], [6.0, 3.4]])).is_empty
 
 
@@ -47,7 +48,7 @@ def test_a_wall_seen_at_grazing_incidence_stays_one_surface(simulate) -> None:
     panorama = simulate([[-1.0, 0.0, 6.0, 0.0]], noise=0.005).panorama(np.array([0.0, 0.6, 0.0]))
     components = _segment(panorama)
     assert len(components) == 1
-    assert components[0].polyline[:, 0].max() > 5.3
+    assert components[0][:, 0].max() > 5.3
 
 
 @settings(deadline=None, max_examples=50)
@@ -71,4 +72,4 @@ def test_a_near_wall_is_not_joined_to_the_one_behind_it(simulate) -> None:
     panorama = simulate([[-3.0, 5.0, 0.0, 5.0], [-3.0, 5.5, 3.0, 5.5]]).panorama(np.array([0.0, 0.0, 0.0]))
     components = _segment(panorama)
     assert len(components) == 2
-    assert all(np.ptp(c.polyline[:, 1]) < 0.1 for c in components)
+    assert all(np.ptp(c[:, 1]) < 0.1 for c in components)

@@ -22,12 +22,6 @@ _AT_ONCE = 1_000_000
 
 
 @njit(cache=True)
-def _inside(x: float, y: float, vertices: FloatArray, start: int, stop: int) -> bool:
-    """Even-odd rule for one point and the polygon vertices[start:stop]."""
-    return _odd_crossings(x, y, vertices, stop - 1, start, stop)
-
-
-@njit(cache=True)
 def _odd_crossings(x: float, y: float, vertices: FloatArray, before: int, start: int, stop: int) -> bool:
     """Whether a ray from (x, y) along the x axis crosses an odd number of the edges from one to the next of the
     vertices before, start, start + 1, ..., stop - 1."""
@@ -57,9 +51,12 @@ def _boxes(star_offsets: IntArray, star_vertices: FloatArray) -> FloatArray:
     """Diagonals (k, 4) of the stars' bounding boxes, for a segment_grid."""
     boxes = np.zeros((len(star_offsets) - 1, 4))
     for j in range(len(boxes)):
-        star = star_vertices[star_offsets[j] : star_offsets[j + 1]]
-        for i in range(2 if len(star) > 0 else 0):
-            boxes[j, i], boxes[j, 2 + i] = star[:, i].min(), star[:, i].max()
+        start, stop = star_offsets[j], star_offsets[j + 1]
+        for i in range(2 if stop > start else 0):
+            low, high = star_vertices[start, i], star_vertices[start, i]
+            for v in range(start + 1, stop):
+                low, high = min(low, star_vertices[v, i]), max(high, star_vertices[v, i])
+            boxes[j, i], boxes[j, 2 + i] = low, high
     return boxes
 
 
@@ -91,6 +88,22 @@ def _runs_of_edges(star_offsets: IntArray, star_vertices: FloatArray) -> tuple[I
 
 
 @njit(cache=True)
+def _inside(
+    x: float, y: float, j: int, star_offsets: IntArray, star_vertices: FloatArray, runs: IntArray, reach: FloatArray
+) -> bool:
+    """Whether a point lies inside star j, by the even-odd rule, a run of edges at a time: most lie below the point,
+    above it or to its left. runs, reach: see `_runs_of_edges`."""
+    inside = False
+    for r in range(runs[j], runs[j + 1]):
+        if reach[r, 0] > y or reach[r, 1] <= y or reach[r, 2] < x:
+            continue
+        first = star_offsets[j] + (r - runs[j]) * RUN
+        before = first - 1 if r > runs[j] else star_offsets[j + 1] - 1
+        inside ^= _odd_crossings(x, y, star_vertices, before, first, min(first + RUN, star_offsets[j + 1]))
+    return inside
+
+
+@njit(cache=True)
 def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
     """Which points (n, 2) lie inside at least one star polygon, (n,).
 
@@ -106,17 +119,7 @@ def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatA
         x, y = points[i, 0], points[i, 1]
         for k in range(rows_in_box(grid, x, x, y, y, near)):
             j = near[k]
-            if not _may_hold(boxes[j], x, y):
-                continue
-            # As _inside, a run of edges at a time: most lie below the point, above it or to its left.
-            inside = False
-            for r in range(runs[j], runs[j + 1]):
-                if reach[r, 0] > y or reach[r, 1] <= y or reach[r, 2] < x:
-                    continue
-                first = star_offsets[j] + (r - runs[j]) * RUN
-                before = first - 1 if r > runs[j] else star_offsets[j + 1] - 1
-                inside ^= _odd_crossings(x, y, star_vertices, before, first, min(first + RUN, star_offsets[j + 1]))
-            if inside:
+            if _may_hold(boxes[j], x, y) and _inside(x, y, j, star_offsets, star_vertices, runs, reach):
                 result[i] = True
                 break
     return result
@@ -140,6 +143,7 @@ def inspected(
     boxes = _boxes(star_offsets, star_vertices)
     grid = segment_grid(boxes)
     near = np.empty(len(grid[4]), dtype=np.int64)
+    runs, star_reach = _runs_of_edges(star_offsets, star_vertices)
     least_cosine = np.cos(max_incidence)
     result = np.zeros(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
@@ -152,7 +156,7 @@ def inspected(
                 continue
             if dx * normals[i, 0] + dy * normals[i, 1] < least_cosine * np.sqrt(square):
                 continue
-            if _inside(x, y, star_vertices, star_offsets[j], star_offsets[j + 1]):
+            if _inside(x, y, j, star_offsets, star_vertices, runs, star_reach):
                 result[i] = True
                 break
     return result
@@ -176,7 +180,8 @@ def looked_through(
     each piece of it or looks along that (see ALONG), its first point is within reach (m) of the centre, and all of it
     at least depth (m) inside the star. surface_rank: (s,), star_rank: (k,). Star polygons as in `inside_any`.
     """
-    radii = _square_radii(star_offsets, star_vertices, star_centers)
+    boxes, radii = _boxes(star_offsets, star_vertices), _square_radii(star_offsets, star_vertices, star_centers)
+    runs, star_reach = _runs_of_edges(star_offsets, star_vertices)
     grid = segment_grid(np.hstack((star_centers, star_centers)))
     near = np.empty(len(star_centers), dtype=np.int64)
     result = np.zeros(len(offsets) - 1, dtype=np.bool_)
@@ -188,9 +193,17 @@ def looked_through(
             if star_rank[j] >= surface_rank[i]:
                 continue
             cx, cy = star_centers[j, 0], star_centers[j, 1]
-            if (x - cx) ** 2 + (y - cy) ** 2 > min(radii[j], reach * reach) or _shows_front(polyline, cx, cy):
+            if (x - cx) ** 2 + (y - cy) ** 2 > min(radii[j], reach * reach) or not _may_hold(boxes[j], x, y):
                 continue
-            if _deep_inside(polyline, star_vertices[star_offsets[j] : star_offsets[j + 1]], depth):
+            if _shows_front(polyline, cx, cy):
+                continue
+            inside = True
+            for v in range(len(polyline)):
+                px, py = polyline[v, 0], polyline[v, 1]
+                if not _inside(px, py, j, star_offsets, star_vertices, runs, star_reach):
+                    inside = False
+                    break
+            if inside and _is_apart(polyline, star_vertices[star_offsets[j] : star_offsets[j + 1]], depth):
                 result[i] = True
                 break
     return result
@@ -208,11 +221,8 @@ def _shows_front(polyline: FloatArray, x: float, y: float) -> bool:
 
 
 @njit(cache=True)
-def _deep_inside(polyline: FloatArray, star: FloatArray, depth: float) -> bool:
-    """Whether a polyline (v, 2) lies at least depth (m) inside a polygon (w, 2)."""
-    for v in range(len(polyline)):
-        if not _inside(polyline[v, 0], polyline[v, 1], star, 0, len(star)):
-            return False
+def _is_apart(polyline: FloatArray, star: FloatArray, depth: float) -> bool:
+    """Whether a polyline (v, 2) stays at least depth (m) away from the outline of a polygon (w, 2)."""
     for v in range(len(polyline) - 1):
         ax, ay, bx, by = polyline[v, 0], polyline[v, 1], polyline[v + 1, 0], polyline[v + 1, 1]
         previous = len(star) - 1

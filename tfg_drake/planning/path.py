@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
-from tfg_drake.geometry.distance import clearance, point_distance
-from tfg_drake.geometry.se2 import compose, transform
+from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance
+from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import BoolArray, FloatArray, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import deviation_along, required_clearance
 from tfg_drake.planning.roadmap import COMFORT, RoadmapParameters, RoadmapState, in_free_space
@@ -200,21 +203,38 @@ def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, 
     return float(state.edges.required[on_way].max(initial=0.0))
 
 
-def _returns(scan: LaserScan, X_MB: FloatArray) -> FloatArray:
-    hit = np.isfinite(scan.ranges)
-    r, angle = scan.ranges[hit], scan.angles[hit]
-    return transform(X_MB, np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
-
-
-def _ahead(points: FloatArray, X_MB: FloatArray) -> FloatArray:
-    """The next LOOK_AHEAD metres of a path (k, 2) from the point nearest to the robot, as segments (s, 4)."""
-    if len(points) == 0:
-        return np.zeros((0, 4))
-    nearest = int(np.argmin(np.hypot(*(points - X_MB[:2]).T)))
-    ahead = points[nearest : nearest + 1 + round(LOOK_AHEAD / PATH_STEP)]
-    if len(ahead) == 1:
-        return lines_between(ahead, ahead)
-    return lines_between(ahead[:-1], ahead[1:])
+@njit(cache=True)
+def _beside(
+    points: FloatArray, ranges: FloatArray, angles: FloatArray, X_MB: FloatArray, reach: float
+) -> tuple[FloatArray, FloatArray]:
+    """The returns (h, 2), m in M, of a scan (b,), (b,) taken at pose X_MB (3,), and how far (h,), m, each is from the
+    next LOOK_AHEAD metres of a path (k, 2) from the point nearest to the robot, reach (m) where that is farther."""
+    hits, distance = np.empty((len(ranges), 2)), np.full(len(ranges), reach)
+    first, nearest = 0, np.inf
+    for k in range(len(points)):
+        square = (points[k, 0] - X_MB[0]) ** 2 + (points[k, 1] - X_MB[1]) ** 2
+        if square < nearest:
+            first, nearest = k, square
+    ahead = points[first : first + 1 + round(LOOK_AHEAD / PATH_STEP)]
+    left, right, low, high = np.inf, -np.inf, np.inf, -np.inf
+    for k in range(len(ahead)):
+        left, right = min(left, ahead[k, 0] - reach), max(right, ahead[k, 0] + reach)
+        low, high = min(low, ahead[k, 1] - reach), max(high, ahead[k, 1] + reach)
+    c, s = math.cos(X_MB[2]), math.sin(X_MB[2])
+    count = 0
+    for i in range(len(ranges)):
+        if not math.isfinite(ranges[i]):
+            continue
+        ahead_of, beside = ranges[i] * math.cos(angles[i]), ranges[i] * math.sin(angles[i])
+        x, y = X_MB[0] + c * ahead_of - s * beside, X_MB[1] + s * ahead_of + c * beside
+        hits[count, 0], hits[count, 1] = x, y
+        if left < x < right and low < y < high:
+            for k in range(len(ahead)):
+                j = max(k - 1, 0)
+                apart = point_segment_distance(x, y, ahead[j, 0], ahead[j, 1], ahead[k, 0], ahead[k, 1])
+                distance[count] = min(distance[count], apart)
+        count += 1
+    return hits[:count], distance[:count]
 
 
 def path_is_free(
@@ -226,15 +246,14 @@ def path_is_free(
     2 cm, block it; so do returns of mapped surfaces, where the disc may touch them: a surface may go on a little beyond
     its end in the map. bold: only where it would touch by 2 cm does anything block it.
     """
-    ahead = _ahead(points, X_MB)
-    hits = _returns(scan, X_MB)
-    distance = point_distance(hits, ahead)
-    if int((distance < radius + (-0.02 if bold else STRAYS)).sum()) >= 2:
-        return False
-    close = distance < radius + 0.02
-    if bold or close.sum() < 2:
+    near = radius + 0.02
+    hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, near)
+    close = distance < near
+    if np.count_nonzero(close) < 2:
         return True
-    return int((point_distance(hits[close], segments) > MAPPED_WITHIN).sum()) < 2
+    if np.count_nonzero(distance < radius + (-0.02 if bold else STRAYS)) >= 2:
+        return False
+    return bold or int(np.count_nonzero(point_distance(hits[close], segments) > MAPPED_WITHIN)) < 2
 
 
 def unmapped_obstacles(
@@ -245,10 +264,10 @@ def unmapped_obstacles(
     The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains, or that
     it may touch, neighbours too close for the robot to pass between them joined to a surface.
     """
-    hits = _returns(scan, X_MB)
-    distance = point_distance(hits, _ahead(points, X_MB))
+    reach = radius + OBSTACLE_REACH
+    hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, reach)
     unmapped = point_distance(hits, segments) > MAPPED_WITHIN
-    hits = hits[(distance < radius + OBSTACLE_REACH) & (unmapped | (distance < radius + STRAYS))]
+    hits = hits[(distance < reach) & (unmapped | (distance < radius + STRAYS))]
     if len(hits) == 0:
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])

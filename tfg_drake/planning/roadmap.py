@@ -27,6 +27,7 @@ from tfg_drake.config import (
     RobotConfig,
     TagSensorConfig,
 )
+from tfg_drake.geometry.connected import connect, settle
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
@@ -558,16 +559,8 @@ def components(edges: IntArray, count: int) -> IntArray:
     """The connected component (count,) of each node under edges (e, 2), by the number of its first node."""
     first = np.arange(count)
     for e in range(len(edges)):
-        a, b = edges[e, 0], edges[e, 1]
-        while first[a] != a:
-            first[a] = first[first[a]]
-            a = first[a]
-        while first[b] != b:
-            first[b] = first[first[b]]
-            b = first[b]
-        first[max(a, b)] = min(a, b)
-    for i in range(count):
-        first[i] = first[first[i]]
+        connect(first, edges[e, 0], edges[e, 1])
+    settle(first)
     return first
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from tfg_drake.messages import BoolArray, FloatArray, MapEstimate
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
 
 # Landmarks this far from a place at most speak for the faces there, m.
 NEIGHBOURHOOD = 2.0
@@ -21,24 +21,27 @@ MOST_DRIFT = 0.5
 DRIFT_SIGMAS = 3.0
 
 
-def drift_from_robot(estimate: MapEstimate) -> FloatArray:
-    """Covariance (n, 2, 2), m^2 along the axes of M, of where each landmark lies seen from the last departure pose.
+def drift_from_robot(estimate: MapEstimate, rows: IntArray) -> FloatArray:
+    """Covariance (n, 2, 2), m^2 along the axes of M, of where the landmarks of these rows (n,) lie seen from the last
+    departure pose.
 
     What the robot has just seen is small here, however uncertain both are in M. Those too far away to be known jointly
     with it may have drifted by MOST_DRIFT.
     """
-    n = len(estimate.local)
-    P = estimate.covariance
-    lever = estimate.p_ML[estimate.local] - estimate.X_MD[:2]
+    drift = np.tile(MOST_DRIFT**2 * np.eye(2), (len(rows), 1, 1))
+    entry = np.full(len(estimate.ids), -1)
+    entry[estimate.local] = np.arange(len(estimate.local))
+    known = entry[rows] >= 0
+    rows, entry = rows[known], entry[rows[known]]
+    P, both = estimate.covariance, np.stack([2 * entry, 2 * entry + 1], axis=1)
+    lever = estimate.p_ML[rows] - estimate.X_MD[:2]
     # Relative error: that of the landmark, less the robot's, less what the robot's heading adds over the distance.
-    J = np.zeros((n, 2, 3))
+    J = np.zeros((len(rows), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
     J[:, 0, 2], J[:, 1, 2] = -lever[:, 1], lever[:, 0]
-    cross = P[: 2 * n, -3:].reshape(n, 2, 3) @ J.transpose(0, 2, 1)
-    rows = np.arange(n)
-    own = P[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[rows, :, rows, :]
-    drift = np.tile(MOST_DRIFT**2 * np.eye(2), (len(estimate.ids), 1, 1))
-    drift[estimate.local] = own - cross - cross.transpose(0, 2, 1) + J @ P[-3:, -3:] @ J.transpose(0, 2, 1)
+    cross = P[both, -3:] @ J.transpose(0, 2, 1)
+    own = P[both[:, :, None], both[:, None]]
+    drift[known] = own - cross - cross.transpose(0, 2, 1) + J @ P[-3:, -3:] @ J.transpose(0, 2, 1)
     return drift
 
 

@@ -7,20 +7,21 @@ that saw them, so that they move with the map.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from numba import njit
 
+from tfg_drake.geometry.connected import connect, settle
 from tfg_drake.geometry.distance import clearance, enter
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 from tfg_drake.tfg.drift import DRIFT_SIGMAS
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import covered, joined, pack, sample, segments_of
-from tfg_drake.tfg.segmentation import Component
+from tfg_drake.tfg.polyline import covered, joined, sample, segments_of
+from tfg_drake.tfg.segmentation import Components
 
 # How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m.
 PUSH = 0.35
@@ -43,6 +44,8 @@ NARROW_SHARE = 1.0 / 3.0
 # Shorter stretches of uninspected surface are let be, m; points this close make one stretch, m.
 UNINSPECTED_LENGTH = 0.25
 UNINSPECTED_GAP = 0.16
+# Points with normals whose cosine is more than this lie on one face.
+SAME_NORMAL = 0.7
 # Free space this close behind a surface means a thin wall, m.
 THIN_WALL = 0.25
 # A surface that ends farther than this from every other one goes on round a corner, m; how much of it is unseen, m.
@@ -192,14 +195,12 @@ def _runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
     return starts, stops
 
 
-def find_uninspected(
-    components: list[Component], max_range: float, max_incidence: float
-) -> tuple[FloatArray, FloatArray]:
+def find_uninspected(components: Components, max_range: float, max_incidence: float) -> tuple[FloatArray, FloatArray]:
     """Points (u, 2) and normals (u, 2) in A on surfaces seen too far off or too slantwise to find a tag there.
 
     max_range: m and max_incidence: rad, as far as the tag sensor sees.
     """
-    points, normals, _, _, _ = sample(*pack([c.polyline for c in components]), UNINSPECTED_SPACING)
+    points, normals, _, _, _ = sample(components.offsets, components.vertices, UNINSPECTED_SPACING)
     distance = np.hypot(points[:, 0], points[:, 1])
     facing = -np.sum(points * normals, axis=1)
     poor = (distance > max_range) | (facing < np.cos(max_incidence) * distance)
@@ -239,17 +240,18 @@ def find_open_ends(
     at = np.concatenate([vertices[offsets[:-1]], vertices[offsets[1:] - 1]])
     before = np.concatenate([vertices[offsets[:-1] + 1], vertices[offsets[1:] - 2]])
     owner = np.tile(np.arange(len(offsets) - 1), 2)
+    is_last = np.repeat([False, True], len(offsets) - 1)
     along = at - before
     along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
-    # Behind the surface is on its right, which is on the left of the way back to its start.
-    sign = np.repeat([-1.0, 1.0], len(offsets) - 1)[:, None]
-    behind = sign * np.stack([along[:, 1], -along[:, 0]], axis=1)
-    points = at + UNINSPECTED_STANDOFF * along + END_GAP * behind
     segments, segment_owner = segments_of(offsets, vertices)
-    is_last = np.repeat([False, True], len(offsets) - 1)
-    is_open = ~joined(at, along, is_last, owner, segments, segment_owner, END_GAP) & inside_any(points, *stars)
+    is_open = ~joined(at, along, is_last, owner, segments, segment_owner, END_GAP)
+    at, along, is_last = at[is_open], along[is_open], is_last[is_open]
+    # Behind the surface is on its right, which is on the left of the way back to its start.
+    behind = np.where(is_last, 1.0, -1.0)[:, None] * np.stack([along[:, 1], -along[:, 0]], axis=1)
+    points = at + UNINSPECTED_STANDOFF * along + END_GAP * behind
+    is_open = inside_any(points, *stars)
     # The other face of a thin wall is not round the corner but behind: see find_unseen_backs.
-    is_open &= ~inside_any(at - END_GAP * along + THIN_WALL * behind, *stars)
+    is_open[is_open] = ~inside_any((at - END_GAP * along + THIN_WALL * behind)[is_open], *stars)
     points, along, at = points[is_open], along[is_open], at[is_open]
     cut_off = clearance(np.hstack([at + 1e-3 * along, points]), segments, 1e-6) == 0.0
     is_open = ~cut_off & _off_surface(points, segments)
@@ -266,46 +268,55 @@ def in_front(p: FloatArray, normal: FloatArray, segments: FloatArray, distance: 
 
 def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
     """Points on the longer stretches of uninspected surface, all in the frame of the points."""
-    p, normal = points.p, points.normal
-    rows: list[IntArray] = []
-    lengths: list[float] = []
-    for stretch in _stretches(p, normal):
-        mean = normal[stretch].mean(axis=0)
-        mean /= max(np.hypot(*mean), 1e-9)
-        along = p[stretch] @ np.array([-mean[1], mean[0]])
+    first, p, normal, length = _stretches(np.array(points.p), np.array(points.normal))
+    on_surface, ids = np.ones(len(first), dtype=np.bool_), np.full(len(first), -1, dtype=np.int64)
+    return FrontierPoints(points.goal[first], p, normal, length, on_surface, ids)
+
+
+@njit(cache=True)
+def _stretches(p: FloatArray, normal: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Points p (n, 2) with unit normals (n, 2) that hang together on one face, every stretch but the short ones cut
+    into parts of about SPACING: of each part its first point's row (k,), the means (k, 2), (k, 2), its length (k,), m.
+    """
+    n = len(p)
+    face, grid, near = np.arange(n), segment_grid(np.hstack((p, p))), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        x, y, gap = p[i, 0], p[i, 1], UNINSPECTED_GAP
+        for k in range(rows_in_box(grid, x - gap, x + gap, y - gap, y + gap, near)):
+            j = near[k]
+            same_face = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] > SAME_NORMAL
+            if j < i and same_face and (p[j, 0] - x) ** 2 + (p[j, 1] - y) ** 2 <= gap * gap:
+                connect(face, i, j)
+    settle(face)
+    row, mean_p, mean_normal = np.empty(n, dtype=np.int64), np.zeros((n, 2)), np.zeros((n, 2))
+    lengths = np.empty(n)
+    count = 0
+    for start in range(n):
+        if face[start] != start:
+            continue
+        members = np.flatnonzero(face == start)
+        mx, my = normal[members, 0].sum() / len(members), normal[members, 1].sum() / len(members)
+        size = max(math.hypot(mx, my), 1e-9)
+        along = np.dot(p[members], np.array([-my / size, mx / size]))
         # By extent, not by count: two goals may have placed the same stretch a little differently.
-        length = float(np.ptp(along)) + UNINSPECTED_SPACING
+        length = along.max() - along.min() + UNINSPECTED_SPACING
         if length < UNINSPECTED_LENGTH:
             continue
         parts = max(1, round(length / SPACING))
         part = np.minimum((parts * (along - along.min()) / length).astype(np.int64), parts - 1)
-        for k in np.unique(part):
-            rows.append(stretch[part == k])
-            lengths.append(length / parts)
-    if not rows:
-        return no_points()
-    normals = np.array([normal[r].mean(axis=0) for r in rows])
-    normals /= np.maximum(np.hypot(normals[:, 0], normals[:, 1]), 1e-9)[:, None]
-    return FrontierPoints(
-        points.goal[[r[0] for r in rows]],
-        np.array([p[r].mean(axis=0) for r in rows]),
-        normals,
-        np.array(lengths),
-        np.ones(len(rows), dtype=bool),
-        np.full(len(rows), -1, dtype=np.int64),
-    )
-
-
-def _stretches(p: FloatArray, normal: FloatArray) -> list[IntArray]:
-    """Indices of points (n, 2) that hang together on one face, with normals (n, 2); the stretch of point 0 first."""
-    if not len(p):
-        return []
-    a, b = cKDTree(p).query_pairs(UNINSPECTED_GAP, output_type="ndarray").T
-    same_face = np.sum(normal[a] * normal[b], axis=1) > 0.7
-    a, b = a[same_face], b[same_face]
-    count, label = connected_components(csr_matrix((np.ones(len(a)), (a, b)), shape=(len(p), len(p))), directed=False)
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
+        for k in range(parts):
+            of_part = members[part == k]
+            if len(of_part) == 0:
+                continue
+            for i in of_part:
+                mean_p[count] += p[i]
+                mean_normal[count] += normal[i]
+            mean_p[count] /= len(of_part)
+            mean_normal[count] /= len(of_part)
+            mean_normal[count] /= max(math.hypot(mean_normal[count, 0], mean_normal[count, 1]), 1e-9)
+            row[count], lengths[count] = of_part[0], length / parts
+            count += 1
+    return row[:count], mean_p[:count], mean_normal[:count], lengths[:count]
 
 
 def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
@@ -326,7 +337,21 @@ def _off_surface(p: FloatArray, segments: FloatArray) -> BoolArray:
 
 def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
     """Which points (n, d) have none of the others (m, d) within distance, (n,)."""
-    if not len(others):
-        return np.ones(len(p), dtype=bool)
-    square = np.sum((p[:, None] - others[None]) ** 2, axis=2)
-    return np.asarray((square > distance * distance).all(axis=1))
+    return np.asarray(most_within(p, others, np.ones(len(others), dtype=np.int64), distance) == 0)
+
+
+@njit(cache=True)
+def most_within(points: FloatArray, others: FloatArray, number: IntArray, distance: float) -> IntArray:
+    """The largest number (n,) that any of the others (m, d), each with a number (m,), has within distance of each of
+    the points (n, d); 0 where there is none."""
+    most = np.zeros(len(points), dtype=np.int64)
+    for i in range(len(points)):
+        for j in range(len(others)):
+            if number[j] <= most[i]:
+                continue
+            square = 0.0
+            for k in range(points.shape[1]):
+                square += (points[i, k] - others[j, k]) ** 2
+            if square <= distance * distance:
+                most[i] = number[j]
+    return most

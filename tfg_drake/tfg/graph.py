@@ -39,6 +39,7 @@ from tfg_drake.tfg.frontier import (
     find_unseen_backs,
     in_front,
     join,
+    most_within,
     no_points,
     open_frontiers,
     place_points,
@@ -238,6 +239,8 @@ def update(
 
     def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
         """What is found now, where that can be told; elsewhere what was found then stands."""
+        if math.isinf(reach) and len(estimate.local) == len(estimate.ids):
+            return now
         return join(select(then, ~which(then)), select(now, which(now)))
 
     updated = TfgGraph(
@@ -283,10 +286,12 @@ def resolve(
     bare &= ~otherwise.landmarks
     posts = estimate.ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
-    drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
-    facing[np.isin(estimate.ids, drifted) | otherwise.landmarks] = 0.0
+    facing[otherwise.landmarks] = 0.0
+    if not placed.here.all():
+        drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
+        facing[np.isin(estimate.ids, drifted)] = 0.0
     shadows = _open_shadows(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, shadows, explorer)
     given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
@@ -409,8 +414,7 @@ def _open_shadows(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> Fr
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
     """How many goals have tried each of the points (f,), in the map frame, in vain."""
     tried = place_points(graph.tried, estimate.X_MA).p
-    near = cKDTree(tried).query_ball_point(points.p, TRIED_DISTANCE) if len(tried) else [[]] * len(points.p)
-    return np.array([graph.tried_count[rows].max(initial=0) for rows in near], dtype=np.int64)
+    return np.asarray(most_within(points.p, tried, graph.tried_count, TRIED_DISTANCE))
 
 
 def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:

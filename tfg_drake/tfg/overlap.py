@@ -101,7 +101,7 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
     that the newest goal saw. What all of them are known worse by is the robot's own."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     if len(estimate.local):
-        (xx, xy), (_, yy) = drift_from_robot(estimate)[estimate.local].transpose(1, 2, 0)
+        (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
         distance = np.hypot(*(estimate.p_ML[estimate.local] - estimate.X_MD[:2]).T)
         badly[estimate.local] = largest - largest.min() > (MOST_DRIFT + SWING * distance) ** 2

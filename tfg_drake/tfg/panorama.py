@@ -15,6 +15,8 @@ BINS = 720
 STAMP_TOLERANCE = 1e-3
 # Rays within this many standard deviations of their bin's median range fell on the same surface.
 SAME_SURFACE = 4.0
+# So many numbers are sorted soonest by putting one after the other in its place.
+FEW = 16
 
 
 @message
@@ -44,6 +46,20 @@ class Panorama:
 
 
 @njit(cache=True)
+def _sorted(values: FloatArray) -> FloatArray:
+    """The values (n,) in ascending order, sorted in place if they are few."""
+    if len(values) > FEW:
+        return np.sort(values)
+    for i in range(1, len(values)):
+        value, at = values[i], i
+        while at > 0 and values[at - 1] > value:
+            values[at] = values[at - 1]
+            at -= 1
+        values[at] = value
+    return values
+
+
+@njit(cache=True)
 def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Bearing and range of each bin, from rays as bearing (n,) in [0, 2 pi) and range (n,), inf where free."""
     width = 2.0 * np.pi / bins
@@ -52,7 +68,10 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
     for i in index:
         start[i + 1] += 1
     start = np.cumsum(start)
-    order = np.argsort(index, kind="mergesort")
+    filled, order, by_bin = start.copy(), np.empty(len(index), dtype=np.int64), np.empty(len(index))
+    for i in range(len(index)):
+        order[filled[index[i]]], by_bin[filled[index[i]]] = i, ranges[i]
+        filled[index[i]] += 1
     angles = np.empty(bins)
     merged = np.full(bins, np.nan)
     for b in range(bins):
@@ -62,7 +81,7 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
             continue
         # The lower median is the range of an actual ray. Where the bin straddles a jump edge it lies on one of the two
         # surfaces, and only rays of that surface are averaged: no point floats between the two.
-        median = np.sort(ranges[rays])[(len(rays) - 1) // 2]
+        median = _sorted(by_bin[start[b] : start[b + 1]])[(len(rays) - 1) // 2]
         if median == np.inf:
             merged[b] = np.inf
             continue
@@ -92,18 +111,17 @@ def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatAr
     if not scans:
         raise ValueError("A panorama needs at least one scan.")
     range_max, sigma = scans[0].range_max, scans[0].sigma
+    scans = [scan for scan in scans if stamps[0] - STAMP_TOLERANCE <= scan.stamp <= stamps[-1] + STAMP_TOLERANCE]
+    at = np.array([scan.stamp for scan in scans])
     heading = np.unwrap(X_AB[:, 2])
-    bearings, ranges = [np.zeros(0)], [np.zeros(0)]
-    for scan in scans:
-        if not stamps[0] - STAMP_TOLERANCE <= scan.stamp <= stamps[-1] + STAMP_TOLERANCE:
-            continue
-        x, y = np.interp(scan.stamp, stamps, X_AB[:, 0]), np.interp(scan.stamp, stamps, X_AB[:, 1])
-        looked = ~np.isnan(scan.ranges)
-        angles = scan.angles[looked] + np.interp(scan.stamp, stamps, heading)
-        hit = np.isfinite(scan.ranges[looked])
-        reach = np.where(hit, scan.ranges[looked], range_max)
-        px, py = x + reach * np.cos(angles), y + reach * np.sin(angles)
-        bearings.append(np.arctan2(py, px) % (2.0 * np.pi))
-        ranges.append(np.where(hit, np.hypot(px, py), np.inf))
-    angles, merged = _merge(np.concatenate(bearings), np.concatenate(ranges), BINS, max(SAME_SURFACE * sigma, 1e-6))
-    return Panorama(angles, merged, range_max, sigma)
+    poses = np.stack([np.interp(at, stamps, of) for of in (X_AB[:, 0], X_AB[:, 1], heading)])
+    x, y, turned = np.repeat(poses, [len(scan.angles) for scan in scans], axis=1)
+    angles = np.concatenate([np.zeros(0), *(scan.angles for scan in scans)])
+    ranges = np.concatenate([np.zeros(0), *(scan.ranges for scan in scans)])
+    looked = ~np.isnan(ranges)
+    x, y, angles, ranges = x[looked], y[looked], angles[looked] + turned[looked], ranges[looked]
+    hit = np.isfinite(ranges)
+    reach = np.where(hit, ranges, range_max)
+    px, py = x + reach * np.cos(angles), y + reach * np.sin(angles)
+    bearings, ranges = np.arctan2(py, px) % (2.0 * np.pi), np.where(hit, np.hypot(px, py), np.inf)
+    return Panorama(*_merge(bearings, ranges, BINS, max(SAME_SURFACE * sigma, 1e-6)), range_max, sigma)

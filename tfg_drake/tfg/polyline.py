@@ -194,16 +194,28 @@ def joined(
     return result
 
 
+@njit(cache=True)
 def uncovered_runs(
-    is_covered: BoolArray, start: FloatArray, stop: FloatArray, least: float
-) -> list[tuple[float, float]]:
-    """The stretches (start, stop) of one polyline, m of arc length, that consecutive uncovered samples (n,) make.
+    owner: IntArray, is_covered: BoolArray, start: FloatArray, stop: FloatArray, least: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The stretches that consecutive uncovered samples (n,) of polylines make, see `sample`: the polyline (r,), and
+    where each starts and stops (r,), (r,), m of arc length.
 
     Stretches shorter than least (m) are left out.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], is_covered, [True]]).astype(np.int8)))
-    runs = [(float(start[a]), float(stop[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [(a, b) for a, b in runs if b - a >= least]
+    polyline, first, last = np.empty(len(owner), dtype=np.int64), np.empty(len(owner)), np.empty(len(owner))
+    count, begin = 0, -1
+    for i in range(len(owner)):
+        if is_covered[i]:
+            continue
+        if begin < 0:
+            begin = i
+        if i + 1 == len(owner) or is_covered[i + 1] or owner[i + 1] != owner[i]:
+            if stop[i] - start[begin] >= least:
+                polyline[count], first[count], last[count] = owner[i], start[begin], stop[i]
+                count += 1
+            begin = -1
+    return polyline[:count], first[:count], last[:count]
 
 
 def taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:

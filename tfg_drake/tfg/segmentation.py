@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,16 +27,17 @@ CORNER_TOLERANCE = 0.03
 LEAST_POINTS = 3
 
 
-class Component(NamedTuple):
-    """One connected surface seen from the origin of A: a polyline (v, 2) in A, m, counter-clockwise round the origin.
+class Components(NamedTuple):
+    """Connected surfaces seen from the origin of A: polylines in A, m, each counter-clockwise round the origin, in
+    order of bearing, packed as in `tfg_drake.tfg.polyline`.
 
-    The side it was seen from is therefore its left. closed: it runs all the way round; its last vertex is its first.
-    bins: (p,) panorama bins it was seen in.
+    The side they were seen from is therefore their left. offsets: (c + 1,). vertices: (v, 2). closed: the only one runs
+    all the way round; its last vertex is its first.
     """
 
-    polyline: FloatArray
+    offsets: IntArray
+    vertices: FloatArray
     closed: bool
-    bins: IntArray
 
 
 @njit(cache=True)
@@ -122,20 +124,40 @@ def panorama_links(panorama: Panorama) -> BoolArray:
     )
 
 
-def segment(panorama: Panorama, links: BoolArray) -> list[Component]:
-    """The surfaces of a panorama as polylines, in order of bearing. links: (b,) as panorama_links gives them."""
+def segment(panorama: Panorama, links: BoolArray) -> Components:
+    """The surfaces of a panorama. links: (b,) as panorama_links gives them."""
+    return Components(*_runs(panorama.points, panorama.ranges, links, CORNER_TOLERANCE + panorama.sigma))
+
+
+@njit(cache=True)
+def _runs(
+    points: FloatArray, ranges: FloatArray, links: BoolArray, tolerance: float
+) -> tuple[IntArray, FloatArray, bool]:
+    """The runs of linked points (b, 2) with their corners only, as in Components."""
     n = len(links)
-    points = panorama.points
-    tolerance = CORNER_TOLERANCE + panorama.sigma
     breaks = np.flatnonzero(~links)
-    if not len(breaks):
-        # Cut a closed surface at its farthest point, most likely a corner.
-        start = int(np.argmax(panorama.ranges))
-        bins = (start + np.arange(n + 1)) % n
-        return [Component(points[bins][find_corners(points[bins], tolerance)], True, bins[:-1])]
-    components = []
-    for left, right in zip(breaks, np.append(breaks[1:], breaks[0] + n), strict=True):
-        bins = np.arange(left + 1, right + 1) % n
-        if len(bins) >= LEAST_POINTS and np.isfinite(panorama.ranges[bins]).all():
-            components.append(Component(points[bins][find_corners(points[bins], tolerance)], False, bins))
-    return components
+    closed = len(breaks) == 0
+    offsets, vertices, run = np.zeros(len(breaks) + 2, dtype=np.int64), np.empty((n + 1, 2)), np.empty((n + 1, 2))
+    count = 0
+    for k in range(1 if closed else len(breaks)):
+        if closed:
+            # A closed surface is cut at its farthest point, most likely a corner.
+            first, length = np.argmax(ranges), n + 1
+        else:
+            last = breaks[k + 1] if k + 1 < len(breaks) else breaks[0] + n
+            first, length = breaks[k] + 1, last - breaks[k]
+        met = 0
+        for i in range(length):
+            at = (first + i) % n
+            run[i] = points[at]
+            met += math.isfinite(ranges[at])
+        if length < LEAST_POINTS or met < length:
+            continue
+        count += 1
+        offsets[count] = offsets[count - 1]
+        keep = find_corners(run[:length], tolerance)
+        for i in range(length):
+            if keep[i]:
+                vertices[offsets[count]] = run[i]
+                offsets[count] += 1
+    return offsets[: count + 1], vertices[: offsets[count]], closed

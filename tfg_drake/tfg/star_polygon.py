@@ -21,7 +21,8 @@ UNSEEN = 0.02
 def _simplify(reach: FloatArray, limit: FloatArray, angles: FloatArray, tolerance: float) -> BoolArray:
     """Which vertices to keep, greedily: no chord beyond the limit at any angle between, nor short by tolerance."""
     n = len(reach)
-    x, y = reach * np.cos(angles), reach * np.sin(angles)
+    c, s = np.cos(angles), np.sin(angles)
+    x, y = reach * c, reach * s
     keep = np.zeros(n, dtype=np.bool_)
     i = 0
     while i < n:
@@ -33,8 +34,7 @@ def _simplify(reach: FloatArray, limit: FloatArray, angles: FloatArray, toleranc
             cross = x[i] * dy - y[i] * dx
             fits = True
             for k in range(i + 1, j):
-                c, s = np.cos(angles[k]), np.sin(angles[k])
-                across = c * dy - s * dx
+                across = c[k] * dy - s[k] * dx
                 if across <= 1e-9 or cross > limit[k] * across:
                     fits = False
                     break

@@ -9,17 +9,21 @@ A surface was seen from the left of its polyline.
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import arc_length, covered, cut, nearest, pack, sample, segments_of, uncovered_runs
-from tfg_drake.tfg.segmentation import Component
+from tfg_drake.tfg.polyline import arc_length, covered, cut, nearest, pack, sample, segments_of, taken, uncovered_runs
+from tfg_drake.tfg.segmentation import Components
 
 EDGE, END, LOOSE = 0, 1, 2
 
@@ -64,7 +68,7 @@ class Surfaces:
 
 
 class _Surface(NamedTuple):
-    """One surface while the graph is being updated; the polyline (v, 2) is in the newest goal's frame, m."""
+    """One surface that is new or has changed; the polyline (v, 2) is in the newest goal's frame, m."""
 
     kind: int
     first: int
@@ -74,14 +78,47 @@ class _Surface(NamedTuple):
     polyline: FloatArray
 
 
-class _View(NamedTuple):
-    """What refutes surfaces: the newest panorama. ids: (n,) ascending, drift: (n, 2, 2) of `drift_from_robot`, R_MA:
-    (2, 2)."""
+@dataclasses.dataclass(frozen=True)
+class _Draft:
+    """The surfaces while the graph is being updated, by row: the old ones, with vertices in the newest goal's frame A,
+    m, and behind them those made since. Most of the old ones stay as they are."""
 
-    panorama: Panorama
-    ids: IntArray
-    drift: FloatArray
-    R_MA: FloatArray
+    old: Surfaces
+    made: list[_Surface]
+
+    def add(self, surface: _Surface) -> int:
+        """The row of a new surface."""
+        self.made.append(surface)
+        return len(self.old.kind) + len(self.made) - 1
+
+    def __getitem__(self, row: int) -> _Surface:
+        old, count = self.old, len(self.old.kind)
+        if row >= count:
+            return self.made[row - count]
+        first, second = old.ids[row].tolist()
+        polyline = old.vertices[old.offsets[row] : old.offsets[row + 1]]
+        return _Surface(int(old.kind[row]), first, second, int(old.goal[row]), float(old.range[row]), polyline)
+
+    def packed(self, rows: Sequence[int]) -> tuple[IntArray, FloatArray]:
+        """offsets (n + 1,) and vertices (v, 2) of the polylines of some rows (n,), in this order."""
+        old = self.old
+        offsets, vertices = pack([s.polyline for s in self.made])
+        offsets = np.concatenate([old.offsets, old.offsets[-1] + offsets[1:]])
+        return taken(np.array(rows, dtype=np.int64), offsets, np.concatenate([old.vertices, vertices]))
+
+    def numbers(self, rows: Sequence[int]) -> IntArray:
+        """kind, first, second and goal (n, 4) of some rows (n,), in this order."""
+        old = self.old
+        made = np.array([(s.kind, s.first, s.second, s.goal) for s in self.made], dtype=np.int64).reshape(-1, 4)
+        return np.concatenate([np.column_stack([old.kind, old.ids, old.goal]), made])[np.array(rows, dtype=np.int64)]
+
+    def surfaces(self, rows: Sequence[int]) -> Surfaces:
+        """Some of the surfaces, by kind and else in this order, with vertices in A."""
+        numbers = self.numbers(rows)
+        order = np.argsort(numbers[:, 0], kind="stable")
+        numbers, rows = numbers[order], np.array(rows, dtype=np.int64)[order].tolist()
+        ranges = np.concatenate([self.old.range, [s.range for s in self.made]])[rows]
+        return Surfaces(numbers[:, 0], numbers[:, 1:3], numbers[:, 3], ranges, *self.packed(rows))
 
 
 class _SeenTags(NamedTuple):
@@ -130,7 +167,7 @@ def _anchors(surfaces: Surfaces, estimate: MapEstimate) -> FloatArray:
 def add_observation(
     surfaces: Surfaces,
     estimate: MapEstimate,
-    components: Sequence[Component],
+    components: Components,
     panorama: Panorama,
     known_ids: IntArray,
     known_facing: FloatArray,
@@ -144,66 +181,66 @@ def add_observation(
     goal = estimate.stage - 1
     X_MA = estimate.X_MA[goal]
     X_AM = inverse(X_MA)
-    tags = _find_tags(estimate, X_AM, components, known_ids, known_facing)
+    tags = _find_tags(estimate, X_AM, components, panorama.range_max, known_ids, known_facing)
     edges, pieces = _from_components(components, tags, goal)
 
-    old = _unpack(surfaces, transform(X_AM, place(surfaces, estimate)))
-    view = _View(panorama, estimate.ids, drift_from_robot(estimate), rotation(float(X_MA[2])))
-    old = _break_refuted(old, view)
-    all_edges = {(min(s.first, s.second), max(s.first, s.second)): s for s in old if s.kind == EDGE}
-    new_tag = ~np.isin(tags.ids, known_ids)
-    _split_edges(all_edges, tags, new_tag)
+    draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, estimate))), [])
+    all_edges, ends = _break_refuted(draft, panorama, estimate)
+    _split_edges(all_edges, draft, tags, ~np.isin(tags.ids, known_ids))
     for key, edge in edges.items():
-        if key not in all_edges or edge.range <= all_edges[key].range:
-            all_edges[key] = edge
+        if key not in all_edges or edge.range <= draft[all_edges[key]].range:
+            all_edges[key] = draft.add(edge)
     kept_edges = list(all_edges.values())
-    edge_segments = _segments(kept_edges)
+    edge_segments = _segments(draft, kept_edges)
 
-    kept = _trim([s for s in old if s.kind != EDGE], edge_segments, EDGE_COVERS, view)
-    pieces = _trim(pieces, edge_segments, EDGE_COVERS, None)
-    pieces = _trim(pieces, _segments(kept), SURFACE_COVERS, None)
-    merged = kept_edges + sorted(kept + pieces, key=lambda s: s.kind)
+    others = np.flatnonzero(surfaces.kind != EDGE).tolist()
+    kept = _trim(draft, ends + others, edge_segments, EDGE_COVERS, panorama, estimate)
+    new = _trim(draft, [draft.add(piece) for piece in pieces], edge_segments, EDGE_COVERS)
+    new = _trim(draft, new, _segments(draft, kept), SURFACE_COVERS)
+    merged = draft.surfaces(kept_edges + kept + new)
     observed = np.isin(tags.ids, estimate.observation.ids)
-    return _pack(merged, estimate, X_MA), tags.ids[observed], tags.normal[observed]
+    return _packed(merged, estimate, X_MA), tags.ids[observed], tags.normal[observed]
 
 
 def _find_tags(
     estimate: MapEstimate,
     X_AM: FloatArray,
-    components: Sequence[Component],
+    components: Components,
+    range_max: float,
     known_ids: IntArray,
     known_facing: FloatArray,
 ) -> _SeenTags:
     """The landmarks that lie on the newest components, whether this turn saw them or earlier ones."""
     p_AL = transform(X_AM, estimate.p_ML)
-    component, along, distance, normal = nearest(p_AL, *pack([c.polyline for c in components]))
-    observed = np.isin(estimate.ids, estimate.observation.ids)
+    near = np.flatnonzero(np.hypot(p_AL[:, 0], p_AL[:, 1]) <= range_max + 2.0 * SEEN_TAG_DISTANCE)
+    ids, p_AL = estimate.ids[near], p_AL[near]
+    component, along, distance, normal = nearest(p_AL, components.offsets, components.vertices)
+    observed = np.isin(ids, estimate.observation.ids)
     facing = np.zeros((len(estimate.ids), 2))
     row = np.searchsorted(estimate.ids, known_ids)
     facing[row] = transform(np.array([0.0, 0.0, X_AM[2]]), known_facing)
-    same_side = np.sum(facing * normal, axis=1) > 0.5
+    same_side = np.sum(facing[near] * normal, axis=1) > 0.5
     on = np.where(observed, distance <= SEEN_TAG_DISTANCE, (distance <= KNOWN_TAG_DISTANCE) & same_side)
     on &= component >= 0
-    return _SeenTags(estimate.ids[on], p_AL[on], component[on], along[on], normal[on])
+    return _SeenTags(ids[on], p_AL[on], component[on], along[on], normal[on])
 
 
 def _from_components(
-    components: Sequence[Component], tags: _SeenTags, goal: int
+    components: Components, tags: _SeenTags, goal: int
 ) -> tuple[dict[tuple[int, int], _Surface], list[_Surface]]:
     """Edges between neighbouring tags of each component by their sorted ids, then wall ends and loose surfaces."""
     edges: dict[tuple[int, int], _Surface] = {}
     ends: list[_Surface] = []
     loose: list[_Surface] = []
-    for c, component in enumerate(components):
+    for c, (begin, end) in enumerate(itertools.pairwise(components.offsets.tolist())):
         mine = np.flatnonzero(tags.component == c)
         mine = mine[np.argsort(tags.along[mine], kind="stable")]
-        polyline, along = component.polyline, tags.along[mine]
-        total = float(arc_length(polyline)[-1])
-        farthest = float(np.hypot(polyline[:, 0], polyline[:, 1]).max())
+        polyline, along = components.vertices[begin:end], tags.along[mine]
         if not len(mine):
-            loose.append(_Surface(LOOSE, -1, -1, goal, farthest, polyline))
+            loose.append(_Surface(LOOSE, -1, -1, goal, _farthest(polyline), polyline))
             continue
-        if component.closed:
+        total = float(arc_length(polyline)[-1])
+        if components.closed:
             # Begin and end at the first tag, so that the last edge leads back to it.
             first = along[0]
             if 0.0 < first < total:
@@ -233,8 +270,7 @@ def _from_components(
 def _edge(tags: _SeenTags, i: int, j: int, part: FloatArray, goal: int) -> _Surface:
     polyline = part.copy()
     polyline[0], polyline[-1] = tags.p_AL[i], tags.p_AL[j]
-    farthest = float(np.hypot(polyline[:, 0], polyline[:, 1]).max())
-    return _Surface(EDGE, int(tags.ids[i]), int(tags.ids[j]), goal, farthest, polyline)
+    return _Surface(EDGE, int(tags.ids[i]), int(tags.ids[j]), goal, _farthest(polyline), polyline)
 
 
 def _end(tags: _SeenTags, i: int, polyline: FloatArray, at: int, goal: int) -> list[_Surface]:
@@ -243,8 +279,12 @@ def _end(tags: _SeenTags, i: int, polyline: FloatArray, at: int, goal: int) -> l
         return []
     polyline = polyline.copy()
     polyline[at] = tags.p_AL[i]
-    farthest = float(np.hypot(polyline[:, 0], polyline[:, 1]).max())
-    return [_Surface(END, int(tags.ids[i]), -1, goal, farthest, polyline)]
+    return [_Surface(END, int(tags.ids[i]), -1, goal, _farthest(polyline), polyline)]
+
+
+def _farthest(polyline: FloatArray) -> float:
+    """How far a polyline's farthest vertex is from the origin, m."""
+    return float(np.hypot(polyline[:, 0], polyline[:, 1]).max())
 
 
 def _detour(polyline: FloatArray) -> float:
@@ -253,17 +293,20 @@ def _detour(polyline: FloatArray) -> float:
     return float(np.hypot(*(polyline - polyline[0]).T).max() / span) if span > 1e-6 else np.inf
 
 
-def _split_edges(edges: dict[tuple[int, int], _Surface], tags: _SeenTags, new_tag: BoolArray) -> None:
-    """Replaces each edge that a newly mapped tag lies on by the two to that tag, unless those exist already."""
+def _split_edges(edges: dict[tuple[int, int], int], draft: _Draft, tags: _SeenTags, new_tag: BoolArray) -> None:
+    """Replaces each edge that a newly mapped tag lies on by the two to that tag, unless those exist already.
+
+    edges: the rows of all edges in the draft by their sorted ids. new_tag: (t,) of the tags seen.
+    """
     new = np.flatnonzero(new_tag)
     if not len(new) or not edges:
         return
     keys = list(edges)
-    owner, along, distance, normal = nearest(tags.p_AL[new], *pack([edges[key].polyline for key in keys]))
+    owner, along, distance, normal = nearest(tags.p_AL[new], *draft.packed(list(edges.values())))
     same_side = np.sum(normal * tags.normal[new], axis=1) > 0.5
     lies_on = (distance <= KNOWN_TAG_DISTANCE) & same_side
     for k in np.unique(owner[lies_on]):
-        old = edges.pop(keys[k])
+        old = draft[edges.pop(keys[k])]
         on = np.flatnonzero(lies_on & (owner == k))
         on = on[np.argsort(along[on], kind="stable")]
         total = float(arc_length(old.polyline)[-1])
@@ -277,109 +320,130 @@ def _split_edges(edges: dict[tuple[int, int], _Surface], tags: _SeenTags, new_ta
             polyline = cut(old.polyline, s[i], s[i + 1])
             polyline[0], polyline[-1] = places[i], places[i + 1]
             if _detour(polyline) <= LONGEST_DETOUR:
-                edges[key] = old._replace(first=ids[i], second=ids[i + 1], polyline=polyline)
+                edges[key] = draft.add(old._replace(first=ids[i], second=ids[i + 1], polyline=polyline))
 
 
-def _break_refuted(surfaces: Sequence[_Surface], view: _View) -> list[_Surface]:
-    """The surfaces, edges that the newest view saw past cut down to the wall ends that remain."""
-    edges = [s for s in surfaces if s.kind == EDGE]
-    points, normals, owner, start, stop = sample(*pack([s.polyline for s in edges]), SPACING)
-    refuted = _refuted(points, normals, _slack(edges, owner, normals, view), view.panorama)
-    length = np.bincount(owner[refuted], (stop - start)[refuted], minlength=len(edges))
-    kept = [s for s, gone in zip(edges, length, strict=True) if gone < REFUTED_LENGTH]
-    for i in np.flatnonzero(length >= REFUTED_LENGTH):
-        edge, own = edges[i], owner == i
+def _break_refuted(
+    draft: _Draft, panorama: Panorama, estimate: MapEstimate
+) -> tuple[dict[tuple[int, int], int], list[int]]:
+    """The rows of the draft's edges by their sorted ids, those left out that the newest panorama saw past, and the rows
+    of the wall ends that remain of these."""
+    old, count = draft.old, int(np.count_nonzero(draft.old.kind == EDGE))
+    points, normals, owner, start, stop = sample(old.offsets[: count + 1], old.vertices, SPACING)
+    refuted = _refuted(points, normals, old.ids[owner], panorama, estimate)
+    length = np.bincount(owner[refuted], (stop - start)[refuted], minlength=count)
+    keys = zip(old.ids[:count].min(axis=1).tolist(), old.ids[:count].max(axis=1).tolist(), strict=True)
+    edges, ends = dict(zip(keys, range(count), strict=True)), []
+    for i in np.flatnonzero(length >= REFUTED_LENGTH).tolist():
+        edge, own = draft[i], owner == i
+        del edges[min(edge.first, edge.second), max(edge.first, edge.second)]
         middle = 0.5 * float(stop[own][-1])
-        for a, b in uncovered_runs(refuted[own], start[own], stop[own], LEAST_LENGTH):
+        _, begin, end_at = uncovered_runs(owner[own], refuted[own], start[own], stop[own], LEAST_LENGTH)
+        for a, b in zip(begin.tolist(), end_at.tolist(), strict=True):
             anchor = edge.first if a + b <= 2.0 * middle else edge.second
-            kept.append(edge._replace(kind=END, first=anchor, second=-1, polyline=cut(edge.polyline, a, b)))
-    return kept + [s for s in surfaces if s.kind != EDGE]
+            end = edge._replace(kind=END, first=anchor, second=-1, polyline=cut(edge.polyline, a, b))
+            ends.append(draft.add(end))
+    return edges, ends
 
 
 def _trim(
-    pieces: Sequence[_Surface], segments: FloatArray, distance: float, refuted_by: _View | None
-) -> list[_Surface]:
-    """The pieces without what segments (m, 4) cover, and without what a view saw to be free."""
-    offsets, vertices = pack([s.polyline for s in pieces])
-    points, normals, owner, start, stop = sample(offsets, vertices, SPACING)
+    draft: _Draft,
+    rows: list[int],
+    segments: FloatArray,
+    distance: float,
+    refuted_by: Panorama | None = None,
+    estimate: MapEstimate | None = None,
+) -> list[int]:
+    """The rows of these pieces without what segments (m, 4) cover, and without what a panorama, with the map of then,
+    saw to be free."""
+    if not rows:
+        return []
+    points, normals, owner, start, stop = sample(*draft.packed(rows), SPACING)
     drop = covered(points, normals, segments, np.full(len(points), distance))
-    if refuted_by is not None:
-        slack = _slack(pieces, owner, normals, refuted_by)
-        drop |= _refuted(points, normals, slack, refuted_by.panorama)
-    first = np.searchsorted(owner, np.arange(len(pieces) + 1))
+    if refuted_by is not None and estimate is not None:
+        drop |= _refuted(points, normals, draft.numbers(rows)[owner, 1:3], refuted_by, estimate)
+    less = np.bincount(owner[drop], minlength=len(rows)).tolist()
+    length = np.zeros(len(rows))
+    length[owner] = stop
+    left, begin, end = uncovered_runs(owner, drop, start, stop, LEAST_LENGTH)
+    begin, end = np.maximum(begin - OVERLAP, 0.0), np.minimum(end + OVERLAP, length[left])
+    runs = np.searchsorted(left, np.arange(len(rows) + 1)).tolist()
     trimmed = []
-    for i, piece in enumerate(pieces):
-        own = slice(first[i], first[i + 1])
-        if not drop[own].any():
-            trimmed.append(piece)
+    for i, row in enumerate(rows):
+        if not less[i]:
+            trimmed.append(row)
             continue
-        for a, b in uncovered_runs(drop[own], start[own], stop[own], LEAST_LENGTH):
-            a, b = max(a - OVERLAP, 0.0), min(b + OVERLAP, float(stop[own][-1]))
-            trimmed.append(piece._replace(polyline=cut(piece.polyline, a, b)))
+        piece = draft[row]
+        for r in range(runs[i], runs[i + 1]):
+            trimmed.append(draft.add(piece._replace(polyline=cut(piece.polyline, begin[r], end[r]))))
     return trimmed
 
 
-def _slack(surfaces: Sequence[_Surface], owner: IntArray, normals: FloatArray, view: _View) -> FloatArray:
-    """How far (n,), m along the normals, points on surfaces owner (n,), with normals (n, 2) in A, may have been mapped
-    from where they would be seen now; none for surfaces without a landmark."""
-    sigma = np.zeros(len(owner))
-    normal = normals @ view.R_MA.T
-    for side in ("first", "second"):
-        ids = np.array([getattr(s, side) for s in surfaces], dtype=np.int64)[owner]
-        anchored = ids >= 0
-        C = view.drift[np.searchsorted(view.ids, ids[anchored])]
-        variance = np.einsum("ni,nij,nj->n", normal[anchored], C, normal[anchored])
-        sigma[anchored] = np.maximum(sigma[anchored], np.sqrt(np.maximum(variance, 0.0)))
-    return np.asarray(DRIFT_SIGMAS * sigma)
-
-
-def _refuted(points: FloatArray, normals: FloatArray, slack: FloatArray, panorama: Panorama) -> BoolArray:
+def _refuted(
+    points: FloatArray, normals: FloatArray, ids: IntArray, panorama: Panorama, estimate: MapEstimate
+) -> BoolArray:
     """Which points (n, 2) with unit normals (n, 2) in A the panorama saw past, in their bin and its neighbours, (n,).
 
-    slack: (n,) m along the normals, by how much more than REFUTED_DEPTH. Surfaces nearly edge-on are let be: a thin
-    wall shows nothing of itself there.
+    ids: (n, 2) the landmarks that they are anchored to, -1 for none: so far as these may have drifted, seen from the
+    robot, they may be seen past.
     """
-    bins = len(panorama.ranges)
-    reach = np.where(np.isinf(panorama.ranges), panorama.range_max, np.nan_to_num(panorama.ranges, posinf=0.0))
-    least = np.min([np.roll(reach, k) for k in range(-REFUTED_BINS, REFUTED_BINS + 1)], axis=0)
-    bearing = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi)
-    index = np.minimum((bearing * bins / (2.0 * np.pi)).astype(np.int64), bins - 1)
-    distance = np.hypot(points[:, 0], points[:, 1])
-    cosine = np.abs(np.sum(points * normals, axis=1)) / np.maximum(distance, 1e-9)
-    broadside = cosine >= np.cos(REFUTED_INCIDENCE)
-    return np.asarray(broadside & (cosine * (least[index] - REFUTED_DEPTH - distance) > slack))
+    depth = _seen_past(points, normals, panorama.ranges, panorama.range_max)
+    refuted = depth > 0.0
+    asked = np.flatnonzero(refuted)
+    if not len(asked):
+        return np.asarray(refuted)
+    sigma, normal = np.zeros(len(asked)), normals[asked] @ rotation(float(estimate.X_MA[-1, 2])).T
+    for side in ids[asked].T:
+        anchored = side >= 0
+        C = drift_from_robot(estimate, np.searchsorted(estimate.ids, side[anchored]))
+        variance = np.einsum("ni,nij,nj->n", normal[anchored], C, normal[anchored])
+        sigma[anchored] = np.maximum(sigma[anchored], np.sqrt(np.maximum(variance, 0.0)))
+    refuted[asked] = depth[asked] > DRIFT_SIGMAS * sigma
+    return np.asarray(refuted)
 
 
-def _segments(surfaces: Sequence[_Surface]) -> FloatArray:
-    return segments_of(*pack([s.polyline for s in surfaces]))[0]
+@njit(cache=True)
+def _seen_past(points: FloatArray, normals: FloatArray, ranges: FloatArray, range_max: float) -> FloatArray:
+    """How much farther (n,), m along the normal, than REFUTED_DEPTH behind points (n, 2) with unit normals (n, 2) in A
+    a panorama of ranges (b,), m, saw at least, in the point's bin and its neighbours; 0 where it did not.
+
+    Surfaces nearly edge-on are let be: a thin wall shows nothing of itself there.
+    """
+    bins = len(ranges)
+    reach = np.empty(bins)
+    for b in range(bins):
+        reach[b] = range_max if ranges[b] == np.inf else (0.0 if math.isnan(ranges[b]) else ranges[b])
+    depth = np.zeros(len(points))
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        distance = math.hypot(x, y)
+        if distance >= range_max:
+            continue
+        cosine = abs(x * normals[i, 0] + y * normals[i, 1]) / max(distance, 1e-9)
+        if cosine < math.cos(REFUTED_INCIDENCE):
+            continue
+        b = min(int((math.atan2(y, x) % (2.0 * math.pi)) * bins / (2.0 * math.pi)), bins - 1)
+        least = np.inf
+        for k in range(b - REFUTED_BINS, b + REFUTED_BINS + 1):
+            least = min(least, reach[k % bins])
+        depth[i] = max(0.0, cosine * (least - REFUTED_DEPTH - distance))
+    return depth
 
 
-def _unpack(surfaces: Surfaces, vertices: FloatArray) -> list[_Surface]:
-    offsets = surfaces.offsets.tolist()
-    rows = zip(
-        surfaces.kind.tolist(), surfaces.ids.tolist(), surfaces.goal.tolist(), surfaces.range.tolist(), strict=True
-    )
-    return [
-        _Surface(kind, first, second, goal, farthest, vertices[offsets[i] : offsets[i + 1]])
-        for i, (kind, (first, second), goal, farthest) in enumerate(rows)
-    ]
+def _segments(draft: _Draft, rows: list[int]) -> FloatArray:
+    return segments_of(*draft.packed(rows))[0]
 
 
-def _pack(surfaces: Sequence[_Surface], estimate: MapEstimate, X_MA: FloatArray) -> Surfaces:
-    """Back from the newest goal's frame to the coordinates of each kind: the inverse of place."""
-    offsets, vertices = pack([s.polyline for s in surfaces])
-    anchors = [(s.kind, s.goal) for s in surfaces]
-    kind, goal = np.array(anchors, dtype=np.int64).reshape(-1, 2).T
-    ids = np.array([(s.first, s.second) for s in surfaces], dtype=np.int64).reshape(-1, 2)
-    packed = Surfaces(kind, ids, goal, np.array([s.range for s in surfaces]), offsets, vertices)
-    count = np.diff(offsets)
-    kinds = np.repeat(kind, count)
-    theta = np.repeat(estimate.X_MA[goal, 2], count)
-    origin = np.repeat(_anchors(packed, estimate), count, axis=0)
-    span = np.repeat(_positions(ids[:, 1], estimate), count, axis=0) - origin
+def _packed(surfaces: Surfaces, estimate: MapEstimate, X_MA: FloatArray) -> Surfaces:
+    """The surfaces, from the newest goal's frame back in the coordinates of each kind: the inverse of place."""
+    count = np.diff(surfaces.offsets)
+    kinds = np.repeat(surfaces.kind, count)
+    theta = np.repeat(estimate.X_MA[surfaces.goal, 2], count)
+    origin = np.repeat(_anchors(surfaces, estimate), count, axis=0)
+    span = np.repeat(_positions(surfaces.ids[:, 1], estimate), count, axis=0) - origin
     x = np.where(kinds == EDGE, span[:, 0], np.cos(theta))
     y = np.where(kinds == EDGE, span[:, 1], np.sin(theta))
-    offset = transform(X_MA, vertices) - origin
+    offset = transform(X_MA, surfaces.vertices) - origin
     square = x * x + y * y
     local = np.stack([x * offset[:, 0] + y * offset[:, 1], x * offset[:, 1] - y * offset[:, 0]], axis=1)
-    return Surfaces(kind, ids, goal, packed.range, offsets, local / square[:, None])
+    return replace(surfaces, vertices=local / square[:, None])
