@@ -1,0 +1,191 @@
+"""A planar graph of poses, landmarks and the odometry's calibration: its factors in arrays, linearised, grown, solved.
+
+The unknowns are one vector: the poses (x, y, theta), the landmarks (x, y) and last the calibration (scale of distance,
+bias and scale of the gyro), which a graph without odometry leaves alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.least_squares import MOST_STEPS, Rows, cost, minimise
+
+# Poses that a graph grows by before it is solved again.
+POSES_AT_ONCE = 50
+
+# Called with the share of the work done, 0 to 1.
+OnProgress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class _Factors:
+    """Arrays with a row a factor."""
+
+    def take(self, rows: IntArray | slice) -> Self:
+        """Some of the factors."""
+        return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+
+@dataclass(frozen=True)
+class Motions(_Factors):
+    """Measured poses of one pose in another.
+
+    first, second: (m,) their rows. X_ij: (m, 3), the second in the first. whitener: (m, 3, 3) of its error (x, y, theta).
+    """
+
+    first: IntArray
+    second: IntArray
+    X_ij: FloatArray
+    whitener: FloatArray
+
+    def later(self) -> IntArray:
+        """(m,) the later of the two poses."""
+        return np.maximum(self.first, self.second)
+
+    def measured(self, calibration: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """X_ij (m, 3) with a calibration (3,), and its Jacobian (m, 3, c): without columns if it depends on none."""
+        del calibration
+        return self.X_ij, np.empty((len(self.X_ij), 3, 0))
+
+
+@dataclass(frozen=True)
+class Sightings(_Factors):
+    """Landmarks seen from poses.
+
+    pose, landmark: (s,) their rows. p_BL: (s, 2) m, where the landmark seems to be in the body. huber: the whitened error
+    beyond which one counts in proportion to its length.
+    """
+
+    pose: IntArray
+    landmark: IntArray
+    p_BL: FloatArray
+    huber: ClassVar[float] = math.inf
+
+    def error(self, p_BL: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The whitened error (s, 2) if the landmarks are at p_BL (s, 2) in the body, and its Jacobian (s, 2, 2)."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class PlanarGraph:
+    """k poses, n landmarks and what ties them.
+
+    motions: by their later, then their earlier pose. sightings: by their pose. held: rows of poses that stay where they
+    are. calibration_sigma: (3,) what is known of the calibration beforehand, None if it is no unknown.
+    """
+
+    poses: int
+    landmarks: int
+    motions: Motions
+    sightings: Sightings
+    held: IntArray
+    calibration_sigma: FloatArray | None = None
+
+    def parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Poses (k, 3), landmarks (n, 2) and calibration (3,) as views of a vector of the unknowns."""
+        X_MB, p_ML, calibration = np.split(x, [3 * self.poses, 3 * self.poses + 2 * self.landmarks])
+        return X_MB.reshape(-1, 3), p_ML.reshape(-1, 2), calibration
+
+    def linearise(self, x: FloatArray) -> list[Rows]:
+        """All residuals, those of the sightings last."""
+        X_MB, p_ML, calibration = self.parts(x)
+        at_calibration = len(x) - 3 + np.arange(3)
+        rows = []
+        if self.calibration_sigma is not None:
+            whitener = np.diag(1.0 / self.calibration_sigma)
+            rows.append(Rows((whitener @ calibration)[None], at_calibration[None], whitener[None]))
+
+        ties = self.motions
+        measured, on_calibration = ties.measured(calibration)
+        p, on_first, on_p = in_body(X_MB[ties.first], X_MB[ties.second, :2])
+        turn = X_MB[ties.second, 2] - X_MB[ties.first, 2]
+        error = np.column_stack([p - measured[:, :2], se2.wrap_angle(turn - measured[:, 2])])
+        m, c = len(error), on_calibration.shape[2]
+        jacobian = np.zeros((m, 3, 6 + c))
+        jacobian[:, :2, :3], jacobian[:, :2, 3:5] = on_first, on_p
+        jacobian[:, 2, 2], jacobian[:, 2, 5] = -1.0, 1.0
+        jacobian[:, :, 6:] = -on_calibration
+        columns = [_at(ties.first, 3), _at(ties.second, 3), np.broadcast_to(at_calibration[:c], (m, c))]
+        residual = np.einsum("mij,mj->mi", ties.whitener, error)
+        rows.append(Rows(residual, np.hstack(columns), ties.whitener @ jacobian))
+
+        seen = self.sightings
+        p, on_pose, on_p = in_body(X_MB[seen.pose], p_ML[seen.landmark])
+        residual, on_body = seen.error(p)
+        columns = [_at(seen.pose, 3), 3 * self.poses + _at(seen.landmark, 2)]
+        jacobian = on_body @ np.concatenate([on_pose, on_p], axis=2)
+        rows.append(Rows(residual, np.hstack(columns), jacobian, seen.huber))
+        return rows
+
+    def cost(self, x: FloatArray) -> float:
+        """Half the sum of squared whitened errors, with Huber's function where sightings have a threshold."""
+        return cost(self.linearise(x))
+
+    def solved(self, x: FloatArray, most_steps: int = MOST_STEPS) -> tuple[FloatArray, float]:
+        """The unknowns of least cost that steps from x lead to, and that cost."""
+        return minimise(self.linearise, x, _at(self.held, 3).ravel(), most_steps)
+
+    def grown(self, x: FloatArray, report: OnProgress) -> FloatArray:
+        """The unknowns near the solution, pose by pose added by the motion that ties it to the latest before it, each
+        landmark where it is seen first: dead reckoning alone would go far astray.
+
+        x: the poses to begin from, at least the first; nan where a pose is to be added.
+        """
+        ties, seen = self.motions, self.sightings
+        later = ties.later()
+        tie = np.zeros(self.poses, dtype=np.int64)
+        tie[later] = np.arange(len(later))
+        first_seen = np.full(self.landmarks, len(seen.pose))
+        np.minimum.at(first_seen, seen.landmark, np.arange(len(seen.landmark)))
+        x, begin = x.copy(), 0
+        while begin < self.poses:
+            end = min(begin + POSES_AT_ONCE, self.poses)
+            X_MB, p_ML, calibration = self.parts(x)
+            measured, _ = ties.measured(calibration)
+            for i in range(begin, end):
+                if np.isnan(X_MB[i, 0]):
+                    e = tie[i]
+                    forward = ties.second[e] == i
+                    X_MB[i] = se2.compose(
+                        X_MB[ties.first[e] if forward else ties.second[e]],
+                        measured[e] if forward else se2.inverse(measured[e]),
+                    )
+            sighted = slice(*np.searchsorted(seen.pose, [begin, end]))
+            new = np.flatnonzero((first_seen >= sighted.start) & (first_seen < sighted.stop))
+            p_ML[new] = in_map(X_MB[seen.pose[first_seen[new]]], seen.p_BL[first_seen[new]])
+            so_far = replace(
+                self,
+                motions=ties.take(slice(0, np.searchsorted(later, end))),
+                sightings=seen.take(slice(0, sighted.stop)),
+            )
+            x, _ = so_far.solved(x, most_steps=1)
+            begin = end
+            report(end / self.poses)
+        return x
+
+
+def in_body(X_MB: FloatArray, p_M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """p_B (n, 2) of points p_M (n, 2) as poses (n, 3) see them; its Jacobians on pose (n, 2, 3) and point (n, 2, 2)."""
+    c, s = np.cos(X_MB[:, 2]), np.sin(X_MB[:, 2])
+    R_BM = np.stack([c, s, -s, c], axis=1).reshape(-1, 2, 2)
+    p_B = np.einsum("nij,nj->ni", R_BM, p_M - X_MB[:, :2])
+    turned = np.column_stack([p_B[:, 1], -p_B[:, 0]])
+    return p_B, np.concatenate([-R_BM, turned[:, :, None]], axis=2), R_BM
+
+
+def in_map(X_MB: FloatArray, p_B: FloatArray) -> FloatArray:
+    """p_M (n, 2) of points p_B (n, 2), each in the frame of its pose (n, 3)."""
+    c, s = np.cos(X_MB[:, 2]), np.sin(X_MB[:, 2])
+    return np.asarray(X_MB[:, :2] + np.column_stack([c * p_B[:, 0] - s * p_B[:, 1], s * p_B[:, 0] + c * p_B[:, 1]]))
+
+
+def _at(rows: IntArray, width: int) -> IntArray:
+    """(m, width) the unknowns of rows (m,) of that width."""
+    return np.asarray(width * rows[:, None] + np.arange(width))
