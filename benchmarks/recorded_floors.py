@@ -104,7 +104,12 @@ def in_checkout(checkout: Path, *arguments: str) -> str:
     """The output of this file run with a checkout's code."""
     environment = os.environ | {"PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, __file__, *arguments], env=environment, cwd=checkout, stdout=subprocess.PIPE, text=True, check=True
+        [sys.executable, __file__, *arguments],
+        env=environment,
+        cwd=checkout,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
     )
     return done.stdout
 
@@ -153,7 +158,10 @@ def main() -> None:
             print(f"{mission.name}  {checkout.name} {row['version']}  {shown}", flush=True)
     ratios = {name: [] for name in ("rmse", "aligned", "cpu")}
     for mission in missions:
-        new, old = ([row for row in rows if row["mission"] == mission.name and row["checkout"] == str(one)] for one in (checkouts[0], checkouts[-1]))
+        new, old = (
+            [row for row in rows if row["mission"] == mission.name and row["checkout"] == str(one)]
+            for one in (checkouts[0], checkouts[-1])
+        )
         if new and old and len(checkouts) == 2:
             for name, values in ratios.items():
                 values.append(new[-1][name] / old[-1][name])

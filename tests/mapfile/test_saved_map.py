@@ -162,9 +162,7 @@ def test_an_array_of_zeros_is_not_unpacked(path):
 def test_a_shape_without_numbers_asks_for_no_memory(path):
     shape = np.array([[0, 10**9]] * 3)
     rewrite(path, **{"graph.keyframes.p_AL__shape": shape, "graph.keyframes.p_AL": np.zeros(0)})
-    assert error_of(path) == (
-        "FILE is not a whole map: graph.keyframes.p_AL@shape does not fit graph.keyframes.p_AL"
-    )
+    assert error_of(path) == ("FILE is not a whole map: graph.keyframes.p_AL@shape does not fit graph.keyframes.p_AL")
 
 
 def test_missing_and_foreign_files(tmp_path):

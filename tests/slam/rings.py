@@ -31,9 +31,7 @@ def way(rng, X_DA, covariance=ODOMETRY, noise=1.0):
     """A piece of way without tags."""
     error = noise * np.linalg.cholesky(covariance) @ rng.normal(size=3)
     nothing = np.empty(0, dtype=np.int64)
-    return GoalObservation(
-        nothing, np.empty((0, 2)), X_DA + error, covariance, np.empty(0), np.empty((0, 3))
-    )
+    return GoalObservation(nothing, np.empty((0, 2)), X_DA + error, covariance, np.empty(0), np.empty((0, 3)))
 
 
 def ring(seed, noise=1.0, goals=24, radius=12.0, tags=120, reach=5.0, laps=1.0):

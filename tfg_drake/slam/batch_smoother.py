@@ -91,8 +91,12 @@ class _BearingRange(Sightings):
         bearing, distance, sigma_bearing, sigma_range = self.z.T
         x, y = p_BL.T
         r = np.hypot(x, y)
-        error = np.column_stack([se2.wrap_angle(np.arctan2(y, x) - bearing) / sigma_bearing, (r - distance) / sigma_range])
-        jacobian = np.stack([-y / r**2 / sigma_bearing, x / r**2 / sigma_bearing, x / r / sigma_range, y / r / sigma_range])
+        error = np.column_stack(
+            [se2.wrap_angle(np.arctan2(y, x) - bearing) / sigma_bearing, (r - distance) / sigma_range]
+        )
+        jacobian = np.stack(
+            [-y / r**2 / sigma_bearing, x / r**2 / sigma_bearing, x / r / sigma_range, y / r / sigma_range]
+        )
         return error, jacobian.T.reshape(-1, 2, 2)
 
 

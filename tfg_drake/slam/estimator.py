@@ -341,9 +341,7 @@ def _with_keyframes(
             graph = replace(graph, p_ML=estimate.p_ML)
             graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
         is_goal = observation is goal
-        graph, estimate, rejected = updated(
-            graph, estimate, observation, limit if is_goal else None, is_view=is_goal
-        )
+        graph, estimate, rejected = updated(graph, estimate, observation, limit if is_goal else None, is_view=is_goal)
     return graph, estimate, rejected
 
 

@@ -103,7 +103,9 @@ def _normal_equations(rows: Sequence[Rows], free: BoolArray) -> tuple[sparse.csc
     residuals, data, columns, widths = [], [], [], []
     for one in rows:
         length = np.linalg.norm(one.residual, axis=1)
-        weight = np.sqrt(one.huber / np.maximum(length, one.huber)) if math.isfinite(one.huber) else np.ones(len(length))
+        weight = (
+            np.sqrt(one.huber / np.maximum(length, one.huber)) if math.isfinite(one.huber) else np.ones(len(length))
+        )
         m, d, w = one.jacobian.shape
         residuals.append((weight[:, None] * one.residual).ravel())
         data.append((weight[:, None, None] * one.jacobian).ravel())

@@ -39,9 +39,7 @@ def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> L
     """The localiser at the departure pose of the newest map, or at the origin of an empty one."""
     if map_estimate is None:
         nothing = np.empty(0, dtype=np.int64)
-        return Localizer(
-            np.zeros(3), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE)))
-        )
+        return Localizer(np.zeros(3), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE))))
     return _around(model, map_estimate, map_estimate.X_MD)
 
 
