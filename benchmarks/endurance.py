@@ -58,7 +58,7 @@ def main() -> None:
         assert estimate is not None
         if rows and stamp // BIN > rows[-1][0] // BIN:
             report((stamp // BIN) * BIN)
-        rows.append([stamp, len(graph.observations), len(graph.ids), len(estimate.local), spent])
+        rows.append([stamp, len(graph.view_keyframe), len(graph.ids), len(estimate.local), spent])
         return state
 
     print("   min   goals  landmarks  jointly   ms mean   ms most")

@@ -1,14 +1,12 @@
-"""What one more goal costs on maps of 1000, 10 000 and 100 000 landmarks, beside GTSAM's own ways.
+"""What one more goal costs on maps of 1000, 4000 and 10 000 landmarks.
 
     python benchmarks/map_size.py
     python benchmarks/map_size.py --landmarks 1000 10000 --goals 40
 
 A robot goes to and fro over a plain of tags, 35 in view of a goal, a third of them new. A map of the size asked for is
-laid out at once, solved, and then grown by --goals goals, turning back where a row ends. A row a size: median CPU
-milliseconds a goal of the whole update and of the joint covariance in it that planning needs, the slowest goal
-(a turn back closes a loop, and the whole graph may be solved), and bytes a landmark of the graph in memory and in a map
-file; beside it, on the same factors, the median of gtsam.ISAM2.update and of gtsam.Marginals with the joint covariance
-of the 50 landmarks nearest to the newest goal. What takes more than --patience seconds is not done: -.
+laid out at once, solved, and then grown by --goals goals, turning back where a row ends. A row a size: CPU milliseconds
+a goal, mean, median and most (a solve of the whole graph is among them where one is due), of a solve by itself, and
+bytes a landmark of the graph in memory and in a map file.
 """
 
 from __future__ import annotations
@@ -16,28 +14,25 @@ from __future__ import annotations
 import argparse
 import io
 import math
-import multiprocessing
 import time
-from collections.abc import Callable
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, D, L
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, GoalObservation, MapEstimate
-from tfg_drake.slam import map_solver
-from tfg_drake.slam.goal_arrival import add_goal
-from tfg_drake.slam.goal_factors import factor_graph, joint_factor, segment_factor, values_of
-from tfg_drake.slam.goal_graph import GoalGraph, empty_graph, goal_factor
+from tfg_drake.mapfile.message_arrays import to_arrays
+from tfg_drake.mapfile.saved_map import REGISTRY
+from tfg_drake.messages import FloatArray, GoalObservation, MapEstimate, replace
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, fused, keyframe
+from tfg_drake.slam.map_solver import solve
+from tfg_drake.slam.map_update import finished, needs_solve, updated
 
 PITCH = 5.0  # m between goals
 REACH = 10.0  # m a tag is seen
 IN_VIEW = 35
 NEW = 12  # landmarks a goal
-SEGMENT = np.diag([0.1, 0.1, 0.02]) ** 2
+ODOMETRY = np.diag([0.1, 0.1, 0.02]) ** 2
 X_AD = np.array([0.0, 0.0, 0.1])
 
 
@@ -74,10 +69,12 @@ class Synthetic:
             X_AB=np.empty((0, 3)),
         )
 
-    def segment(self, k: int) -> FloatArray:
-        """X_DA (3,) from goal k - 1 to goal k as odometry has it."""
+    def way(self, k: int) -> GoalObservation:
+        """The way from goal k - 1 to goal k as odometry has it."""
         X_WD = se2.compose(self.X_WA[k - 1], X_AD)
-        return se2.between(X_WD, self.X_WA[k]) + np.sqrt(np.diag(SEGMENT)) * self.rng.standard_normal(3)
+        X_DA = se2.between(X_WD, self.X_WA[k]) + np.sqrt(np.diag(ODOMETRY)) * self.rng.standard_normal(3)
+        nothing = np.empty(0, dtype=np.int64)
+        return GoalObservation(nothing, np.empty((0, 2)), X_DA, ODOMETRY, np.empty(0), np.empty((0, 3)))
 
 
 class Plain(Synthetic):
@@ -96,122 +93,58 @@ class Plain(Synthetic):
         corner = PITCH * np.array([across, rows])
         super().__init__(X_WA, rng.uniform(-PITCH, corner, (NEW * across * rows, 2)), rng)
 
-    def map(self) -> tuple[GoalGraph, MapEstimate]:
+    def map(self) -> tuple[KeyframeGraph, MapEstimate]:
         """The solved map of the first goals, laid out at the truth: growing it goal by goal would take hours."""
-        graph, estimate = empty_graph(), None
-        k = self.before
-        observations = tuple(self.observation(i) for i in range(k))
-        for i, observation in enumerate(observations[:40]):
-            graph, _ = add_goal(graph, estimate, observation, self.segment(i) if i else X_AD, SEGMENT)
-            graph, estimate = map_solver.solve(graph, float(i), observation)
-        X_MW = se2.inverse(self.X_WA[0])
-        ids, sightings = np.unique(np.concatenate([one.ids for one in observations]), return_counts=True)
-        X_MA = se2.compose(X_MW, self.X_WA[:k])
-        X_MD = np.array([se2.compose(X, one.X_AD) for X, one in zip(X_MA, observations, strict=True)])
-        graph = GoalGraph(
-            observations=tuple(goal_factor(one) for one in observations),
-            is_goal=np.ones(k, dtype=bool),
-            X_DA=np.array([self.segment(i) for i in range(1, k)]),
-            segment_covariance=np.tile(SEGMENT, (k - 1, 1, 1)),
-            X_MA=X_MA,
-            X_MD=X_MD,
+        X_MW, seen, X_MN = se2.inverse(self.X_WA[0]), [], [np.zeros(3)]
+        for k in range(self.before):
+            X_MA = se2.compose(X_MW, self.X_WA[k])
+            if k > 0:
+                seen.append(self.way(k))
+                X_MN.append(X_MA)
+            seen.append(self.observation(k))
+            X_MN.append(se2.compose(X_MA, X_AD))
+        ids = np.unique(np.concatenate([one.ids for one in seen]))
+        graph = replace(
+            empty_graph(),
+            keyframes=tuple(keyframe(one) for one in seen),
+            X_MN=np.array(X_MN),
+            view_keyframe=np.arange(0, len(seen), 2),
+            X_AV=np.zeros((self.before, 3)),
             ids=ids,
             p_ML=se2.transform(X_MW, self.p_WL[ids]),
-            sightings=sightings,
-            travel_covariance=np.tile(graph.travel_covariance[-10:].mean(axis=0), (k - 1, 1, 1)),
-            departure_covariance=np.tile(graph.departure_covariance[-1], (k, 1, 1)),
-            landmark_covariance=np.tile(graph.landmark_covariance.mean(axis=0), (len(ids), 1, 1)),
-            entropy=0.0,
+            landmark_covariance=np.tile(0.01 * np.eye(2), (len(ids), 1, 1)),
         )
-        graph = map_solver.settle(graph)
-        return graph, map_solver.restored(graph, 0.0, observations[-1])
+        return solve(graph, 0.0, seen[-1])
 
 
-def ours(plain: Plain, graph: GoalGraph, estimate: MapEstimate, goals: int) -> tuple[GoalGraph, FloatArray]:
-    """The map with the goals added, and CPU s of each: (goals, 2), the whole update and the covariance's part of it."""
-    spent = np.zeros((goals, 2))
-    joint = map_solver._joint
-
-    def timed(*arguments, **named):
-        begin = time.process_time()
-        result = joint(*arguments, **named)
-        spent[i, 1] += time.process_time() - begin
-        return result
-
-    map_solver._joint = timed
+def grown(plain: Plain, graph: KeyframeGraph, estimate: MapEstimate, goals: int) -> tuple[KeyframeGraph, FloatArray]:
+    """The map with the goals added, and CPU s of each (goals,)."""
+    spent, solved = np.zeros(goals), graph
     for i in range(goals):
         k = plain.before + i
-        observation, segment = plain.observation(k), plain.segment(k)
+        way, goal = plain.way(k), plain.observation(k)
         begin = time.process_time()
-        graph, _ = add_goal(graph, estimate, observation, segment, SEGMENT)
-        graph, estimate = map_solver.solve(graph, float(k), observation)
-        spent[i, 0] = time.process_time() - begin
-    map_solver._joint = joint
+        for observation in (way, goal):
+            graph, estimate, _ = updated(graph, estimate, observation, is_view=observation is goal)
+        if needs_solve(graph, solved, estimate):
+            graph, estimate = solve(fused(replace(graph, p_ML=estimate.p_ML)), float(k), goal)
+            solved = graph
+        else:
+            graph, estimate = finished(graph, estimate, float(k), goal)
+        spent[i] = time.process_time() - begin
     return graph, spent
 
 
-def isam2(graph: GoalGraph, before: int) -> float:
-    """Median CPU s of ISAM2's update for each goal from `before` on, all older ones given at once."""
-    solver = gtsam.ISAM2(gtsam.ISAM2Params())
-    known: set[int] = set()
-    values, spent = values_of(graph), []
-    for k in range(before - 1, len(graph.observations)):
-        factors, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for j in range(before) if k == before - 1 else [k]:
-            factor = joint_factor(graph, j)
-            factors.add(factor)
-            if j > 0:
-                factors.add(segment_factor(j - 1, j, graph.X_DA[j - 1], graph.segment_covariance[j - 1]))
-            else:
-                factors.add(gtsam.PriorFactorPose2(A(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-7)))
-            for key in list(factor.keys()):
-                if key not in known:
-                    known.add(key)
-                    if gtsam.Symbol(key).chr() == ord("l"):
-                        new.insert(key, values.atPoint2(key))
-                    else:
-                        new.insert(key, values.atPose2(key))
-        begin = time.process_time()
-        solver.update(factors, new)
-        solver.calculateEstimate()
-        spent.append(time.process_time() - begin)
-    return float(np.median(spent[1:]))
-
-
-def marginals(graph: GoalGraph) -> float:
-    """CPU s of gtsam.Marginals and the joint covariance of the 50 landmarks nearest to the newest goal."""
-    nearest = np.argsort(np.hypot(*(graph.p_ML - graph.X_MD[-1, :2]).T))[:50]
-    factors, values = factor_graph(graph), values_of(graph)
-    begin = time.process_time()
-    keys = [*(L(int(tag)) for tag in graph.ids[nearest]), D(len(graph.observations) - 1)]
-    gtsam.Marginals(factors, values).jointMarginalCovariance(keys)
-    return time.process_time() - begin
-
-
-def patiently(patience: float, function: Callable[..., float], *arguments: object) -> float:
-    """What a function returns in a process of its own, nan if that takes longer than patience (s) or it fails."""
-    receiver, sender = multiprocessing.Pipe(duplex=False)
-    process = multiprocessing.Process(target=lambda: sender.send(function(*arguments)))
-    process.start()
-    result = receiver.recv() if receiver.poll(patience) else math.nan
-    process.kill()
-    process.join()
-    return float(result)
-
-
-def bytes_in_memory(graph: GoalGraph) -> int:
+def bytes_in_memory(graph: KeyframeGraph) -> int:
     """Of all its arrays."""
     total = sum(value.nbytes for value in vars(graph).values() if isinstance(value, np.ndarray))
-    for one in graph.observations:
+    for one in graph.keyframes:
         total += sum(value.nbytes for value in vars(one).values() if isinstance(value, np.ndarray))
     return total
 
 
-def bytes_in_file(graph: GoalGraph) -> int:
+def bytes_in_file(graph: KeyframeGraph) -> int:
     """As a map file has it."""
-    from tfg_drake.mapfile.message_arrays import to_arrays
-    from tfg_drake.mapfile.saved_map import REGISTRY
-
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **to_arrays(graph, REGISTRY))
     return len(buffer.getvalue())
@@ -220,42 +153,24 @@ def bytes_in_file(graph: GoalGraph) -> int:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--landmarks", type=int, nargs="+", default=[1000, 10_000, 100_000])
+    parser.add_argument("--landmarks", type=int, nargs="+", default=[1000, 4000, 10_000])
     parser.add_argument("--goals", type=int, default=30)
-    parser.add_argument("--patience", type=float, default=300.0)
     options = parser.parse_args()
-
-    heads = (
-        "landmarks",
-        "goals",
-        "update ms",
-        "cov. ms",
-        "slowest ms",
-        "bytes each",
-        "in file",
-        "ISAM2 ms",
-        "Marg. ms",
-    )
-    print("".join(f"{head:>12}" for head in heads))
-    for landmarks in options.landmarks:
-        plain = Plain(landmarks, options.goals)
-        graph, estimate = plain.map()
-        grown, spent = ours(plain, graph, estimate, options.goals)
-        row = [
-            len(graph.ids),
-            len(graph.observations),
-            1e3 * np.median(spent[:, 0]),
-            1e3 * np.median(spent[:, 1]),
-            1e3 * spent[:, 0].max(),
-            bytes_in_memory(grown) / len(grown.ids),
-            bytes_in_file(grown) / len(grown.ids),
-            1e3 * patiently(options.patience, isam2, grown, plain.before),
-            1e3 * patiently(options.patience, marginals, grown),
-        ]
-        cells = ["-" if math.isnan(value) else f"{value:.0f}" for value in row]
-        print("".join(f"{cell:>12}" for cell in cells), flush=True)
+    heads = ("landmarks", "keyframes", "ms mean", "ms median", "ms most", "ms solve", "bytes", "in a file")
+    print("".join(f"{head:>11}" for head in heads))
+    with threadpool_limits(limits=1):
+        grown(Plain(100, 3), *Plain(100, 3).map(), 3)  # Compiles what there is to compile.
+        for landmarks in options.landmarks:
+            plain = Plain(landmarks, options.goals)
+            graph, spent = grown(plain, *plain.map(), options.goals)
+            begin = time.process_time()
+            solve(graph, 0.0, plain.observation(plain.before))
+            solving = time.process_time() - begin
+            n = len(graph.ids)
+            row = [n, len(graph.keyframes), 1e3 * spent.mean(), 1e3 * np.median(spent), 1e3 * spent.max()]
+            row += [1e3 * solving, bytes_in_memory(graph) / n, bytes_in_file(graph) / n]
+            print("".join(f"{value:>11.0f}" for value in row), flush=True)
 
 
 if __name__ == "__main__":
-    with threadpool_limits(limits=1):
-        main()
+    main()

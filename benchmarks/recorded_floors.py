@@ -2,7 +2,7 @@
 
     python benchmarks/recorded_floors.py FOLDER --against OLDER --world maps/LGRC1.vectormap.txt --seeds 3
 
-Missions that FOLDER does not hold yet are driven first, with the older checkout's explorer (--recorder: this one's), and
+Missions that FOLDER does not hold yet are driven first, by the older checkout's explorer (--recorder: another's), and
 their ports recorded, with the times at which turns and glances began and ended. Both estimators then get the same
 messages and the same turns. A row an estimator and mission goes to FOLDER/rows.jsonl; a second call goes on from there.
 """

@@ -35,7 +35,7 @@ def way(rng, X_DA, covariance=ODOMETRY, noise=1.0):
 
 
 def ring(seed, noise=1.0, goals=24, radius=12.0, tags=120, reach=5.0, laps=1.0):
-    """Observations in the order of the way, turns and the ways between them; landmarks (n, 2) and poses (2k, 3) in M."""
+    """Observations in the order of the way, turns and the ways between them; landmarks (n, 2), poses (2k, 3) in M."""
     rng = np.random.default_rng(seed)
     angle, r = rng.uniform(0.0, 2.0 * np.pi, tags), radius + rng.uniform(-3.0, 3.0, tags)
     p_WL = r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -96,7 +96,7 @@ def test_a_scale_learnt_later_is_taken_out_of_earlier_keyframes():
 
 def test_a_forgotten_landmark_leaves_what_it_told():
     observations, _, _ = ring(10, goals=6, laps=0.3)
-    graph, estimate = built(observations)
+    graph, _ = built(observations)
     gone = graph.ids[:2]
     after = forget(graph, gone)
     assert not np.isin(gone, after.ids).any()

@@ -81,10 +81,10 @@ def test_a_way_without_tags_hangs_on_odometry():
 
 
 def test_when_a_solve_is_due(monkeypatch):
-    observations, p_ML, _ = ring(7, laps=0.5)
+    observations, _, _ = ring(7, laps=0.5)
     solved, estimate = solve(reckoned(observations[:8]), 0.0, observations[7])
     assert not needs_solve(solved, solved, estimate)
-    moved = replace(estimate, p_ML=estimate.p_ML + [0.0, 2.0 * map_update.FAR_MOVED])
+    moved = replace(estimate, p_ML=estimate.p_ML + np.array([0.0, 2.0 * map_update.FAR_MOVED]))
     assert needs_solve(solved, solved, moved)
     monkeypatch.setattr(map_update, "MANY_KEYFRAMES", 2)
     graph, after, _ = updated(solved, estimate, observations[8])

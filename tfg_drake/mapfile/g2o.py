@@ -14,7 +14,7 @@ from tfg_drake.messages import FloatArray
 def g2o_text(saved: SavedMap) -> str:
     """The file's contents: the poses between keyframes as vertices 0 to k, in the world frame W.
 
-    A tag's edge has the inverse of the tag's own marginal covariance: g2o knows no edge for a keyframe's joint Gaussian.
+    A tag's edge has the inverse of the tag's own marginal covariance: g2o has no edge for a keyframe's joint Gaussian.
     """
     return "\n".join(_lines(saved)) + "\n"
 

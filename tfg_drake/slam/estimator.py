@@ -1,9 +1,9 @@
 """The SLAM estimator as pure steps on one immutable state: odometry and detections in, pose and map out.
 
-Between goals a localiser estimates the pose in the map; turns in place and pieces of the way collect frames. At the end
-of a turn it and the pieces before it are solved, each by itself, and join the map, and the localiser starts anew at the
-departure pose. Frames are taken by their stamps, whatever the order of arrival: one is processed when odometry beyond its stamp
-has arrived. Those with stamps in [begin, end) belong to the turn.
+Between goals a localiser estimates the pose in the map; turns in place and pieces of the way collect frames. At the
+end of a turn it and the pieces before it are solved, each by itself, and join the map, and the localiser starts anew at
+the departure pose. Frames are taken by their stamps, whatever the order of arrival: one is processed when odometry
+beyond its stamp has arrived. Those with stamps in [begin, end) belong to the turn.
 
 What cannot be true is left out and logged in a line: impossible sightings, tags that contradict the map, a robot that
 is suddenly elsewhere (a slip, a push, a kidnapping).
@@ -256,7 +256,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         return replace(state, piece=opened(state)) if piece is not None else state
     if state.carried:
         X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-        way = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
+        way: tuple[GoalObservation, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
         observation = _solve(state, piece).observation
         if not state.path_keyframe_period:

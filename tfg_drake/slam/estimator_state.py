@@ -14,7 +14,6 @@ from tfg_drake.messages import (
     Odometry,
     TagDetections,
     message,
-    replace,
 )
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
@@ -40,15 +39,15 @@ class OpenTurn:
 class EstimatorState:
     """All the estimator knows.
 
-    path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last
-    odometry message. odometry: dead reckoning from the filters' instant on. pending: frames that wait for odometry.
-    scans: the newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s), X_OB (3,): the filters'
-    instant and the dead reckoning then. contradictions: frames in a row that contradict the pose. carried: the robot
-    was moved since the last goal by something else than its wheels. turn: the open one. piece: the open piece of the
-    way, way: those before it since the last goal. graph: its landmarks as they lay at its last solve or
-    when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
-    goal. rejected: (r,) ids of known tags left out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted
-    the map at the last goals, suspect_count: (s,) how many in a row.
+    path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last odometry
+    message. odometry: dead reckoning from the localiser's instant on. pending: frames that wait for it. scans: the
+    newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s), X_OB (3,): the localiser's instant and
+    the dead reckoning then. contradictions: frames in a row that contradict the pose. carried: the robot was moved
+    since the last goal by something else than its wheels. turn, piece: the open turn and piece of the way, way: those
+    before it since the last goal. graph: its landmarks as they lay at its last solve or when they were first seen,
+    solved: the graph at that solve. map: what has become of it since, None before the first goal. rejected: (r,) ids of
+    known tags left out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that
+    contradicted the map at the last goals, suspect_count: (s,) how many in a row.
     """
 
     model: OdometryModel

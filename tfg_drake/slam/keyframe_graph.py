@@ -270,11 +270,13 @@ def loosened(graph: KeyframeGraph, covariance: FloatArray) -> KeyframeGraph:
         if np.isin(one.ids, before).sum() >= WITNESSES:
             break
         if not len(one.ids):
-            loose = replace(one, information=np.linalg.inv(covariance))
+            loose = replace(one, information=np.asarray(np.linalg.inv(covariance)))
             graph = replace(graph, keyframes=(*graph.keyframes[:j], loose, *graph.keyframes[j + 1 :]))
         elif len(graph.keyframes[j - 1].ids):
             nothing = np.empty(0, dtype=np.int64)
-            loose = Keyframe(nothing, np.empty((0, 2)), np.zeros(3), np.linalg.inv(covariance), one.range_scale)
+            loose = Keyframe(
+                nothing, np.empty((0, 2)), np.zeros(3), np.asarray(np.linalg.inv(covariance)), one.range_scale
+            )
             later = graph.view_keyframe >= j
             graph = replace(
                 graph,

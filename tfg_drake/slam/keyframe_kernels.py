@@ -103,10 +103,10 @@ def batch_error(
     total = 0.0
     for k in range(len(X_AD)):
         some = slice(offsets[k], offsets[k + 1])
-        error, _ = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
+        error, _on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
         m = len(error)
-        total += error @ (information[starts[k] : starts[k + 1]].reshape(m, m) @ error)
-    return float(total)
+        total += float(error @ (information[starts[k] : starts[k + 1]].reshape(m, m) @ error))
+    return total
 
 
 @njit(cache=True)
