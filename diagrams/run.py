@@ -2,14 +2,15 @@
 
 A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
 trajectory.tum (in W), truth.tum where the truth is known, ports.mcap (what the station's ports carried), figure.png,
-scenario.yaml (resolved) and log.txt. The map is there while it grows, at most a stage old. A file that cannot be
-written, as to a full disk, ends no mission.
+scenario.yaml (resolved) and log.txt. The map is there while it grows. A file that cannot be written, as to a full disk,
+ends no mission.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import json
 import logging
 import math
@@ -78,8 +79,7 @@ STEP = 1.0
 REAL_STEP = 0.25
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
 AREA_INTERVAL = 5.0
-# A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
-QUICKLY_KEPT = 0.02
+# The map is kept no more often than takes this share of the time.
 KEPT_SHARE = 0.01
 # A robot that observes this near to its goal was there, m.
 AT_GOAL = 0.3
@@ -182,7 +182,7 @@ def explore(
 
 
 class _Keeper:
-    """Keeps the map of a mission under way on the disk: that of the newest stage, unless that takes too long."""
+    """Keeps the map of a mission under way on the disk: that of the newest stage, unless it takes too much time."""
 
     def __init__(self, mission: Mission, folder: RunFolder) -> None:
         self._mission, self._folder = mission, folder
@@ -200,9 +200,7 @@ class _Keeper:
         elif found is not None:
             self._folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
         self._stage = newest.stage
-        spent = time.thread_time() - start
-        if spent > QUICKLY_KEPT:
-            self._again = time.monotonic() + spent / KEPT_SHARE
+        self._again = time.monotonic() + (time.thread_time() - start) / KEPT_SHARE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -271,6 +269,8 @@ class Mission:
         wall_start = time.monotonic()
         try:
             self._build()
+            # What there is so far stays: looking through all of it for garbage, again and again, takes its time.
+            gc.freeze()
             self._simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
             self._simulator.Initialize()
             self._observe(write)
@@ -296,6 +296,7 @@ class Mission:
             self.reason = f"{type(error).__name__} at {self.time:.2f} s: {first_line}"
             _log.exception("the mission failed at %.3f s", self.time)
         finally:
+            gc.unfreeze()
             self.robot.close()
         self.wall_time = time.monotonic() - wall_start
         self.cpu_time = time.process_time() - self._cpu_start

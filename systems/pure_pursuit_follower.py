@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus, Leaf
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PoseEstimate
+from tfg_drake.messages import FloatArray, FollowerStatus, GoalChoice, MissionStatus, Path, PoseEstimate
 from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn_to_see
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
@@ -83,13 +83,14 @@ class PurePursuitFollower(LeafSystem):
         x = context.get_discrete_state(self._state).value().tolist()
         mission = eval_message(self._mission, context, MissionStatus)
         pose = eval_message(self._pose, context, PoseEstimate)
+        moving = pose.speed.tolist()
         x[STAMP] = context.get_time()
         speed = turn_rate = 0.0
         if mission.phase == "observe":
             turn_rate = self._Turn(x, mission, eval_message(self._goal, context, GoalChoice), pose)
         elif mission.drives:
-            speed, turn_rate = self._Follow(x, eval_message(self._path, context, Path), pose)
-        if (speed == 0.0 and turn_rate == 0.0) or not at_rest(*pose.speed.tolist()):
+            speed, turn_rate = self._Follow(x, eval_message(self._path, context, Path), pose.X_MB, moving[0])
+        if (speed == 0.0 and turn_rate == 0.0) or not at_rest(*moving):
             x[OBEYED] = x[STAMP]
         discrete.set_value(self._state, x)
         discrete.set_value(self._command, [speed, turn_rate])
@@ -118,13 +119,13 @@ class PurePursuitFollower(LeafSystem):
             before = target
         return turn_rate
 
-    def _Follow(self, x: list[float], path: Path, pose: PoseEstimate) -> tuple[float, float]:
-        """Forward speed, m/s, and turn rate, rad/s."""
+    def _Follow(self, x: list[float], path: Path, X_MB: FloatArray, speed: float) -> tuple[float, float]:
+        """Forward speed, m/s, and turn rate, rad/s, of a robot at X_MB (3,) that has a speed (m/s)."""
         if x[PATH] != path.id:
             x[TURNING], x[PATH], x[PROGRESS], x[FINISHED] = 0.0, path.id, 0.0, 0.0
         if x[FINISHED]:
             return 0.0, 0.0
-        command = follow(path.points, pose.X_MB, pose.speed[0], x[PROGRESS], bool(x[TURNING]), self._robot)
+        command = follow(path.points, X_MB, speed, x[PROGRESS], bool(x[TURNING]), self._robot)
         x[PROGRESS], x[LEFT] = command.progress, command.left
         x[TURNING], x[FINISHED] = command.turning, command.finished
         return command.speed, command.turn_rate

@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
@@ -62,13 +62,15 @@ class SafetyFilter(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._odometry = declare_message_input(self, "odometry")
         self._enable = self.DeclareVectorInputPort("enable", 1)
-        # The filter's own state, and whether the base may move.
-        self.DeclareDiscreteState(np.append(np.zeros(STATE_SIZE), 1.0))
+        # The filter's own state, and what of it is told: the velocity, and whether the base may move.
+        self._state, velocity, enabled = (
+            self.DeclareDiscreteState(initial) for initial in (np.zeros(STATE_SIZE), np.zeros(2), np.ones(1))
+        )
         self._watch = self.DeclareAbstractState(AbstractValue.Make(no_watch(no_scan(scan))))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
         self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._Watch)
-        self.DeclareVectorOutputPort("velocity", 2, self._CalcVelocity, {self.xd_ticket()})
-        self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, {self.xd_ticket()})
+        self.DeclareStateOutputPort("velocity", velocity)
+        self.DeclareStateOutputPort("enabled", enabled)
         declare_message_output(
             self,
             "scan_believed",
@@ -79,19 +81,22 @@ class SafetyFilter(LeafSystem):
     @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
         enabled = not self._enable.HasValue(context) or self._enable.Eval(context)[0] != 0.0
-        state, after = context.get_discrete_state_vector().value()[:STATE_SIZE], update.get_mutable_value()
-        after[STATE_SIZE] = enabled
-        if not enabled:
-            after[:STATE_SIZE] = stopped(state, self._robot, PERIOD)
-            return
+        after = self._Filtered(context) if enabled else stopped(self._State(context), self._robot, PERIOD)
+        for group, value in enumerate((after, after[:2], [enabled])):
+            update.set_value(group, value)
+
+    def _Filtered(self, context: Context) -> FloatArray:
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
         scan, watch = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
         now = context.get_time()
         X_OB = _pose_at(eval_message(self._odometry, context, Odometry), now)
-        after[:STATE_SIZE] = filter_command(
-            state, now, command, hazards, scan, watch, X_OB, self._robot, self._safety, PERIOD
-        )
+        state, robot = self._State(context), self._robot
+        return filter_command(state, now, command, hazards, scan, watch, X_OB, robot, self._safety, PERIOD)
+
+    def _State(self, context: Context) -> FloatArray:
+        state: FloatArray = context.get_discrete_state(self._state).value()
+        return state
 
     @metered("safety_filter")
     def _Watch(self, context: Context, state: State) -> EventStatus:
@@ -116,14 +121,8 @@ class SafetyFilter(LeafSystem):
 
     def _WantsAhead(self, context: Context) -> bool:
         """Whether the base is told to drive ahead and stands."""
-        stands = context.get_discrete_state_vector().value()[SPEED] == 0.0
+        stands = self._State(context)[SPEED] == 0.0
         return stands and self._command.HasValue(context) and self._command.Eval(context)[0] > 0.0
-
-    def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_discrete_state_vector().value()[:2])
-
-    def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, context.get_discrete_state_vector().value()[STATE_SIZE])
 
 
 def _pose_at(odometry: Odometry, time: float) -> FloatArray:

@@ -32,7 +32,7 @@ from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometr
 
 FILE_NAME = "ports.mcap"
 # Of a killed program no more than so much is lost, s.
-FLUSH_PERIOD = 4.0
+FLUSH_PERIOD = 1.0
 
 _NS = 1e9
 _Field = descriptor_pb2.FieldDescriptorProto
@@ -108,6 +108,7 @@ class PortWriter:
             self._channels[port] = self._writer.register_channel(port, "protobuf", schema)
         self._encoders = {port: _encoder(kind) for port, kind in PORTS.items()}
         self._newest: dict[str, object] = {}
+        self._told: dict[str, list[float]] = {}
         self._last_data: dict[str, bytes] = {}
         self._waiting: list[tuple[str, float, Any]] = []
         self._flushed = -math.inf
@@ -133,16 +134,16 @@ class PortWriter:
 
     def write_command(self, time: float, velocity: FloatArray) -> None:
         """Records the velocity (2,), m/s and rad/s, that the base is told at a time, s, where it is another."""
-        self._write_changed(COMMAND, time, Velocity(*velocity.tolist()))
+        self._write_changed(COMMAND, time, Velocity, velocity.tolist())
 
     def write_enabled(self, time: float, enabled: float) -> None:
         """Records at a time, s, whether the base may move, where that has changed."""
-        self._write_changed(ENABLED, time, Enabled(enabled))
+        self._write_changed(ENABLED, time, Enabled, [enabled])
 
-    def _write_changed(self, port: str, time: float, value: object) -> None:
-        newest = self._newest.get(port)
-        if newest is None or vars(newest) != vars(value):
-            self.write(port, time, value)
+    def _write_changed(self, port: str, time: float, kind: type, told: list[float]) -> None:
+        if self._told.get(port) != told:
+            self._told[port] = told
+            self.write(port, time, kind(*told))
 
     def close(self) -> None:
         """Writes what is left, and the index."""

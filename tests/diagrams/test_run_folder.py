@@ -157,6 +157,7 @@ def test_the_map_is_on_the_disk_while_it_grows(tmp_path, monkeypatch, method, fi
         raise Ends
 
     monkeypatch.setattr(run, "write_report", end)
+    monkeypatch.setattr(run, "KEPT_SHARE", np.inf)
     with pytest.raises(Ends):
         run.explore(room(), method=FindMethod(method), max_time=100.0, out_dir=tmp_path, on_progress=look)
     assert len(kept) >= 2
@@ -170,8 +171,7 @@ def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
     assert load_map(tmp_path / "map.npz").stage == result.summary["stages"]
 
 
-def test_a_large_map_is_kept_less_often(tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "QUICKLY_KEPT", -1.0)
+def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "KEPT_SHARE", 1e-9)
     saved = []
     monkeypatch.setattr(run, "save_map", lambda path, found, final: saved.append(found.stage))

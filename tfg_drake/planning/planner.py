@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -139,7 +140,7 @@ def step(
 
 def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
     """Whether the robot is a step away from where it was last noted."""
-    return len(state.driven) > 0 and bool(np.hypot(*(pose.X_MB[:2] - state.driven[-1])) >= DRIVEN_STEP)
+    return len(state.driven) > 0 and math.dist(pose.X_MB[:2].tolist(), state.driven[-1].tolist()) >= DRIVEN_STEP
 
 
 def _length(driven: FloatArray, p_MD: FloatArray) -> float:

@@ -110,8 +110,18 @@ def _speed_limit(points: FloatArray, progress: float, max_speed: float, turn_rat
     return limit
 
 
-def _wrap(angle: float) -> float:
-    return math.atan2(math.sin(angle), math.cos(angle))
+@njit(cache=True)
+def _aim(
+    points: FloatArray, X_MB: FloatArray, speed: float, progress: float
+) -> tuple[float, float, float, float, float]:
+    """Progress (m) made by now, what is left of the path, m, where the point steered for is from the robot, m along M's
+    axes, and the error of the heading to it, rad."""
+    progress, length = _project(points, X_MB[0], X_MB[1], progress, SEARCH)
+    ahead = min(max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN), LOOK_AHEAD_MAX)
+    px, py, _ = _at(points, progress + ahead)
+    dx, dy = px - X_MB[0], py - X_MB[1]
+    error = math.atan2(dy, dx) - X_MB[2]
+    return progress, length - progress, dx, dy, math.atan2(math.sin(error), math.cos(error))
 
 
 def _turn_towards(error: float, robot: RobotConfig) -> float:
@@ -133,20 +143,15 @@ def follow(
     """
     if len(points) < 2:
         return PathCommand(0.0, 0.0, 0.0, False, True)
-    x, y, heading = (float(value) for value in X_MB)
-    progress, length = _project(points, x, y, progress, SEARCH)
-    remaining = length - progress
+    progress, remaining, dx, dy, error = _aim(points, X_MB, speed, progress)
     if remaining < ARRIVED:
         return PathCommand(0.0, 0.0, progress, False, True)
-    ahead = min(max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN), LOOK_AHEAD_MAX)
-    px, py, _ = _at(points, progress + ahead)
-    error = _wrap(math.atan2(py - y, px - x) - heading)
     # So near the end a robot that drives must not turn for a point beside it, only for one behind it.
     beside = speed > REST_SPEED and remaining < 0.5 * LOOK_AHEAD_MIN
     turn_above = 0.5 * math.pi if beside else TURN_ABOVE
     if abs(error) > (TURN_BELOW if turning else turn_above):
         return PathCommand(0.0, _turn_towards(error, robot), progress, True, False, remaining)
-    curvature = 2.0 * math.sin(error) / max(math.hypot(px - x, py - y), 1e-3)
+    curvature = 2.0 * math.sin(error) / max(math.hypot(dx, dy), 1e-3)
     limit = _speed_limit(
         points,
         progress,

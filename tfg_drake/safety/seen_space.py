@@ -82,7 +82,7 @@ def _remembered(
     # Rays a cell: that went through it, ended in it, or would have come there if a gap of them had not been lost.
     passed = np.zeros(CELLS * CELLS, dtype=np.int32)
     ended, lost = np.zeros_like(passed), np.zeros_like(passed)
-    total = np.zeros((CELLS * CELLS, 2))
+    total = np.empty((CELLS * CELLS, 2))
     reach = (HALF - 1) * CELL
     way = np.empty(int(reach / (_STEP * CELL)) + 1, dtype=np.int64)
     gap_begin = gap_end = 0
@@ -108,6 +108,8 @@ def _remembered(
                 counted[last] += 1
         if ranges[k] < reach:
             cell = int(u_B + ranges[k] / CELL * cosine) * CELLS + int(v_B + ranges[k] / CELL * sine)
+            if ended[cell] == 0:
+                total[cell, 0], total[cell, 1] = 0.0, 0.0
             ended[cell] += 1
             total[cell, 0] += X_OB[0] + ranges[k] * cosine
             total[cell, 1] += X_OB[1] + ranges[k] * sine

@@ -91,9 +91,10 @@ def _sighted(
     range_scale: float,
     range_noise: float,
     noise_per_metre: float,
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    bearing_noise: float,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rows (k,) of the tags that a frame shows, their ids ascending; row for row where they are from the sensor, m
-    along W's axes (k, 2), the measured range and its standard deviation, m.
+    along W's axes (k, 2), the measured range and its standard deviation, m, and that of the bearing, rad.
 
     threshold: a tag is shown where its third number of normal (n, NOISE_PER_TAG) is less than this.
     """
@@ -115,7 +116,7 @@ def _sighted(
         distance = math.hypot(offset[k, 0], offset[k, 1])
         sigma[k] = range_noise + noise_per_metre * distance
         measured[k] = max(0.0, range_scale * distance + sigma[k] * normal[rows[k], 0])
-    return rows, offset, measured, sigma
+    return rows, offset, measured, sigma, np.full(shown, bearing_noise)
 
 
 def detect(
@@ -127,7 +128,7 @@ def detect(
     those of the noise: range_noise + range_noise_per_metre * r at the true range r, and bearing_noise; gross errors and
     misread ids come on top.
     """
-    rows, offset, measured, sigma_range = _sighted(
+    rows, offset, measured, sigma_range, sigma_bearing = _sighted(
         world.p_WT,
         world.tag_facing,
         world.tag_ids,
@@ -141,8 +142,8 @@ def detect(
         config.range_scale,
         config.range_noise,
         config.range_noise_per_metre,
+        config.bearing_noise,
     )
-    sigma_bearing = np.full(len(rows), config.bearing_noise)
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - X_WB[2] + sigma_bearing * standard_normal[rows, 1]
     ids = world.tag_ids[rows]
     # The number that let the tag be detected is uniform below the detection probability: its lowest part makes gross
