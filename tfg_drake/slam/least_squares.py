@@ -17,19 +17,14 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # Steps of one solve that lower the cost, at most, and the relative decrease of the cost after which no other is needed.
 MOST_STEPS = 100
-SMALL_DECREASE = 1e-9
+SMALL_DECREASE = 1e-8
 # Damping, as a share of the Hessian's diagonal: at first next to none, for it would keep a long chain of poses from
 # bending as a whole; what a solution may end with; and what shows that no step lowers the cost any more.
 FIRST_DAMPING = 1e-9
 LITTLE_DAMPING = 1e-6
 LARGEST_DAMPING = 1e9
-# For symmetric positive matrices whose factor is sparse all over.
-_SUPERLU = {
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.0,
-    "panel_size": 1,
-    "options": {"SymmetricMode": True},
-}
+# SuperLU for symmetric positive matrices whose factor is sparse all over.
+_SYMMETRIC = {"diag_pivot_thresh": 0.0, "panel_size": 1, "options": {"SymmetricMode": True}}
 
 
 @dataclass(frozen=True)
@@ -61,22 +56,19 @@ def cost(rows: Sequence[Rows]) -> float:
 
 
 def minimise(
-    linearise: Linearise, x: FloatArray, held: IntArray, most_steps: int = MOST_STEPS
+    linearise: Linearise, x: FloatArray, held: IntArray, blocks: IntArray, most_steps: int = MOST_STEPS
 ) -> tuple[FloatArray, float]:
     """The values of least cost that steps from x (n,) lead to, and their cost.
 
     held: unknowns that stay as they are; so do those that no residual depends on. An unknown that the residuals do not
-    determine stays near its value.
+    determine stays near its value. blocks: (n,) the number of the pose, landmark or other that each unknown is part of.
     """
     rows = linearise(x)
     least = cost(rows)
-    free = np.zeros(len(x), dtype=bool)
-    for one in rows:
-        free[one.columns] = True
-    free[held] = False
+    free = _elimination_order(rows, held, blocks)
     damping, growth = FIRST_DAMPING, 2.0
     for _ in range(most_steps):
-        hessian, gradient = _normal_equations(rows, free)
+        hessian, gradient = _normal_equations(rows, free, len(x))
         decrease = -math.inf
         while not decrease > 0.0:
             step = _step(hessian, gradient, damping)
@@ -98,31 +90,45 @@ def minimise(
     return x, least
 
 
-def _normal_equations(rows: Sequence[Rows], free: BoolArray) -> tuple[sparse.csc_array, FloatArray]:
-    """J^T J and J^T r by the free unknowns, each residual weighted as its Huber function asks."""
-    residuals, data, columns, widths = [], [], [], []
+def _elimination_order(rows: Sequence[Rows], held: IntArray, blocks: IntArray) -> IntArray:
+    """The free unknowns, by minimum degree: block by block, for that is found many times faster than one by one."""
+    free = np.zeros(len(blocks), dtype=bool)
+    for one in rows:
+        free[one.columns] = True
+    free[held] = False
+    count = int(blocks.max()) + 1
+    incidence = _matrix([(np.ones((len(one.columns), 1, one.columns.shape[1])), blocks[one.columns]) for one in rows], count)
+    pattern = incidence.T @ incidence + sparse.eye_array(count)
+    position = splu(pattern.tocsc(), permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c
+    unknowns = np.flatnonzero(free)
+    return unknowns[np.argsort(position[blocks[unknowns]], kind="stable")]
+
+
+def _normal_equations(rows: Sequence[Rows], free: IntArray, n: int) -> tuple[sparse.csc_array, FloatArray]:
+    """J^T J and J^T r by the free ones of n unknowns, each residual weighted as its Huber function asks."""
+    residuals, jacobians = [], []
     for one in rows:
         length = np.linalg.norm(one.residual, axis=1)
-        weight = (
-            np.sqrt(one.huber / np.maximum(length, one.huber)) if math.isfinite(one.huber) else np.ones(len(length))
-        )
-        m, d, w = one.jacobian.shape
+        weight = np.sqrt(np.minimum(1.0, one.huber / np.maximum(length, 1e-300)))
         residuals.append((weight[:, None] * one.residual).ravel())
-        data.append((weight[:, None, None] * one.jacobian).ravel())
-        columns.append(np.repeat(one.columns, d, axis=0).ravel())
-        widths.append(np.full(m * d, w))
-    residual = np.concatenate(residuals)
-    ends = np.append(0, np.cumsum(np.concatenate(widths)))
-    shape = (len(residual), len(free))
-    J = sparse.csr_array((np.concatenate(data), np.concatenate(columns), ends), shape=shape)[:, free]
-    return (J.T @ J).tocsc(), J.T @ residual
+        jacobians.append((weight[:, None, None] * one.jacobian, one.columns))
+    J = _matrix(jacobians, n)[:, free]
+    return (J.T @ J).tocsc(), J.T @ np.concatenate(residuals)
+
+
+def _matrix(parts: Sequence[tuple[FloatArray, IntArray]], n: int) -> sparse.csr_array:
+    """The sparse matrix with n columns of dense rows (m, d, w), those of one part below the other, at columns (m, w)."""
+    data = np.concatenate([values.ravel() for values, _ in parts])
+    columns = np.concatenate([np.repeat(at, values.shape[1], axis=0).ravel() for values, at in parts])
+    widths = np.concatenate([np.full(values.shape[0] * values.shape[1], values.shape[2]) for values, _ in parts])
+    return sparse.csr_array((data, columns, np.append(0, np.cumsum(widths))), shape=(len(widths), n))
 
 
 def _step(hessian: sparse.csc_array, gradient: FloatArray, damping: float) -> FloatArray:
     """The damped Gauss-Newton step, nan where the damped Hessian is singular."""
     damped = hessian + sparse.diags_array(damping * hessian.diagonal(), format="csc")
     try:
-        factors = splu(damped, **_SUPERLU)
+        factors = splu(damped, permc_spec="NATURAL", **_SYMMETRIC)
     except RuntimeError:
         return np.full(len(gradient), np.nan)
     return np.asarray(factors.solve(-gradient))

@@ -130,7 +130,9 @@ class PlanarGraph:
 
     def solved(self, x: FloatArray, most_steps: int = MOST_STEPS) -> tuple[FloatArray, float]:
         """The unknowns of least cost that steps from x lead to, and that cost."""
-        return minimise(self.linearise, x, _at(self.held, 3).ravel(), most_steps)
+        counts = [3] * self.poses + [2] * self.landmarks + [3]
+        blocks = np.repeat(np.arange(len(counts)), counts)
+        return minimise(self.linearise, x, _at(self.held, 3).ravel(), blocks, most_steps)
 
     def grown(self, x: FloatArray, report: OnProgress) -> FloatArray:
         """The unknowns near the solution, pose by pose added by the motion that ties it to the latest before it, each
