@@ -7,7 +7,7 @@ from tfg_drake.planning.barred import barred_places, looked_again, worth_of_look
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose, empty_choice
 from tfg_drake.planning.planner import with_frontiers
-from tfg_drake.slam import goal_graph
+from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 
 PARAMETERS = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
@@ -18,7 +18,11 @@ def two_passages(at=0.0):
     """A wall along y = 1 with frontiers behind it round x = -10 and x = 6. The robot, at (at, 0), can reach what is in
     front of the wall; behind it the roadmap has room beyond those there, through slits too narrow to look through."""
     estimate = replace(
-        goal_graph.empty_map(), stage=1, covariance=1e-4 * np.eye(3), X_MA=np.zeros((1, 3)), X_MD=np.array([at, 0.0, 0])
+        keyframe_graph.empty_map(),
+        stage=1,
+        covariance=1e-4 * np.eye(3),
+        X_MA=np.zeros((1, 3)),
+        X_MD=np.array([at, 0.0, 0]),
     )
     walls = np.array([[-15.0, 1.0, 15.0, 1.0]])
     frontiers = np.array([[x + side, 3.0] for x in (-10.0, 6.0) for side in (-2.5, -2.0, 2.0, 2.5)])

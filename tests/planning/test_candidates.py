@@ -18,7 +18,7 @@ from tfg_drake.planning.candidates import (
 )
 from tfg_drake.planning.expected_view import View
 from tfg_drake.planning.information_gain import Gains
-from tfg_drake.slam.goal_graph import empty_map as empty_estimate
+from tfg_drake.slam.keyframe_graph import empty_map as empty_estimate
 from tfg_drake.tfg.graph import empty_map
 
 

@@ -13,7 +13,7 @@ from tfg_drake.planning.chance_constraint import (
     required_clearance,
 )
 from tfg_drake.planning.odometry_drift import odometry_covariance
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
 

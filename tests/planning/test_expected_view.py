@@ -8,7 +8,7 @@ from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import replace
 from tfg_drake.planning.expected_view import View, expected_frontiers, local_view, visible_targets
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
 STEEPEST = np.radians(75)

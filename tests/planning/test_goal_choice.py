@@ -3,7 +3,7 @@ import numpy as np
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.goal_choice import _homewards, pick, preferred
 from tfg_drake.planning.mission_end import given_up_open, why_end
-from tfg_drake.slam import goal_graph
+from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 
 
@@ -74,7 +74,7 @@ def homewards(reachable, entry, looked=()):
     points, reachable = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array(reachable, dtype=bool)
     names, no_edges = np.array([4, 7, 9]), np.zeros((0, 2), dtype=np.int64)
     roadmap = Roadmap(1, points, no_edges, reachable, reachable, np.array(entry), *2 * [np.zeros(3)], ids=names)
-    estimate = replace(goal_graph.empty_map(), X_MA=np.zeros((1, 3)), X_MD=np.array([2.0, 0.0, 0.0]))
+    estimate = replace(keyframe_graph.empty_map(), X_MA=np.zeros((1, 3)), X_MD=np.array([2.0, 0.0, 0.0]))
     node, verdict, reason, after = _homewards(estimate, roadmap, "complete", "Done.", np.array(looked, dtype=int))
     return node, verdict, reason, after.tolist()
 

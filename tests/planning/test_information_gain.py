@@ -12,7 +12,7 @@ from tfg_drake.planning.information_gain import (
     turn_noise,
 )
 from tfg_drake.planning.odometry_drift import odometry_covariance
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 
 
 def whitened(p_AL, noise):

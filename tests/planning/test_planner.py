@@ -18,12 +18,12 @@ from tfg_drake.planning.planner import (
     with_frontiers,
 )
 from tfg_drake.planning.roadmap import RoadmapParameters, extend
-from tfg_drake.slam import goal_graph
+from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 
 
 def test_a_past_goal_is_no_place_to_see_a_frontier_from():
-    estimate = replace(goal_graph.empty_map(), stage=1, covariance=np.eye(3), X_MA=np.zeros((1, 3)))
+    estimate = replace(keyframe_graph.empty_map(), stage=1, covariance=np.eye(3), X_MA=np.zeros((1, 3)))
     frontiers = np.array([[3.0, -0.2], [3.0, 0.2]])
     normals = np.tile([-1.0, 0.0], (2, 1))
     tfg = replace(empty_map(), frontiers=frontiers, frontier_length=np.full(2, 0.4), frontier_normal=normals)
@@ -57,7 +57,7 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
             # What the planner notes while the robot drives, until the glance has ended.
             way = np.arange(X_MD[k - 2, 0] + 0.1, X_MD[k - 1, 0] + 1e-9, 0.1)[:, None] * [1.0, 0.0]
             state = replace(state, driven=np.vstack([state.driven, way]))
-        estimate = replace(goal_graph.empty_map(), stage=k, covariance=np.eye(3), X_MA=X_MA[:k], X_MD=X_MD[k - 1])
+        estimate = replace(keyframe_graph.empty_map(), stage=k, covariance=np.eye(3), X_MA=X_MA[:k], X_MD=X_MD[k - 1])
         tfg = replace(
             empty_map(),
             stage=k,
@@ -103,7 +103,7 @@ def test_where_nothing_has_been_open_for_two_stages_nothing_is_sampled(monkeypat
 def watched(path, X_MB, speed, scan, X_MA):
     """The planner's state, and its map, after a look at a scan on its way along a path from the newest goal."""
     stage = len(X_MA)
-    estimate = replace(goal_graph.empty_map(), stage=stage, X_MA=X_MA, X_MD=X_MA[-1])
+    estimate = replace(keyframe_graph.empty_map(), stage=stage, X_MA=X_MA, X_MD=X_MA[-1])
     state = initial_state()
     parts = replace(state.parts, near=replace(state.parts.near, stage=stage))
     state = replace(state, parts=parts, path=replace(state.path, id=1, stage=stage, points=path))

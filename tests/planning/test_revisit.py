@@ -11,7 +11,7 @@ from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.expected_view import View
 from tfg_drake.planning.information_gain import turn_noise
 from tfg_drake.planning.revisit import error_removed, squared_by_landmarks, worth_revisiting
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 
 
 def brute_force(point, Q, seen, p_ML, X_MD, covariance, noise):

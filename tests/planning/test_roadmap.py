@@ -35,7 +35,7 @@ from tfg_drake.planning.roadmap import (
     room_needed,
 )
 from tfg_drake.planning.routes import node_path, roadmap_message, routes
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 
 ROBOT = RobotConfig()
 PLANNER = PlannerConfig()

@@ -11,7 +11,7 @@ from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
 from tfg_drake.planning.candidates import time_all_round, time_at_goal
 from tfg_drake.planning.goal_choice import empty_choice, remember
 from tfg_drake.planning.planner import with_frontiers
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
 NONE = np.zeros((0, 2))

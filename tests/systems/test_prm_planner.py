@@ -16,7 +16,7 @@ from tfg_drake.messages import (
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.planner import BOLD_AFTER, OBSTACLE_MEMORY, initial_state, step
 from tfg_drake.planning.roadmap import RoadmapParameters
-from tfg_drake.slam import goal_graph
+from tfg_drake.slam import keyframe_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
 
 CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig(), PlannerConfig()
@@ -29,7 +29,7 @@ def maps(stage):
     """A room of 8 x 8 m with a tag in the middle of three walls, the fourth unknown."""
     observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
     if stage == 0:
-        estimate = goal_graph.empty_map()
+        estimate = keyframe_graph.empty_map()
         tfg = TfgMap(0, np.zeros((0, 4)), IDS, IDS.reshape(0, 2), NONE, NONE, NONE[:, 0], NONE, np.zeros(1, dtype=int),
                      NONE, NONE)  # fmt: skip
         return estimate, tfg

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import MapEstimate, replace
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.drift import MOST_DRIFT, NEIGHBOURHOOD, drift_between, drift_from_robot, known_jointly
 
 

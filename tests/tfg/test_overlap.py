@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.messages import replace
-from tfg_drake.slam.goal_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.drift import MOST_DRIFT
 from tfg_drake.tfg.overlap import SWING, distance_along_map, mapped_otherwise, standing
 from tfg_drake.tfg.surfaces import Surfaces
