@@ -115,6 +115,7 @@ REGISTRY: Registry = {
         "ids": ("n",),
         "p_ML": ("n", 2),
         "landmark_covariance": ("n", 2, 2),
+        "pose_information": (3, 3),
     },
     Keyframe: {
         "ids": ("n",),

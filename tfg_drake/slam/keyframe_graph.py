@@ -60,7 +60,7 @@ class KeyframeGraph:
     keyframes: k. X_MN: (k + 1, 3) the poses between them. view_keyframe: (g,) the keyframe that each of g goals and
     glances lies in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML: (n, 2), m.
     landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
-    of the landmarks, nats; entropy_beyond: of those that are not known jointly, given those that are.
+    of the landmarks, nats. pose_information: (3, 3) on the newest pose, given the landmarks; infinite at the origin.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -71,7 +71,7 @@ class KeyframeGraph:
     p_ML: FloatArray
     landmark_covariance: FloatArray
     entropy: float
-    entropy_beyond: float
+    pose_information: FloatArray
 
     @property
     def X_MA(self) -> FloatArray:
@@ -91,7 +91,7 @@ def empty_graph() -> KeyframeGraph:
         p_ML=np.empty((0, 2)),
         landmark_covariance=np.empty((0, 2, 2)),
         entropy=0.0,
-        entropy_beyond=0.0,
+        pose_information=np.full((3, 3), np.inf),
     )
 
 

@@ -168,19 +168,22 @@ def assemble(
 
 
 @njit(cache=True)
-def chain_log_determinant(poses: FloatArray) -> float:
-    """log det of the information on all nodes but the origin, given the landmarks, from the blocks (k, 6, 6) of
-    `assemble`: a chain, eliminated from its beginning."""
-    total, own = 0.0, np.zeros((3, 3))
+def chain(own: FloatArray, poses: FloatArray) -> tuple[float, FloatArray]:
+    """A chain of nodes, given the landmarks, eliminated from its beginning up to the last.
+
+    own: (3, 3) information on its first node, infinite where that is the origin. poses: (k, 6, 6) what its keyframes add,
+    as `assemble` has it. Returns log det of the information on the nodes eliminated, and (3, 3) that on the last.
+    """
+    total = 0.0
     for k in range(len(poses)):
-        if k > 0:
-            own = own + poses[k, 3:, 3:]
-            total += math.log(np.linalg.det(own))
-            across = np.ascontiguousarray(poses[k, :3, 3:])
-            own = poses[k, :3, :3] - across @ np.linalg.solve(own, np.ascontiguousarray(across.T))
-        else:
+        if own[0, 0] == np.inf:
             own = poses[k, :3, :3].copy()
-    return total + math.log(np.linalg.det(own)) if len(poses) else 0.0
+            continue
+        own = own + poses[k, 3:, 3:]
+        total += math.log(np.linalg.det(own))
+        across = np.ascontiguousarray(poses[k, :3, 3:])
+        own = poses[k, :3, :3] - across @ np.linalg.solve(own, np.ascontiguousarray(across.T))
+    return total, own
 
 
 @njit(cache=True)

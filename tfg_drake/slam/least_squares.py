@@ -97,7 +97,9 @@ def _elimination_order(rows: Sequence[Rows], held: IntArray, blocks: IntArray) -
         free[one.columns] = True
     free[held] = False
     count = int(blocks.max()) + 1
-    incidence = _matrix([(np.ones((len(one.columns), 1, one.columns.shape[1])), blocks[one.columns]) for one in rows], count)
+    incidence = _matrix(
+        [(np.ones((len(one.columns), 1, one.columns.shape[1])), blocks[one.columns]) for one in rows], count
+    )
     pattern = incidence.T @ incidence + sparse.eye_array(count)
     position = splu(pattern.tocsc(), permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c
     unknowns = np.flatnonzero(free)

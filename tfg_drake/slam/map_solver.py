@@ -17,7 +17,7 @@ import scipy.linalg
 
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of
-from tfg_drake.slam.keyframe_kernels import assemble, batch_error, chain_log_determinant
+from tfg_drake.slam.keyframe_kernels import assemble, batch_error, chain
 
 # Landmarks known jointly: those nearest to the robot.
 JOINT = 400
@@ -132,8 +132,9 @@ def solve(
             break
     X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
     covariance = _covariance(cells, root, local, node)
+    log_of_chain, pose_information = chain(np.full((3, 3), np.inf), poses)
     log_information = eliminated.log_determinant + 2.0 * float(np.sum(np.log(np.diag(root))))
-    log_information -= chain_log_determinant(poses)
+    log_information -= log_of_chain + float(np.linalg.slogdet(pose_information)[1])
     entropy = 0.5 * (2 * len(p_ML) * math.log(2.0 * math.pi * math.e) - log_information) if len(p_ML) else 0.0
     graph = replace(
         graph,
@@ -141,7 +142,7 @@ def solve(
         p_ML=p_ML,
         landmark_covariance=with_local(graph.landmark_covariance, local, covariance),
         entropy=entropy,
-        entropy_beyond=entropy - landmark_entropy(covariance),
+        pose_information=pose_information,
     )
     return graph, estimate_of(graph, stamp, observation, p_ML, X_MN[node], local, covariance)
 
@@ -149,14 +150,6 @@ def solve(
 def known_jointly(graph: KeyframeGraph) -> int:
     """How many landmarks are known jointly at the end of a mission."""
     return len(graph.ids) if len(graph.ids) <= MOST_JOINT else JOINT
-
-
-def landmark_entropy(covariance: FloatArray) -> float:
-    """1/2 log|2 pi e Sigma_L|, nats, of the landmarks in a joint covariance (2m + 3, 2m + 3) of those and a pose."""
-    if len(covariance) == 3:
-        return 0.0
-    root = scipy.linalg.cholesky(covariance[:-3, :-3], lower=True, check_finite=False)
-    return float(np.sum(np.log(np.diag(root)))) + 0.5 * len(root) * math.log(2.0 * math.pi * math.e)
 
 
 def with_local(landmark_covariance: FloatArray, local: IntArray, covariance: FloatArray) -> FloatArray:

@@ -7,13 +7,16 @@ solve of the whole graph would, in a tenth of the time. Each tag is first compar
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy.linalg
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended, rows_of, without_tags
-from tfg_drake.slam.map_solver import estimate_of, landmark_entropy, with_local
+from tfg_drake.slam.keyframe_kernels import chain, linearised
+from tfg_drake.slam.map_solver import estimate_of, with_local
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: of one seen
 # often, which has then been moved or is tied to the wrong place, and of one hardly seen, perhaps a misread id (99 %).
@@ -95,11 +98,8 @@ def finished(
     graph: KeyframeGraph, estimate: MapEstimate, stamp: float, observation: GoalObservation
 ) -> tuple[KeyframeGraph, MapEstimate]:
     """Graph and map after all updates of a stage. stamp: s, observation: the newest goal's, with its trajectory."""
-    graph = replace(
-        graph,
-        landmark_covariance=with_local(graph.landmark_covariance, estimate.local, estimate.covariance),
-        entropy=graph.entropy_beyond + landmark_entropy(estimate.covariance),
-    )
+    each = with_local(graph.landmark_covariance, estimate.local, estimate.covariance)
+    graph = replace(graph, landmark_covariance=each)
     return graph, estimate_of(
         graph, stamp, observation, estimate.p_ML, estimate.X_MD, estimate.local, estimate.covariance
     )
@@ -180,14 +180,14 @@ def _joined(
     J[-1, 2] = J[-1, -1] = 1.0
     i = np.arange(new + 1)
     J[:-1, 3:-1].reshape(new + 1, 2, new + 1, 2)[i, :, i, :] = R_MA
-    P[old : old + more, :old] = J @ P[old:, :old]
-    P[old : old + more, old : old + more] = J @ P[old:, old:] @ J.T
-    covariance = np.tril(P[: old + more, : old + more])
-    covariance += np.tril(covariance, -1).T
+    across, within = J @ P[old:, :old], J @ P[old:, old:] @ J.T
+    covariance = P[: old + more, : old + more]
+    covariance[old:, :old], covariance[:old, old:] = across, across.T
+    covariance[old:, old:] = 0.5 * (within + within.T)
 
     graph = replace(graph, X_MN=np.vstack([graph.X_MN[:-1], X_MA]))
     X_MD = se2.compose(X_MA, X_AD)
-    graph = extended(graph, observation, X_MD, is_view=is_view)
+    graph = _with_entropy(extended(graph, observation, X_MD, is_view=is_view), new, update.root, R)
     p_ML, row = np.empty((len(graph.ids), 2)), np.searchsorted(graph.ids, estimate.ids)
     p_ML[row] = estimate.p_ML
     local = np.append(row[estimate.local], np.searchsorted(graph.ids, observation.ids[~known]))
@@ -195,5 +195,25 @@ def _joined(
     if new:
         order = np.argsort(local, kind="stable")
         local, entries = local[order], _entries(len(covariance), order)
-        covariance = covariance[np.ix_(entries, entries)]
+        covariance = covariance.take(entries, axis=0).take(entries, axis=1)
     return graph, replace(estimate, ids=graph.ids, p_ML=p_ML, X_MD=X_MD, local=local, covariance=covariance)
+
+
+def _with_entropy(graph: KeyframeGraph, new: int, root: FloatArray, R: FloatArray) -> KeyframeGraph:
+    """A graph that has got one keyframe more, with its entropy and the information on its newest pose brought up to date.
+
+    new: landmarks seen for the first time. root: lower Cholesky factor of the innovation's covariance, R: covariance of
+    what was observed. The determinant of
+    all that is known, poses too, grows by that of the innovation and falls by that of R; that of the poses given the
+    landmarks, a chain, is taken off.
+    """
+    one = graph.keyframes[-1]
+    rows = np.searchsorted(graph.ids, one.ids)
+    H, _, _ = linearised(rows, one.p_AL, one.X_AD, one.information, graph.X_MN[-2], graph.X_MN[-1], graph.p_ML)
+    of_chain, own = chain(graph.pose_information, H[None, 2 * len(rows) :, 2 * len(rows) :])
+    of_chain += float(np.linalg.slogdet(own)[1])
+    if len(graph.keyframes) > 1:
+        of_chain -= float(np.linalg.slogdet(graph.pose_information)[1])
+    surer = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(np.linalg.slogdet(R)[1]) - of_chain
+    more = 0.5 * (2 * new * math.log(2.0 * math.pi * math.e) - surer)
+    return replace(graph, entropy=graph.entropy + more, pose_information=own)
