@@ -171,7 +171,7 @@ def assemble(
 def chain(own: FloatArray, poses: FloatArray) -> tuple[float, FloatArray]:
     """A chain of nodes, given the landmarks, eliminated from its beginning up to the last.
 
-    own: (3, 3) information on its first node, infinite where that is the origin. poses: (k, 6, 6) what its keyframes add,
+    own: (3, 3) information on its first node, infinite where that is the origin. poses: (k, 6, 6) what keyframes add,
     as `assemble` has it. Returns log det of the information on the nodes eliminated, and (3, 3) that on the last.
     """
     total = 0.0

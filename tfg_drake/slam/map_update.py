@@ -200,7 +200,7 @@ def _joined(
 
 
 def _with_entropy(graph: KeyframeGraph, new: int, root: FloatArray, R: FloatArray) -> KeyframeGraph:
-    """A graph that has got one keyframe more, with its entropy and the information on its newest pose brought up to date.
+    """A graph that has got one keyframe more, with its entropy and the information on its newest pose as they are now.
 
     new: landmarks seen for the first time. root: lower Cholesky factor of the innovation's covariance, R: covariance of
     what was observed. The determinant of
