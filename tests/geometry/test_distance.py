@@ -4,7 +4,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tfg_drake.geometry.distance import clearance, enter, point_distance, segment_distance
+from tfg_drake.geometry.distance import clearance, enter, point_distance
 
 
 def random_segments(rng, n):
@@ -24,12 +24,12 @@ def test_point_distance_agrees_with_shapely():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_segment_distance_agrees_with_shapely(seed):
+def test_clearance_agrees_with_shapely(seed):
     rng = np.random.default_rng(seed)
     segments, edges = random_segments(rng, 12), random_segments(rng, 200)
     expected = shapely.distance(lines(edges)[:, None], lines(segments)[None]).min(axis=1)
     assert 0 < (expected == 0).sum() < 200
-    np.testing.assert_allclose(segment_distance(edges, segments), expected, atol=1e-12)
+    np.testing.assert_allclose(clearance(edges, segments, np.inf), expected, atol=1e-12)
     np.testing.assert_allclose(clearance(edges, segments, 0.7), np.minimum(expected, 0.7), atol=1e-12)
 
 
@@ -56,13 +56,13 @@ def test_degenerate_pairs_agree_with_shapely(edge, segment):
         a, b = row[:2], row[2:]
         return shapely.Point(a) if a == b else shapely.LineString([a, b])
 
-    distance = segment_distance(np.array([edge]), np.array([segment]))[0]
+    distance = clearance(np.array([edge]), np.array([segment]), np.inf)[0]
     assert distance == pytest.approx(geometry(edge).distance(geometry(segment)), abs=1e-12)
 
 
 def test_nothing_is_infinitely_far():
     none = np.zeros((0, 4))
     assert point_distance(np.zeros((2, 2)), none).tolist() == [np.inf, np.inf]
-    assert segment_distance(np.zeros((1, 4)), none).tolist() == [np.inf]
+    assert clearance(np.zeros((1, 4)), none, np.inf).tolist() == [np.inf]
     assert clearance(np.zeros((1, 4)), none, 2.0).tolist() == [2.0]
-    assert len(segment_distance(none, np.zeros((1, 4)))) == 0
+    assert len(clearance(none, np.zeros((1, 4)), np.inf)) == 0

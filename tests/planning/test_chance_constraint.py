@@ -17,12 +17,15 @@ from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
 
-def deviation(targets, frames=4.0):
+def deviation(targets, noise=(0.02, 0.01, 0.01, 4.0), covariance=None):
+    """Of a robot at the origin that sees targets which face it, by their covariance, or as if they were exact."""
     targets = np.asarray(targets, dtype=float)
     n = len(targets)
-    none = np.zeros((0, 0))
-    views = np.array([0, n]), np.arange(n)
-    return localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, frames, none, *views)[0]
+    entry, errors = (np.full(n, -1), np.zeros((3, 3))) if covariance is None else (np.arange(n), covariance)
+    views, facing = (np.array([0, n]), np.arange(n)), -targets / np.hypot(*targets.T)[:, None]
+    sigma, sees, knows = localised_deviation(np.zeros((1, 2)), *views, targets, facing, 9.0, 1.2, noise, entry, errors)
+    assert (sees.tolist(), knows.tolist()) == ([n], [0 if covariance is None else n])
+    return sigma[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -56,11 +59,9 @@ def test_an_uncertain_map_adds_what_the_robot_does_not_share_with_the_surface(se
     dL = rng.multivariate_normal(np.zeros(8), S, 200_000)
     seen = dL @ G.T + rng.normal(size=dL.shape)
     error = -np.linalg.lstsq(K, seen.T, rcond=None)[0][:2].T
-    # The first landmark carries the surface.
+    # The first landmark, the only one that is near enough, carries the surface.
     worst = np.linalg.eigvalsh(np.cov((error - dL[:, :2]).T))[-1] ** 0.5
-    views = np.array([0, 4]), np.arange(4)
-    first = np.array([0, 1]), np.array([0])
-    sigma = localised_deviation(np.zeros((1, 2)), *views, targets, 0.02, 0.01, 0.01, 4.0, S, *first)[0]
+    sigma = deviation(targets, covariance=S)
     assert sigma == pytest.approx(worst, rel=0.01)
 
 
@@ -139,19 +140,7 @@ def test_what_odometry_adds_while_the_frames_come_counts_where_it_is_more_than_t
     sensor, odometry, speed = TagSensorConfig(), OdometryConfig(distance_noise=noise), 0.4
     (sigma,), _ = predicted_deviation(place, estimate, tfg, sensor, odometry, speed)
     frames = sensor.detection_probability * sensor.rate * sensor.field_of_view / (2 * np.pi)
-    (standing,) = localised_deviation(
-        place,
-        np.array([0, 4]),
-        np.arange(4),
-        p_ML,
-        sensor.range_noise,
-        sensor.range_noise_per_metre,
-        sensor.bearing_noise,
-        frames,
-        np.zeros((0, 0)),
-        np.array([0, 4]),
-        np.arange(4),
-    )
+    standing = deviation(p_ML, (sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames))
     Q = odometry_covariance(np.zeros(3), np.array([[speed, 0.0]]), np.array([speed]), np.ones(1), odometry)[0]
     assert sigma**2 - standing**2 == pytest.approx(max(TRACKING_DEVIATION**2, Q[0, 0], Q[1, 1]))
     assert (max(Q[0, 0], Q[1, 1]) > TRACKING_DEVIATION**2) == (noise > 0.02)

@@ -11,7 +11,10 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry.segment_grid import cell_range, rows_in_box, segment_grid
-from tfg_drake.messages import BoolArray, FloatArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+
+# Rounding of a distance, generously, as a share of it.
+ROUNDING = 1e-9
 
 
 @njit(cache=True)
@@ -26,10 +29,16 @@ def nearest_on_segment(x: float, y: float, x0: float, y0: float, x1: float, y1: 
 
 
 @njit(cache=True)
+def _square(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
+    """Squared distance (m^2) from the point (x, y) to the segment (x0, y0)-(x1, y1)."""
+    nx, ny = nearest_on_segment(x, y, x0, y0, x1, y1)
+    return (nx - x) ** 2 + (ny - y) ** 2
+
+
+@njit(cache=True)
 def point_segment_distance(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
     """Distance (m) from the point (x, y) to the segment (x0, y0)-(x1, y1)."""
-    nx, ny = nearest_on_segment(x, y, x0, y0, x1, y1)
-    return math.sqrt((nx - x) ** 2 + (ny - y) ** 2)
+    return math.sqrt(_square(x, y, x0, y0, x1, y1))
 
 
 @njit(cache=True)
@@ -47,16 +56,22 @@ def segments_cross(ax: float, ay: float, bx: float, by: float, cx: float, cy: fl
 
 
 @njit(cache=True)
+def _square_between(ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float) -> float:
+    """Squared distance (m^2) between the segments a-b and c-d, 0 where they cross."""
+    if segments_cross(ax, ay, bx, by, cx, cy, dx, dy):
+        return 0.0
+    return min(
+        min(_square(ax, ay, cx, cy, dx, dy), _square(bx, by, cx, cy, dx, dy)),
+        min(_square(cx, cy, ax, ay, bx, by), _square(dx, dy, ax, ay, bx, by)),
+    )
+
+
+@njit(cache=True)
 def segment_segment_distance(
     ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float
 ) -> float:
     """Distance (m) between the segments a-b and c-d, 0 where they cross."""
-    if segments_cross(ax, ay, bx, by, cx, cy, dx, dy):
-        return 0.0
-    return min(
-        min(point_segment_distance(ax, ay, cx, cy, dx, dy), point_segment_distance(bx, by, cx, cy, dx, dy)),
-        min(point_segment_distance(cx, cy, ax, ay, bx, by), point_segment_distance(dx, dy, ax, ay, bx, by)),
-    )
+    return math.sqrt(_square_between(ax, ay, bx, by, cx, cy, dx, dy))
 
 
 @njit(cache=True)
@@ -71,34 +86,54 @@ def point_distance(points: FloatArray, segments: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def segment_distance(edges: FloatArray, segments: FloatArray) -> FloatArray:
-    """Distance (e,), m, from each edge (e, 4) to the nearest segment (m, 4): 0 where they cross, inf without any."""
-    return clearance(edges, segments, np.inf)
+def room_beside(
+    ax: float,
+    ay: float,
+    bx: float,
+    by: float,
+    segments: FloatArray,
+    grid: tuple[FloatArray, int, int, IntArray, IntArray],
+    reach: float,
+) -> float:
+    """Distance (m) from the edge a-b to the nearest of segments (m, 4), 0 where it crosses one, and no more than reach
+    (m): surfaces farther away are not looked at. grid: the segment_grid of the segments."""
+    frame, columns, rows, offsets, index = grid
+    left, right, low, high = min(ax, bx), max(ax, bx), min(ay, by), max(ay, by)
+    best, square = reach, reach * reach
+    ex, ey = bx - ax, by - ay
+    length = math.sqrt(ex * ex + ey * ey)
+    a0, a1 = cell_range(left - best, right + best, frame[0], frame[2], columns)
+    b0, b1 = cell_range(low - best, high + best, frame[1], frame[2], rows)
+    for a in range(a0, a1):
+        # Cells of a column lie one after the other.
+        for k in range(offsets[a * rows + b0], offsets[a * rows + b1]):
+            j = index[k]
+            cx, cy, dx, dy = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
+            # The gap between the two bounding boxes is a lower bound of the distance.
+            if max(cx, dx) < left - best or min(cx, dx) > right + best:
+                continue
+            if max(cy, dy) < low - best or min(cy, dy) > high + best:
+                continue
+            # So is the distance from the edge's line.
+            beside_c, beside_d = ex * (cy - ay) - ey * (cx - ax), ex * (dy - ay) - ey * (dx - ax)
+            beyond = best * length * (1.0 + ROUNDING)
+            if min(beside_c, beside_d) > beyond or max(beside_c, beside_d) < -beyond:
+                continue
+            apart = _square_between(ax, ay, bx, by, cx, cy, dx, dy)
+            if apart < square:
+                best, square = math.sqrt(apart), apart
+                if apart == 0.0:
+                    return 0.0
+    return best
 
 
 @njit(cache=True)
 def clearance(edges: FloatArray, segments: FloatArray, reach: float) -> FloatArray:
-    """As segment_distance, but no more than reach (m): surfaces farther away are not looked at."""
-    distance = np.full(len(edges), reach)
-    frame, columns, rows, offsets, index = segment_grid(segments)
+    """Distance (e,), m, from each edge (e, 4) to the nearest segment (m, 4), 0 where they cross, and no more than reach
+    (m)."""
+    distance, grid = np.empty(len(edges)), segment_grid(segments)
     for i in range(len(edges)):
-        ax, ay, bx, by = edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3]
-        left, right, low, high = min(ax, bx), max(ax, bx), min(ay, by), max(ay, by)
-        best = reach
-        a0, a1 = cell_range(left - best, right + best, frame[0], frame[2], columns)
-        b0, b1 = cell_range(low - best, high + best, frame[1], frame[2], rows)
-        for a in range(a0, a1):
-            # Cells of a column lie one after the other.
-            for k in range(offsets[a * rows + b0], offsets[a * rows + b1]):
-                j = index[k]
-                cx, cy, dx, dy = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
-                # The gap between the two bounding boxes is a lower bound of the distance.
-                if max(cx, dx) < left - best or min(cx, dx) > right + best:
-                    continue
-                if max(cy, dy) < low - best or min(cy, dy) > high + best:
-                    continue
-                best = min(best, segment_segment_distance(ax, ay, bx, by, cx, cy, dx, dy))
-        distance[i] = best
+        distance[i] = room_beside(edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3], segments, grid, reach)
     return distance
 
 

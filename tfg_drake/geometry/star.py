@@ -20,6 +20,9 @@ ROUNDING = 1e-9
 # Points whose cover is counted together.
 _AT_ONCE = 1_000_000
 
+# See `star_index`.
+StarIndex = tuple[FloatArray, tuple[FloatArray, int, int, IntArray, IntArray], IntArray, FloatArray]
+
 
 @njit(cache=True)
 def _odd_crossings(x: float, y: float, vertices: FloatArray, before: int, start: int, stop: int) -> bool:
@@ -104,24 +107,39 @@ def _inside(
 
 
 @njit(cache=True)
+def star_index(star_offsets: IntArray, star_vertices: FloatArray) -> StarIndex:
+    """What tells quickly which stars a point may lie in: their bounding boxes, the segment_grid of these, and the runs
+    of their edges. Star polygons as in `inside_any`."""
+    boxes = _boxes(star_offsets, star_vertices)
+    runs, reach = _runs_of_edges(star_offsets, star_vertices)
+    return boxes, segment_grid(boxes), runs, reach
+
+
+@njit(cache=True)
+def in_a_star(
+    x: float, y: float, star_offsets: IntArray, star_vertices: FloatArray, index: StarIndex, near: IntArray
+) -> bool:
+    """Whether a point lies inside at least one star polygon. near: for rows, as many as the index's grid has."""
+    boxes, grid, runs, reach = index
+    for k in range(rows_in_box(grid, x, x, y, y, near)):
+        j = near[k]
+        if _may_hold(boxes[j], x, y) and _inside(x, y, j, star_offsets, star_vertices, runs, reach):
+            return True
+    return False
+
+
+@njit(cache=True)
 def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
     """Which points (n, 2) lie inside at least one star polygon, (n,).
 
     Star j has the vertices star_vertices[star_offsets[j]:star_offsets[j + 1]]; star_offsets is (k + 1,), star_vertices
     (v, 2), in the frame of the points, m. A point exactly on an edge may fall on either side.
     """
-    boxes = _boxes(star_offsets, star_vertices)
-    grid = segment_grid(boxes)
-    near = np.empty(len(grid[4]), dtype=np.int64)
-    runs, reach = _runs_of_edges(star_offsets, star_vertices)
-    result = np.zeros(points.shape[0], dtype=np.bool_)
-    for i in range(points.shape[0]):
-        x, y = points[i, 0], points[i, 1]
-        for k in range(rows_in_box(grid, x, x, y, y, near)):
-            j = near[k]
-            if _may_hold(boxes[j], x, y) and _inside(x, y, j, star_offsets, star_vertices, runs, reach):
-                result[i] = True
-                break
+    index = star_index(star_offsets, star_vertices)
+    near = np.empty(len(index[1][4]), dtype=np.int64)
+    result = np.zeros(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        result[i] = in_a_star(points[i, 0], points[i, 1], star_offsets, star_vertices, index, near)
     return result
 
 
@@ -140,10 +158,8 @@ def inspected(
     Seen well means inside the star, within max_range (m) of its centre, star_centers (k, 2), and with at most
     max_incidence (rad) between the normal and the line of sight. Star polygons as in `inside_any`.
     """
-    boxes = _boxes(star_offsets, star_vertices)
-    grid = segment_grid(boxes)
+    boxes, grid, runs, star_reach = star_index(star_offsets, star_vertices)
     near = np.empty(len(grid[4]), dtype=np.int64)
-    runs, star_reach = _runs_of_edges(star_offsets, star_vertices)
     least_cosine = np.cos(max_incidence)
     result = np.zeros(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
@@ -180,8 +196,8 @@ def looked_through(
     each piece of it or looks along that (see ALONG), its first point is within reach (m) of the centre, and all of it
     at least depth (m) inside the star. surface_rank: (s,), star_rank: (k,). Star polygons as in `inside_any`.
     """
-    boxes, radii = _boxes(star_offsets, star_vertices), _square_radii(star_offsets, star_vertices, star_centers)
-    runs, star_reach = _runs_of_edges(star_offsets, star_vertices)
+    boxes, _, runs, star_reach = star_index(star_offsets, star_vertices)
+    radii = _square_radii(star_offsets, star_vertices, star_centers)
     grid = segment_grid(np.hstack((star_centers, star_centers)))
     near = np.empty(len(star_centers), dtype=np.int64)
     result = np.zeros(len(offsets) - 1, dtype=np.bool_)

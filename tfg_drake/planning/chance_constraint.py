@@ -23,7 +23,7 @@ from scipy.special import ndtr, ndtri
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
-from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, View, expected_tags, local_view, visible_targets
+from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, local_entries, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
@@ -45,90 +45,131 @@ def localised_deviation(
     offsets: IntArray,
     index: IntArray,
     targets: FloatArray,
-    range_noise: float,
-    range_noise_per_metre: float,
-    bearing_noise: float,
-    frames: float,
+    facing: FloatArray,
+    reach: float,
+    max_incidence: float,
+    noise: tuple[float, float, float, float],
+    entry: IntArray,
     covariance: FloatArray,
-    carry_offsets: IntArray,
-    carry_index: IntArray,
-) -> FloatArray:
+) -> tuple[FloatArray, IntArray, IntArray]:
     """Greatest deviation (n,), m, of a robot's position at each point, relative to those landmarks that carry what it
     could touch.
 
-    Point i sees targets[index[offsets[i]:offsets[i + 1]]] of targets (t, 2), each in `frames` frames of range and
-    bearing, heading unknown, and takes them to be where the map has them; LOCALISATION_TAGS of them count, the nearest.
-    covariance: (>= 2t, >= 2t) of the targets, m^2; (0, 0) where their own errors are left out. Relative to which
-    targets: carry_index[carry_offsets[i]:carry_offsets[i + 1]], where there are none all within SURFACE_REACH. inf
-    with fewer than two in view.
+    Point i has the targets index[offsets[i]:offsets[i + 1]] of targets (t, 2), m, that face facing (t, 2), in view. It
+    sees those within reach (m) and max_incidence (rad), each in so many frames of range and bearing, heading unknown,
+    and takes them to be where the map has them; LOCALISATION_TAGS of them count, the nearest. noise: deviation of a
+    range, m, what a metre adds to it, m, deviation of a bearing, rad, and the number of frames. entry: (t,) the place
+    of each target in the covariance, row by row, -1 for those that it is not of. Where enough of those in view are in
+    it, only they count, with their own errors, and relative to those of them in view within SURFACE_REACH, where there
+    are none all that are so near; else the errors of the map are left out. inf with fewer than two in view.
+
+    Returns also how many targets each point sees, and how many of these have a place in the covariance, (n,) and (n,).
     """
-    out = np.full(len(points), np.inf)
-    uncertain = len(covariance) > 0
+    sigma = np.full(len(points), np.inf)
+    sees, knows = np.zeros(len(points), dtype=np.int64), np.zeros(len(points), dtype=np.int64)
+    cos_max = math.cos(max_incidence)
+    rows, known = np.empty(len(targets), dtype=np.int64), np.empty(len(targets), dtype=np.int64)
+    carry = np.empty(len(targets), dtype=np.int64)
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        rows = index[offsets[i] : offsets[i + 1]]
-        if len(rows) < 2:
-            continue
-        if len(rows) > LOCALISATION_TAGS:
-            square = np.empty(len(rows))
-            for k in range(len(rows)):
-                square[k] = (targets[rows[k], 0] - x) ** 2 + (targets[rows[k], 1] - y) ** 2
-            rows = rows[np.argsort(square)[:LOCALISATION_TAGS]]
-        m = len(rows)
-        H = np.empty((m, 3, 2))  # K^T G: what an error of each landmark does to the information on the pose
-        b_xx, b_xy, b_yy, b_xt, b_yt, b_tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(m):
-            dx, dy = targets[rows[k], 0] - x, targets[rows[k], 1] - y
-            r = max(math.sqrt(dx * dx + dy * dy), 0.05)
-            ux, uy = dx / r, dy / r
-            w_range = frames / (range_noise + range_noise_per_metre * r) ** 2
-            w_bearing = frames / bearing_noise**2
-            xx = w_range * ux * ux + w_bearing * uy * uy / (r * r)
-            xy = w_range * ux * uy - w_bearing * ux * uy / (r * r)
-            yy = w_range * uy * uy + w_bearing * ux * ux / (r * r)
-            hx, hy = -w_bearing * uy / r, w_bearing * ux / r
-            b_xx, b_xy, b_yy = b_xx + xx, b_xy + xy, b_yy + yy
-            b_xt, b_yt, b_tt = b_xt + hx, b_yt + hy, b_tt + w_bearing
-            H[k, 0, 0], H[k, 0, 1], H[k, 1, 1] = xx, xy, yy
-            H[k, 1, 0] = xy
-            H[k, 2, 0], H[k, 2, 1] = hx, hy
-        # The heading eliminated.
-        tx, ty = b_xt / b_tt, b_yt / b_tt
-        b_xx, b_xy, b_yy = b_xx - tx * b_xt, b_xy - tx * b_yt, b_yy - ty * b_yt
-        det = b_xx * b_yy - b_xy * b_xy
-        if det <= 0.0:
-            continue
-        p_xx, p_xy, p_yy = b_yy / det, -b_xy / det, b_xx / det
-        if not uncertain:
-            out[i] = math.sqrt(_largest(p_xx, p_xy, p_yy))
-            continue
-
-        # The robot's error is M dL + noise: it takes part in those of the landmarks it goes by. N = S M^T.
-        M = np.empty((m, 2, 2))
-        for k in range(m):
-            for j in range(2):
-                h_x, h_y = H[k, 0, j] - tx * H[k, 2, j], H[k, 1, j] - ty * H[k, 2, j]
-                M[k, 0, j] = p_xx * h_x + p_xy * h_y
-                M[k, 1, j] = p_xy * h_x + p_yy * h_y
-        xx, xy, yy = p_xx, p_xy, p_yy
-        for k in range(m):
-            n00, n01, n10, n11 = _shared(covariance, rows[k], rows, M)
-            xx += M[k, 0, 0] * n00 + M[k, 0, 1] * n10
-            xy += M[k, 0, 0] * n01 + M[k, 0, 1] * n11
-            yy += M[k, 1, 0] * n01 + M[k, 1, 1] * n11
-        worst = 0.0
-        carry = carry_index[carry_offsets[i] : carry_offsets[i + 1]]
-        if len(carry) == 0:
+        carries = 0
+        for t in index[offsets[i] : offsets[i + 1]]:
+            dx, dy = targets[t, 0] - x, targets[t, 1] - y
+            r = math.sqrt(dx * dx + dy * dy)
+            if r <= reach and -(dx * facing[t, 0] + dy * facing[t, 1]) >= cos_max * r:
+                rows[sees[i]] = t
+                sees[i] += 1
+                if entry[t] >= 0:
+                    known[knows[i]] = t
+                    knows[i] += 1
+            if r <= SURFACE_REACH and entry[t] >= 0:
+                carry[carries] = t
+                carries += 1
+        # By few of those in view that happen to be known jointly the place would be known worse than it is.
+        is_joint = knows[i] >= 2 and knows[i] >= min(sees[i], LOCALISATION_TAGS)
+        if is_joint and carries == 0:
             # As in a door, where what carries the jambs looks away to either side.
-            carry = np.flatnonzero((targets[:, 0] - x) ** 2 + (targets[:, 1] - y) ** 2 <= SURFACE_REACH**2)
-        for s in carry:
-            n00, n01, n10, n11 = _shared(covariance, s, rows, M)
-            a = xx - 2.0 * n00 + covariance[2 * s, 2 * s]
-            b = xy - n01 - n10 + covariance[2 * s, 2 * s + 1]
-            c = yy - 2.0 * n11 + covariance[2 * s + 1, 2 * s + 1]
-            worst = max(worst, _largest(a, b, c))
-        out[i] = math.sqrt(worst if worst > 0.0 else _largest(p_xx, p_xy, p_yy))
-    return out
+            for t in range(len(targets)):
+                if entry[t] >= 0 and (targets[t, 0] - x) ** 2 + (targets[t, 1] - y) ** 2 <= SURFACE_REACH**2:
+                    carry[carries] = t
+                    carries += 1
+        seen = known[: knows[i]] if is_joint else rows[: sees[i]]
+        if len(seen) > LOCALISATION_TAGS:
+            square = np.empty(len(seen))
+            for k in range(len(seen)):
+                square[k] = (targets[seen[k], 0] - x) ** 2 + (targets[seen[k], 1] - y) ** 2
+            seen = seen[np.argsort(square)[:LOCALISATION_TAGS]]
+        if len(seen) >= 2:
+            errors = covariance if is_joint else covariance[:0]
+            sigma[i] = _deviation_at(x, y, seen, carry[:carries], targets, noise, entry, errors)
+    return sigma, sees, knows
+
+
+@njit(cache=True)
+def _deviation_at(
+    x: float,
+    y: float,
+    rows: IntArray,
+    carry: IntArray,
+    targets: FloatArray,
+    noise: tuple[float, float, float, float],
+    entry: IntArray,
+    covariance: FloatArray,
+) -> float:
+    """The deviation, m, at (x, y) by the targets of these rows (m,), relative to those that carry (s,) what it could
+    touch; covariance: (0, 2t + 3) where their own errors are left out. Further arguments as of localised_deviation."""
+    m = len(rows)
+    range_noise, range_noise_per_metre, bearing_noise, frames = noise
+    H = np.empty((m, 3, 2))  # K^T G: what an error of each landmark does to the information on the pose
+    b_xx, b_xy, b_yy, b_xt, b_yt, b_tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(m):
+        dx, dy = targets[rows[k], 0] - x, targets[rows[k], 1] - y
+        r = max(math.sqrt(dx * dx + dy * dy), 0.05)
+        ux, uy = dx / r, dy / r
+        w_range = frames / (range_noise + range_noise_per_metre * r) ** 2
+        w_bearing = frames / bearing_noise**2
+        xx = w_range * ux * ux + w_bearing * uy * uy / (r * r)
+        xy = w_range * ux * uy - w_bearing * ux * uy / (r * r)
+        yy = w_range * uy * uy + w_bearing * ux * ux / (r * r)
+        hx, hy = -w_bearing * uy / r, w_bearing * ux / r
+        b_xx, b_xy, b_yy = b_xx + xx, b_xy + xy, b_yy + yy
+        b_xt, b_yt, b_tt = b_xt + hx, b_yt + hy, b_tt + w_bearing
+        H[k, 0, 0], H[k, 0, 1], H[k, 1, 1] = xx, xy, yy
+        H[k, 1, 0] = xy
+        H[k, 2, 0], H[k, 2, 1] = hx, hy
+    # The heading eliminated.
+    tx, ty = b_xt / b_tt, b_yt / b_tt
+    b_xx, b_xy, b_yy = b_xx - tx * b_xt, b_xy - tx * b_yt, b_yy - ty * b_yt
+    det = b_xx * b_yy - b_xy * b_xy
+    if det <= 0.0:
+        return np.inf
+    p_xx, p_xy, p_yy = b_yy / det, -b_xy / det, b_xx / det
+    if len(covariance) == 0:
+        return math.sqrt(_largest(p_xx, p_xy, p_yy))
+
+    # The robot's error is M dL + noise: it takes part in those of the landmarks it goes by. N = S M^T.
+    M, at = np.empty((m, 2, 2)), np.empty(m, dtype=np.int64)
+    for k in range(m):
+        at[k] = entry[rows[k]]
+        for j in range(2):
+            h_x, h_y = H[k, 0, j] - tx * H[k, 2, j], H[k, 1, j] - ty * H[k, 2, j]
+            M[k, 0, j] = p_xx * h_x + p_xy * h_y
+            M[k, 1, j] = p_xy * h_x + p_yy * h_y
+    xx, xy, yy = p_xx, p_xy, p_yy
+    for k in range(m):
+        n00, n01, n10, n11 = _shared(covariance, at[k], at, M)
+        xx += M[k, 0, 0] * n00 + M[k, 0, 1] * n10
+        xy += M[k, 0, 0] * n01 + M[k, 0, 1] * n11
+        yy += M[k, 1, 0] * n01 + M[k, 1, 1] * n11
+    worst = 0.0
+    for t in carry:
+        s = entry[t]
+        n00, n01, n10, n11 = _shared(covariance, s, at, M)
+        a = xx - 2.0 * n00 + covariance[2 * s, 2 * s]
+        b = xy - n01 - n10 + covariance[2 * s, 2 * s + 1]
+        c = yy - 2.0 * n11 + covariance[2 * s + 1, 2 * s + 1]
+        worst = max(worst, _largest(a, b, c))
+    return math.sqrt(worst if worst > 0.0 else _largest(p_xx, p_xy, p_yy))
 
 
 @njit(cache=True)
@@ -172,28 +213,33 @@ def predicted_deviation(
     since. Returns also which (n,) are so known, now or then.
     """
 
-    def in_view(reach: float, max_incidence: float) -> View:
-        targets = estimate.p_ML, tfg.facing, tfg.segments
-        return View(*visible_targets(points, *targets, reach, max_incidence, SURFACE_TOLERANCE, 0.0))
-
-    near = in_view(min(sensor.range, LOCALISATION_RANGE), sensor.max_incidence)
-    touchable = local_view(in_view(SURFACE_REACH, 0.5 * math.pi), estimate)
+    reach = min(sensor.range, LOCALISATION_RANGE)
+    in_view = visible_targets(
+        points,
+        estimate.p_ML,
+        tfg.facing,
+        tfg.segments,
+        max(reach, SURFACE_REACH),
+        sensor.max_incidence,
+        SURFACE_TOLERANCE,
+        0.0,
+        SURFACE_REACH,
+    )
     frames = sensor.detection_probability * sensor.rate * LOCALISATION_TIME
     frames *= min(1.0, sensor.field_of_view / (2 * math.pi))
     noise = sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames
-    local = local_view(near, estimate)
-    # By few of those in view that happen to be known jointly the place would be known worse than it is.
-    joint = (local.count >= 2) & (local.count >= np.minimum(near.count, LOCALISATION_TAGS))
-    sigma = np.empty(len(points))
-    for which, view, targets, covariance in (
-        (joint, local, estimate.p_ML[estimate.local], estimate.covariance),
-        (~joint, near, estimate.p_ML, np.zeros((0, 0))),
-    ):
-        rows = np.flatnonzero(which)
-        seen, carry = view.of(rows), touchable.of(rows)
-        sigma[which] = localised_deviation(
-            points[which], seen.offsets, seen.index, targets, *noise, covariance, carry.offsets, carry.index
-        )
+    sigma, sees, knows = localised_deviation(
+        points,
+        *in_view,
+        estimate.p_ML,
+        tfg.facing,
+        reach,
+        sensor.max_incidence,
+        noise,
+        local_entries(estimate),
+        estimate.covariance,
+    )
+    joint = (knows >= 2) & (knows >= np.minimum(sees, LOCALISATION_TAGS))
     localised = np.isfinite(sigma)
     if not localised.all():
         anchors = np.vstack([points[localised], estimate.X_MD[None, :2]])
@@ -202,7 +248,7 @@ def predicted_deviation(
         sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + _drift(d, odometry, speed))
     on_the_way = np.maximum(TRACKING_DEVIATION**2, _drift(np.array(speed * LOCALISATION_TIME), odometry, speed))
     sigma = np.sqrt(sigma**2 + on_the_way)
-    remembered = ~joint & (near.count >= 2) & (local.count < near.count) & np.isfinite(before)
+    remembered = ~joint & (sees >= 2) & (knows < sees) & np.isfinite(before)
     return np.where(remembered, before, sigma), joint | remembered
 
 

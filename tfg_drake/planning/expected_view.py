@@ -88,12 +88,14 @@ def visible_targets(
     max_incidence: float,
     tolerance: float,
     graze: float,
+    close: float = 0.0,
 ) -> tuple[IntArray, IntArray]:
     """Targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
 
     points: (c, 2), targets: (n, 2) and segments: (m, 4) in one frame, m. normals: (n, 2) unit vectors, the side from
     which each target can be seen. tolerance: length, m, by which lines of sight are shortened at the target. graze: m:
-    what would be hidden were it so far to the one side, but not to the other, does not count.
+    what would be hidden were it so far to the one side, but not to the other, does not count. close: m, from as near as
+    this a target is seen from anywhere in front of it, however aslant.
     """
     cos_max = math.cos(max_incidence)
     offsets = np.zeros(len(points) + 1, dtype=np.int64)
@@ -111,7 +113,10 @@ def visible_targets(
             t = asked[k]
             dx, dy = targets[t, 0] - x, targets[t, 1] - y
             r = math.sqrt(dx * dx + dy * dy)
-            if r > range_max or r == 0.0 or -(dx * normals[t, 0] + dy * normals[t, 1]) < cos_max * r:
+            if r > range_max or r == 0.0:
+                continue
+            ahead = -(dx * normals[t, 0] + dy * normals[t, 1])
+            if ahead < cos_max * r and (r > close or ahead <= 0.0):
                 continue
             share = max(0.0, 1.0 - tolerance / r)
             ex, ey = x + share * dx, y + share * dy
@@ -199,9 +204,14 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig,
     return view.kept(np.hypot(ways[:, 0], ways[:, 1]) >= least_range)
 
 
-def local_view(tags: View, estimate: MapEstimate) -> View:
-    """A view of rows of estimate.ids as one of the entries of estimate.local, those that are not in it left out."""
+def local_entries(estimate: MapEstimate) -> IntArray:
+    """The place of each landmark (n,) among those known jointly, -1 for the others."""
     entry = np.full(len(estimate.ids), -1)
     entry[estimate.local] = np.arange(len(estimate.local))
-    index = entry[tags.index]
+    return entry
+
+
+def local_view(tags: View, estimate: MapEstimate) -> View:
+    """A view of rows of estimate.ids as one of the entries of estimate.local, those that are not in it left out."""
+    index = local_entries(estimate)[tags.index]
     return View(tags.offsets, index).kept(index >= 0)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.distance import segment_distance
+from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
@@ -180,7 +180,7 @@ def _touches(
     point: FloatArray, off: FloatArray, segments: FloatArray, ends: _Ends, dL: FloatArray, radius: float
 ) -> BoolArray:
     """Whether a disc at a point (2,), off by (s, 2), touches a piece of surface that moved with the landmarks, (s,)."""
-    near = np.flatnonzero(segment_distance(segments, np.concatenate([point, point])[None]) < REACH)
+    near = np.flatnonzero(clearance(segments, np.concatenate([point, point])[None], np.inf) < REACH)
     place = point + off
     hit = np.zeros(len(off), dtype=np.bool_)
     for g in near:

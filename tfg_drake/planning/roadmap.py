@@ -8,8 +8,6 @@ narrow door once passed is not lost again to bad luck in sampling.
 from __future__ import annotations
 
 import dataclasses
-import functools
-import itertools
 import math
 from typing import Any
 
@@ -17,7 +15,6 @@ import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
-from scipy.spatial import cKDTree
 
 from tfg_drake.config import (
     NODE_MARGIN,
@@ -28,9 +25,9 @@ from tfg_drake.config import (
     TagSensorConfig,
 )
 from tfg_drake.geometry.connected import connect, settle
-from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance
+from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
-from tfg_drake.geometry.star import inside_any
+from tfg_drake.geometry.star import in_a_star, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
 
@@ -167,28 +164,50 @@ def empty_roadmap() -> RoadmapState:
 
 
 @njit(cache=True)
-def thin(proposals: FloatArray, spacing: FloatArray, nodes: FloatArray) -> BoolArray:
-    """Which proposals (p, 2) to keep, in order, each at least its own spacing (p,) from nodes (n, 2) and those kept."""
-    keep = np.zeros(len(proposals), dtype=np.bool_)
-    grid = segment_grid(np.hstack((nodes, nodes)))
-    near = np.empty(len(nodes), dtype=np.int64)
-    kept = np.empty((len(proposals), 2))
+def fitting(
+    proposals: FloatArray,
+    spacing: FloatArray,
+    is_free: BoolArray,
+    nodes: FloatArray,
+    star_offsets: IntArray,
+    star_vertices: FloatArray,
+    segments: FloatArray,
+    room: float,
+) -> BoolArray:
+    """Which proposals (p, 2) to keep, in order: each in free space, if that is not known of it (p,), with room, m, to
+    all segments (m, 4), and at least its own spacing (p,), m, from those kept and from the nodes (n, 2) that have room
+    themselves: those that the newest map leaves too little must not keep better ones out of the middle of a passage.
+
+    Star polygons as in `tfg_drake.geometry.star.inside_any`.
+    """
+    keep, kept = np.zeros(len(proposals), dtype=np.bool_), np.empty((len(proposals), 2))
+    grid, node_grid = segment_grid(segments), segment_grid(np.hstack((nodes, nodes)))
+    stars = star_index(star_offsets, star_vertices)
+    near, in_stars = np.empty(len(nodes), dtype=np.int64), np.empty(len(stars[1][4]), dtype=np.int64)
+    node_room = np.full(len(nodes), -1.0)
     count = 0
     for i in range(len(proposals)):
         x, y, d = proposals[i, 0], proposals[i, 1], spacing[i]
         ok = True
-        for k in range(rows_in_box(grid, x - d, x + d, y - d, y + d, near)):
-            if (nodes[near[k], 0] - x) ** 2 + (nodes[near[k], 1] - y) ** 2 < d * d:
-                ok = False
-                break
-        for j in range(count if ok else 0):
+        for j in range(count):
             if (kept[j, 0] - x) ** 2 + (kept[j, 1] - y) ** 2 < d * d:
                 ok = False
                 break
-        if ok:
+        for k in range(rows_in_box(node_grid, x - d, x + d, y - d, y + d, near) if ok else 0):
+            n = near[k]
+            px, py = nodes[n, 0], nodes[n, 1]
+            if (px - x) ** 2 + (py - y) ** 2 < d * d:
+                if node_room[n] < 0.0:
+                    node_room[n] = room_beside(px, py, px, py, segments, grid, room)
+                if node_room[n] >= room:
+                    ok = False
+                    break
+        # Most are too near to others: where they lie is looked at last.
+        ok = ok and (is_free[i] or in_a_star(x, y, star_offsets, star_vertices, stars, in_stars))
+        if ok and room_beside(x, y, x, y, segments, grid, room) >= room:
             kept[count] = proposals[i]
             count += 1
-        keep[i] = ok
+            keep[i] = True
     return keep
 
 
@@ -199,16 +218,23 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
     found = np.empty((64, 4))
     count = 0
     grid = segment_grid(segments)
-    near = np.empty(len(grid[4]), dtype=np.int64)
+    rows, noted = np.empty(len(grid[4]), dtype=np.int64), np.full(len(segments), -1)
+    near = np.empty(len(segments), dtype=np.int64)
     for i in range(len(ends)):
         x, y = ends[i, 0], ends[i, 1]
-        stop = rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, near)
+        stop = 0
+        for k in range(rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, rows)):
+            j = rows[k]
+            if noted[j] == i:
+                continue
+            noted[j] = i
+            if point_segment_distance(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]) <= widest:
+                near[stop] = j
+                stop += 1
         near[:stop].sort()
         between = 0
         for k in range(stop):
             j = near[k]
-            if k > 0 and j == near[k - 1]:
-                continue
             qx, qy = nearest_on_segment(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3])
             width = math.hypot(qx - x, qy - y)
             if not narrowest <= width <= widest:
@@ -244,7 +270,9 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
     A gap joins an end of one of the segments (m, 4) with the nearest point of another, is between narrowest and widest
     (m) wide, and nothing is nearer to its middle than its two sides.
     """
-    ends = np.unique(segments.reshape(-1, 2), axis=0)
+    ends = segments.reshape(-1, 2)
+    ends = ends[np.lexsort(ends.T[::-1])]
+    ends = ends[np.append(True, (ends[1:] != ends[:-1]).any(axis=1))[: len(ends)]]
     gaps = _gaps(ends, segments, narrowest, widest)
     if not len(gaps):
         return np.zeros((0, 2))
@@ -253,23 +281,26 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
     return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
 
 
-@functools.lru_cache(maxsize=1)
-def _passages_of(tfg: TfgMap, narrowest: float) -> FloatArray:
-    """The passages of a map, looked for once however often a stage tries."""
-    return passages(tfg.segments, narrowest, PASSAGE_WIDTH)
-
-
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
     """Which edges (e, 4), m in M, lie in the free space seen from past goals, looked up every FREE_STEP, (e,)."""
-    if len(edges) == 0:
-        return np.zeros(0, dtype=np.bool_)
-    steps = np.maximum(1, np.ceil(np.hypot(*(edges[:, 2:] - edges[:, :2]).T) / FREE_STEP)).astype(np.int64)
-    edge = np.repeat(np.arange(len(edges)), steps)
-    first = np.repeat(np.cumsum(steps) - steps, steps)
-    t = ((np.arange(len(edge)) - first + 0.5) / steps[edge])[:, None]
-    samples = (1 - t) * edges[edge, :2] + t * edges[edge, 2:]
-    inside = inside_any(samples, tfg.star_offsets, tfg.star_vertices)
-    return np.asarray(np.bincount(edge, weights=~inside, minlength=len(edges)) == 0)
+    return np.asarray(_in_stars(edges, tfg.star_offsets, tfg.star_vertices))
+
+
+@njit(cache=True)
+def _in_stars(edges: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
+    """As in_free_space, with star polygons as in `tfg_drake.geometry.star.inside_any`."""
+    index = star_index(star_offsets, star_vertices)
+    near, free = np.empty(len(index[1][4]), dtype=np.int64), np.ones(len(edges), dtype=np.bool_)
+    for i in range(len(edges)):
+        ax, ay, bx, by = edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3]
+        steps = max(1, math.ceil(math.hypot(bx - ax, by - ay) / FREE_STEP))
+        for k in range(steps):
+            t = (k + 0.5) / steps
+            x, y = (1 - t) * ax + t * bx, (1 - t) * ay + t * by
+            if not in_a_star(x, y, star_offsets, star_vertices, index, near):
+                free[i] = False
+                break
+    return free
 
 
 def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int, count: int) -> FloatArray:
@@ -289,10 +320,12 @@ def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int
     return np.asarray(tfg.star_centers[star[which]] + r * ((1 - t) * a[which] + t * b[which]))
 
 
-def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, density: int) -> tuple[FloatArray, FloatArray]:
-    """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) each must keep."""
-    need = radius + NODE_MARGIN
-    gaps = _passages_of(tfg, 2 * need)
+def _proposals(
+    rng: np.random.Generator, tfg: TfgMap, radius: float, density: int
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) that each must keep, and
+    whether they lie in free space for sure (p,)."""
+    gaps = passages(tfg.segments, 2 * (radius + NODE_MARGIN), PASSAGE_WIDTH)
     normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * density, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
@@ -301,40 +334,46 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float, density: in
     newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * density)
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
     groups = [
-        (tfg.viewpoints, SAME_NODE),
-        (gaps, PASSAGE_SPACING / density),
-        (fringe, FRONTIER_SPACING / density),
-        (newest, SPACING / density),
-        (older, SPACING / density),
+        (tfg.viewpoints, SAME_NODE, False),
+        (gaps, PASSAGE_SPACING / density, False),
+        (fringe, FRONTIER_SPACING / density, False),
+        (newest, SPACING / density, True),
+        (older, SPACING / density, True),
     ]
-    points = np.vstack([group for group, _ in groups])
-    spacing = np.concatenate([np.full(len(group), value) for group, value in groups])
-    ok = np.ones(len(points), dtype=np.bool_)
-    asked = len(points) - len(newest) - len(older)  # The darts lie in their stars.
-    ok[:asked] = inside_any(points[:asked], tfg.star_offsets, tfg.star_vertices)
-    ok[ok] = clearance(np.hstack([points[ok]] * 2), tfg.segments, need) >= need
-    return points[ok], spacing[ok]
+    sizes = [len(group) for group, _, _ in groups]
+    return (
+        np.concatenate([group for group, _, _ in groups]),
+        np.repeat([spacing for _, spacing, _ in groups], sizes),
+        np.repeat([is_free for _, _, is_free in groups], sizes),
+    )
 
 
+@njit(cache=True)
 def _chords(way: FloatArray) -> IntArray:
     """Points of a way (d, 2), m, whose chords stray from it by CHORD at most and are SPACING long at most; its last."""
-    picks = [0]
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
+    picks, count, length = np.zeros(len(way) + 1, dtype=np.int64), 1, 0.0
     for i in range(1, len(way)):
-        a, b = way[picks[-1]], way[i]
-        x, y = (b - a) / max(float(np.hypot(*(b - a))), 1e-9)
-        between = way[picks[-1] + 1 : i] - a
-        strays = np.abs(between[:, 0] * y - between[:, 1] * x).max(initial=0.0)
-        if i - 1 > picks[-1] and (strays > CHORD or along[i] - along[picks[-1]] > SPACING):
-            picks.append(i - 1)
-    return np.array([*picks, len(way) - 1])
+        first = picks[count - 1]
+        ax, ay = way[first, 0], way[first, 1]
+        x, y = way[i, 0] - ax, way[i, 1] - ay
+        chord = max(math.hypot(x, y), 1e-9)
+        strays = 0.0
+        for k in range(first + 1, i):
+            strays = max(strays, abs((way[k, 0] - ax) * (y / chord) - (way[k, 1] - ay) * (x / chord)))
+        length += math.hypot(way[i, 0] - way[i - 1, 0], way[i, 1] - way[i - 1, 1])
+        if i - 1 > first and (strays > CHORD or length > SPACING):
+            picks[count] = i - 1
+            count += 1
+            length = math.hypot(way[i, 0] - way[i - 1, 0], way[i, 1] - way[i - 1, 1])
+    picks[count] = len(way) - 1
+    return picks[: count + 1]
 
 
 def _travelled_nodes(
     nodes: FloatArray, driven: FloatArray, estimate: MapEstimate, segments: FloatArray, radius: float, way_end: int
-) -> tuple[FloatArray, list[tuple[int, int]], int]:
-    """New nodes along the way driven (d, 2) to the last goal, the chain of edges between them and existing nodes, and
-    the node where it ends.
+) -> tuple[FloatArray, IntArray, int]:
+    """New nodes along the way driven (d, 2) to the last goal, the chain of edges (e, 2), smaller node first, between
+    them and existing nodes, and the node where it ends.
 
     It begins at the node where the way ended before, way_end, however the map has moved since, and ends where the robot
     drove on from there; if it was carried since, the goal alone is new. An old node nearby stands for a new one where
@@ -346,35 +385,61 @@ def _travelled_nodes(
         chain = np.vstack([driven, goal])
         chain = chain[_chords(chain)]
     room = clearance(np.hstack([chain, chain]), segments, 1.0)
-    everything = np.vstack([nodes, np.empty_like(chain)])
-    count = len(nodes)
-    index: list[int] = []
     near_enough = np.clip(room - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE)
-    near_old = cKDTree(nodes).query_ball_point(chain, SAME_NODE) if count else [[]] * len(chain)
-    for point, enough, old in zip(chain, near_enough, near_old, strict=True):
-        asked = np.array([*sorted(old), *range(len(nodes), count)], dtype=np.int64)
-        distance = np.hypot(*(everything[asked] - point).T)
-        nearest = int(np.argmin(distance)) if len(distance) else -1
-        if nearest >= 0 and distance[nearest] < enough:
-            index.append(int(asked[nearest]))
-        else:
-            everything[count] = point
-            index.append(count)
+    way = _standing_for(chain, near_enough, nodes)
+    new = way > np.maximum.accumulate(np.append(len(nodes) - 1, way))[:-1]
+    end = int(way[-1])
+    if way_end >= 0 and len(chain) > 1:
+        way = np.append(way_end, way)
+    edges = np.sort(np.stack([way[:-1], way[1:]], axis=1), axis=1)
+    return chain[new], edges[edges[:, 0] < edges[:, 1]], end
+
+
+@njit(cache=True)
+def _standing_for(chain: FloatArray, near_enough: FloatArray, nodes: FloatArray) -> IntArray:
+    """The node (c,) that stands for each point of a chain (c, 2): the nearest of the nodes (n, 2) or of those made
+    before it, if it is near enough (c,), m, or a new one, n, n + 1, ..."""
+    stand, made, count = np.empty(len(chain), dtype=np.int64), np.empty((len(chain), 2)), 0
+    for i in range(len(chain)):
+        x, y = chain[i, 0], chain[i, 1]
+        nearest, best = -1, np.inf
+        for n in range(len(nodes)):
+            square = (nodes[n, 0] - x) ** 2 + (nodes[n, 1] - y) ** 2
+            if square < best:
+                nearest, best = n, square
+        for k in range(count):
+            square = (made[k, 0] - x) ** 2 + (made[k, 1] - y) ** 2
+            if square < best:
+                nearest, best = len(nodes) + k, square
+        if math.sqrt(best) >= near_enough[i]:
+            nearest = len(nodes) + count
+            made[count] = chain[i]
             count += 1
-    way = [way_end, *index] if way_end >= 0 and len(chain) > 1 else index
-    return everything[len(nodes) : count], [(a, b) for a, b in itertools.pairwise(way) if a != b], index[-1]
+        stand[i] = nearest
+    return stand
 
 
+@njit(cache=True)
 def _nearest_edges(points: FloatArray, first_new: int) -> IntArray:
     """Edges (e, 2), smaller node first, from each node first_new... to its nearest neighbours among all points."""
-    if len(points) < 2 or first_new == len(points):
-        return np.zeros((0, 2), dtype=np.int64)
-    k = min(NEIGHBOURS + 1, len(points))
-    distance, neighbour = cKDTree(points).query(points[first_new:], k=k, distance_upper_bound=EDGE_LENGTH)
-    a = np.repeat(np.arange(first_new, len(points)), k)
-    b = neighbour.ravel()
-    ok = np.isfinite(distance.ravel()) & (a != b)
-    return np.stack([np.minimum(a, b)[ok], np.maximum(a, b)[ok]], axis=1).astype(np.int64)
+    edges = np.empty(((len(points) - first_new) * NEIGHBOURS, 2), dtype=np.int64)
+    neighbours, squares, count = np.empty(NEIGHBOURS, dtype=np.int64), np.empty(NEIGHBOURS), 0
+    for i in range(first_new, len(points)):
+        found = 0
+        for j in range(len(points)):
+            square = (points[j, 0] - points[i, 0]) ** 2 + (points[j, 1] - points[i, 1]) ** 2
+            if j == i or square >= EDGE_LENGTH * EDGE_LENGTH or (found == NEIGHBOURS and square >= squares[found - 1]):
+                continue
+            place = found if found < NEIGHBOURS else found - 1
+            found = place + 1
+            while place > 0 and squares[place - 1] > square:
+                squares[place], neighbours[place] = squares[place - 1], neighbours[place - 1]
+                place -= 1
+            squares[place], neighbours[place] = square, j
+        for k in range(found):
+            edges[count, 0], edges[count, 1] = min(i, neighbours[k]), max(i, neighbours[k])
+            count += 1
+    return edges[:count]
 
 
 def extend(
@@ -401,8 +466,8 @@ def extend(
     points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach, sampled)
     first_new = len(state.anchor)
     fresh = len(points) - first_new
-    _, nearest = cKDTree(estimate.X_MA[goals, :2]).query(points[first_new:])
-    anchor = np.append(state.anchor, goals[nearest])
+    apart = points[first_new:, None] - estimate.X_MA[goals, :2]
+    anchor = np.append(state.anchor, goals[np.square(apart).sum(axis=2).argmin(axis=1)])
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
     around = np.append(within(points[:first_new], estimate.X_MA[-1], reach), np.ones(fresh, dtype=np.bool_))
@@ -456,18 +521,16 @@ def _with_new_nodes(
     before = int(np.append(np.flatnonzero(state.ids == state.way_end), -1)[0])
     travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius, before)
     nodes = np.vstack([nodes, travelled])
-    chained = np.sort(np.array(chain, dtype=np.int64).reshape(-1, 2), axis=1)
     if sampled:
-        return nodes, chained, way_end
+        return nodes, chain, way_end
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
-    proposals, spacing = _proposals(rng, tfg, radius, EFFORTS[effort][0])
-    inside = within(proposals, estimate.X_MA[-1], reach - EDGE_LENGTH)
-    proposals, spacing = proposals[inside], spacing[inside]
-    # Old nodes that the newest map leaves too little room must not keep better ones out of the middle of a passage.
-    room = radius + NODE_MARGIN
-    roomy = clearance(np.hstack([nodes] * 2), tfg.segments, room) >= room
-    points = np.vstack([nodes, proposals[thin(proposals, spacing, nodes[roomy])]])
-    return points, chained, way_end
+    proposals, spacing, is_free = _proposals(rng, tfg, radius, EFFORTS[effort][0])
+    if np.isfinite(reach):
+        inside = within(proposals, estimate.X_MA[-1], reach - EDGE_LENGTH)
+        proposals, spacing, is_free = proposals[inside], spacing[inside], is_free[inside]
+    stars, room = (tfg.star_offsets, tfg.star_vertices), radius + NODE_MARGIN
+    points = np.vstack([nodes, proposals[fitting(proposals, spacing, is_free, nodes, *stars, tfg.segments, room)]])
+    return points, chain, way_end
 
 
 def _distinct(edges: Edges, count: int) -> Edges:

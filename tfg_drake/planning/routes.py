@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
-from tfg_drake.geometry.distance import clearance, segment_distance
+from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability
 from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
@@ -197,7 +197,7 @@ def _connect(
     near = near[distance[near] <= EDGE_LENGTH]
     segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
     # No surface can pass through where the robot stands.
-    apart = segment_distance(segments, np.concatenate([here, here])[None])
+    apart = clearance(segments, np.concatenate([here, here])[None], np.inf)
     segments = segments[apart > 0.02]
     own = float(apart[apart > 0.02].min(initial=np.inf))
     lines = np.hstack([np.broadcast_to(here, (len(near), 2)), state.points[near]])
