@@ -147,13 +147,7 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
     start = time.process_time()
     online = run_online(recording, on_progress=lambda share: report("online", share))
     middle = time.process_time()
-    smoothed = smooth(
-        recording.odometry,
-        recording.detections,
-        recording.model,
-        lambda share: report("batch", share),
-        (online.stamps, online.X_MB),
-    )
+    smoothed = smooth(recording.odometry, recording.detections, recording.model, lambda share: report("batch", share))
     end = time.process_time()
     truth = recording.truth or _no_truth()
     robot = robot_error(truth, smoothed.stamps, smoothed.X_MB)
@@ -203,10 +197,9 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
 def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, report: OnProgress) -> dict[str, Any]:
     start = time.process_time()
     try:
-        solved = solve_pose_graph(graph)
+        solved = solve_pose_graph(graph, lambda share: report("batch", share))
     except ValueError as error:
         raise DatasetError(f"{dataset}: {error}; add an edge or the vertices' values") from error
-    report("batch", 1.0)
     write_g2o(folder / "solved.g2o", solved)
     draw_slam(
         folder / "figure.png",

@@ -143,8 +143,9 @@ def _informations(path: Path, rows: list[tuple[int, list[int], list[float]]], si
     """(n, size, size) from the upper triangles at the rows' ends."""
     matrices = np.zeros((len(rows), size, size))
     i, j = np.triu_indices(size)
-    for matrix, (number, _, numbers) in zip(matrices, rows, strict=True):
-        matrix[i, j] = matrix[j, i] = numbers[size:]
-        if not np.linalg.eigvalsh(matrix)[0] > 0.0:
-            raise DatasetError(f"{path}, line {number}: the information matrix is not positive definite; mend the line")
+    matrices[:, i, j] = matrices[:, j, i] = np.array([row[2][size:] for row in rows]).reshape(-1, len(i))
+    bad = np.flatnonzero(~(np.linalg.eigvalsh(matrices)[:, 0] > 0.0))
+    if len(bad):
+        complaint = "the information matrix is not positive definite; mend the line"
+        raise DatasetError(f"{path}, line {rows[bad[0]][0]}: {complaint}")
     return matrices

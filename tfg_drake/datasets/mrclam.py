@@ -97,17 +97,18 @@ def integrate_commands(rows: FloatArray) -> tuple[Odometry, ...]:
     x = np.append(0.0, np.cumsum(chord * np.cos(middle)))
     y = np.append(0.0, np.cumsum(chord * np.sin(middle)))
     X_OB = np.column_stack([x, y, np.pi - np.mod(np.pi - heading, 2.0 * np.pi)])
-    messages = [Odometry(stamp=float(rows[0, 0]), X_OB=X_OB[0], V_B=rows[0, 1:])]
+    repeats = np.append(False, np.all(rows[1:, 1:] == rows[:-1, 1:], axis=1)).tolist()
+    stamps = rows[:, 0].tolist()
+    messages = [Odometry(stamp=stamps[0], X_OB=X_OB[0], V_B=rows[0, 1:])]
     for i in range(1, len(rows)):
         if i < len(rows) - 1:
-            if rows[i + 1, 0] <= rows[i, 0]:
+            if stamps[i + 1] <= stamps[i]:
                 continue  # the last of several rows at one time counts
-            repeats = bool(np.all(rows[i, 1:] == rows[i - 1, 1:]))
-            if repeats and rows[i + 1, 0] - messages[-1].stamp <= LONGEST_MESSAGE:
+            if repeats[i] and stamps[i + 1] - messages[-1].stamp <= LONGEST_MESSAGE:
                 continue
-        if rows[i, 0] > messages[-1].stamp:
-            at_rest = not np.any(messages[-1].V_B)
-            messages.append(Odometry(stamp=float(rows[i, 0]), X_OB=X_OB[i], V_B=rows[i, 1:], at_rest=at_rest))
+        if stamps[i] > messages[-1].stamp:
+            at_rest = not messages[-1].V_B.any()
+            messages.append(Odometry(stamp=stamps[i], X_OB=X_OB[i], V_B=rows[i, 1:], at_rest=at_rest))
     return tuple(messages)
 
 
