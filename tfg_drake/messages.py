@@ -47,13 +47,13 @@ else:
 
     def replace(message, /, **changes):
         """The message with some fields changed: `dataclasses.replace` without another look at all that stays."""
-        old, new = message.__dict__, object.__new__(type(message))
-        if not changes.keys() <= old.keys():
-            raise TypeError(f"{type(message).__name__} has no field {', '.join(sorted(changes.keys() - old.keys()))}.")
+        old, new, array = message.__dict__, object.__new__(type(message)), np.ndarray
+        fields = new.__dict__
+        fields.update(old)
         for name, value in changes.items():
-            if isinstance(value, np.ndarray):
-                changes[name] = _freeze(value)
-        new.__dict__.update(old, **changes)
+            fields[name] = _freeze(value) if isinstance(value, array) else value
+        if len(fields) != len(old):
+            raise TypeError(f"{type(message).__name__} has no field {', '.join(sorted(changes.keys() - old.keys()))}.")
         return new
 
 

@@ -73,6 +73,15 @@ def look(localizer, frame):
     return step_localizer(localizer, MODEL, np.zeros(3), 0.0, frame)[0]
 
 
+def joint_covariance(filter_, estimate):
+    """Of the state with the landmarks that the estimate knows jointly, row by row, and X_MD."""
+    considered = in_departure_frame(estimate, estimate.local)[1]
+    W = np.zeros((len(filter_.mean), len(considered)))
+    W[:, np.repeat(2 * filter_.seen, 2) + np.tile([0, 1], len(filter_.seen))] = filter_.sensitivity
+    cross = W @ considered
+    return np.block([[filter_.covariance, cross], [cross.T, considered]])
+
+
 def test_equals_the_joint_gaussian_with_zero_gain_for_the_map():
     estimate, points, X_MB = make_map(6, 1)
     rng = np.random.default_rng(5)
@@ -83,7 +92,7 @@ def test_equals_the_joint_gaussian_with_zero_gain_for_the_map():
     # The joint order here: pose, calibration, two local tags, map, X_MD.
     core = len(filter_.mean)
     x = np.concatenate([filter_.mean, filter_.p_DL.ravel(), localizer.X_MD])
-    P = np.block([[filter_.covariance, filter_.cross], [filter_.cross.T, filter_.considered]])
+    P = joint_covariance(filter_, estimate)
     increment, ids = np.array([0.05, 0.0, 0.03]), [0, 3, 40, 5, 41]
     for stamp in (0.1, 0.2, 0.3):
         X_MB = se2.compose(X_MB, predict_increment(increment, 0.1, np.zeros(3), np.zeros(3))[0])
@@ -92,9 +101,8 @@ def test_equals_the_joint_gaussian_with_zero_gain_for_the_map():
         x, P = brute_force(x, P, slice(core, None), increment, 0.1, frame, rows)
         filter_, _, _ = pose_filter.step(filter_, MODEL, increment, 0.1, frame)
         np.testing.assert_allclose(filter_.mean, x[:core], atol=1e-10)
-        np.testing.assert_allclose(filter_.covariance, P[:core, :core], atol=1e-11)
-        np.testing.assert_allclose(filter_.cross, P[:core, core:], atol=1e-11)
-    np.testing.assert_array_equal(filter_.considered, in_departure_frame(estimate, np.arange(6))[1])
+        np.testing.assert_allclose(joint_covariance(filter_, estimate), P, atol=1e-11)
+    assert sorted(filter_.seen) == [0, 3, 5]
 
 
 def test_a_tag_joins_with_its_full_covariance():
@@ -107,7 +115,8 @@ def test_a_tag_joins_with_its_full_covariance():
         filter_,
         mean=np.concatenate([pose, np.zeros(3)]),
         covariance=root @ root.T,
-        cross=1e-4 * rng.normal(size=filter_.cross.shape),
+        sensitivity=0.1 * rng.normal(size=(6, 4)),
+        seen=np.array([2, 0]),
     )
     filter_, _, _ = pose_filter.step(filter_, MODEL, np.zeros(3), 0.0, sight([9], np.array([[3.0, 1.0]]), X_MB, 0.0))
 
@@ -122,7 +131,7 @@ def test_a_tag_joins_with_its_full_covariance():
     P = filter_.covariance
     np.testing.assert_allclose(P[6:, 6:], J @ P[:3, :3] @ J.T + J_z @ noise @ J_z.T, atol=1e-9)
     np.testing.assert_allclose(P[6:, :3], J @ P[:3, :3], atol=1e-9)
-    np.testing.assert_allclose(filter_.cross[6:], J @ filter_.cross[:3], atol=1e-9)
+    np.testing.assert_allclose(filter_.sensitivity[6:], J @ filter_.sensitivity[:3], atol=1e-9)
 
 
 def test_a_gross_error_is_ignored():
@@ -200,13 +209,11 @@ def test_the_map_seen_from_the_departure_pose():
     np.testing.assert_allclose(covariance, np.cov(np.transpose(seen)), atol=0.05 * np.abs(covariance).max())
 
 
-def test_only_the_nearest_landmarks_and_the_latest_local_tags_are_kept(monkeypatch):
-    monkeypatch.setattr(localizer_module, "WINDOW", 4)
+def test_all_that_is_known_jointly_is_considered_and_the_latest_local_tags_are_kept(monkeypatch):
     monkeypatch.setattr(localizer_module, "MOST_LOCAL", 2)
     estimate, _, X_MB = make_map(8, 4)
-    localizer = start_localizer(MODEL, estimate)
-    distance = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T)
-    assert set(localizer.filter.map_ids) == set(np.argsort(distance)[:4])
+    localizer = start_localizer(MODEL, part_of(estimate, np.array([1, 2, 5, 7])))
+    np.testing.assert_array_equal(localizer.filter.map_ids, [1, 2, 5, 7])
     p_ML = se2.transform(estimate.X_MD, localizer.filter.p_DL)
     np.testing.assert_allclose(p_ML, estimate.p_ML[localizer.filter.map_ids])
     for stamp, tag in ((0.0, 50), (0.1, 51), (0.2, 52)):

@@ -30,7 +30,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, opened, unknown_way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, without_tags
-from tfg_drake.slam.localizer import local_tags, localized_pose, start_localizer, step_localizer
+from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import HARDLY_SEEN_REJECTED, REJECTED, finished, jointly_known, needs_solve, updated
@@ -62,7 +62,7 @@ MOVED = 2
 IN_PLACE = 0.1
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
-NO_TAGS = np.empty((0, 2))
+NO_MAP = empty_map()
 
 _log = logging.getLogger("tfg_drake.slam")
 
@@ -94,8 +94,10 @@ def process_detections(state: EstimatorState, detections: TagDetections) -> Esti
     detections, impossible = sanitized(detections)
     if impossible:
         _log.warning("%.2f s: %d impossible or ambiguous sightings ignored", detections.stamp, impossible)
-    pending = sorted((*state.pending, detections), key=lambda frame: frame.stamp)
-    return _process_pending(replace(state, pending=tuple(pending)))
+    pending = (*state.pending, detections)
+    if state.pending and detections.stamp < state.pending[-1].stamp:
+        pending = tuple(sorted(pending, key=lambda frame: frame.stamp))
+    return _process_pending(replace(state, pending=pending))
 
 
 def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
@@ -148,6 +150,7 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
     """The pose at the newest odometry message; at the origin, stamp 0, before the first."""
+    estimate = state.map or NO_MAP
     stamp, speed = 0.0, np.zeros(2)
     increment, dt = np.zeros(3), 0.0
     if state.odometry:
@@ -156,16 +159,13 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         if stamp > state.stamp:
             increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
     X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
-    new_ids, p_MU = state.localizer.filter.local_ids, NO_TAGS
-    if len(new_ids) > 0:
-        new = ~rows_of(new_ids, state.graph.ids)[1]
-        new_ids, p_MU = new_ids[new], local_tags(state.localizer)[new]
+    new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,
         covariance=covariance,
         speed=speed,
-        stage=len(state.graph.view_keyframe),
+        stage=estimate.stage,
         new_ids=new_ids,
         p_MU=p_MU,
     )
@@ -205,7 +205,9 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     The stamp lies within the odometry at hand; `pending` are the frames that wait after it.
     """
     stamp = frame.stamp
-    after = next(i for i, odometry in enumerate(state.odometry) if odometry.stamp >= stamp)
+    after = 0
+    while state.odometry[after].stamp < stamp:
+        after += 1
     before = max(after - 1, 0)
     X_OB = interpolate(state.odometry[before], state.odometry[after], stamp)
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
@@ -216,14 +218,14 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
             scale = compare(scale, frame, scan)
     seen = corrected(frame, scale)
     turn, piece = state.turn, state.piece
-    instant = TurnFrame(stamp, clock, X_OB, frame)
     if turn is not None:
-        turn = replace(turn, frames=(*turn.frames, instant))
+        turn = replace(turn, frames=(*turn.frames, TurnFrame(stamp, clock, X_OB, frame)))
     elif piece is not None:
-        piece = replace(piece, frames=(*piece.frames, instant))
+        piece = replace(piece, frames=(*piece.frames, TurnFrame(stamp, clock, X_OB, frame)))
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
-    elsewhere = mapped_elsewhere(state, localizer, seen)
-    known, ignored = known + elsewhere, ignored + elsewhere
+    if state.map is not None and len(state.map.local) < len(state.map.ids):
+        elsewhere = mapped_elsewhere(state, localizer, seen)
+        known, ignored = known + elsewhere, ignored + elsewhere
     contradictions = state.contradictions
     if known >= LEAST_KNOWN:
         contradictions = contradictions + 1 if ignored > MOST_IGNORED * known else 0
@@ -284,7 +286,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     way = state.way
     if state.carried and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB)),)
-    before, known = rejoined(state.graph, state.map or empty_map(), solution.observation)
+    before, known = rejoined(state.graph, state.map or NO_MAP, solution.observation)
     graph, estimate, rejected = _with_keyframes(before, known, way, solution.observation, limit)
     suspects, count = _suspects(state, solution, rejected)
     moved = suspects[count >= MOVED]
@@ -347,7 +349,7 @@ def _with_keyframes(
 
 def _solved(graph: KeyframeGraph, stamp: float, observation: GoalObservation) -> tuple[KeyframeGraph, MapEstimate]:
     """A graph of one keyframe or more solved, the empty graph as it is."""
-    return solve(graph, stamp, observation) if graph.keyframes else (graph, empty_map())
+    return solve(graph, stamp, observation) if graph.keyframes else (graph, NO_MAP)
 
 
 def _suspects(state: EstimatorState, solution: TurnSolution, rejected: IntArray) -> tuple[IntArray, IntArray]:

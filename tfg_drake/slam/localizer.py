@@ -13,14 +13,12 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TagDetections, message, replace
 from tfg_drake.slam import pose_filter
-from tfg_drake.slam.departure_frame import in_departure_frame
+from tfg_drake.slam.departure_frame import local_positions
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
 from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
 
-# Landmarks considered: the nearest to the departure pose, or to the robot.
-WINDOW = 300
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
@@ -38,16 +36,15 @@ class Localizer:
 def start_localizer(model: OdometryModel, map_estimate: MapEstimate | None) -> Localizer:
     """The localiser at the departure pose of the newest map, or at the origin of an empty one."""
     if map_estimate is None:
-        nothing = np.empty(0, dtype=np.int64)
-        return Localizer(np.zeros(3), pose_filter.start(model, nothing, np.empty((0, 2)), np.zeros((POSE, POSE))))
-    return _around(model, map_estimate, map_estimate.X_MD)
+        return Localizer(np.zeros(3), pose_filter.start_alone(model))
+    return _around(model, map_estimate)
 
 
 def restart_localizer(
     model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray, detections: TagDetections
 ) -> Localizer:
     """The localiser at a pose X_MB (3,) found by geometry, as uncertain as the mapped tags it was found from say."""
-    localizer = _around(model, map_estimate, X_MB)
+    localizer = _around(model, map_estimate)
     filter_ = localizer.filter
     mean, covariance = filter_.mean.copy(), filter_.covariance.copy()
     mean[:POSE] = se2.between(map_estimate.X_MD, X_MB)
@@ -57,14 +54,12 @@ def restart_localizer(
     return replace(localizer, filter=filter_)
 
 
-def _around(model: OdometryModel, map_estimate: MapEstimate, X_MB: FloatArray) -> Localizer:
-    """A localiser at the departure pose that considers the landmarks nearest to X_MB (3,), of those known jointly."""
-    local = map_estimate.local
-    distance = np.hypot(*(map_estimate.p_ML[local] - X_MB[:2]).T)
-    near = np.sort(local[np.argsort(distance, kind="stable")[:WINDOW]])
-    p_DL, covariance = in_departure_frame(map_estimate, near)
-    filter_ = pose_filter.start(model, map_estimate.ids[near], p_DL, covariance)
-    return Localizer(map_estimate.X_MD, filter_)
+def _around(model: OdometryModel, map_estimate: MapEstimate) -> Localizer:
+    """A localiser at the departure pose that considers the landmarks known jointly."""
+    local, X_MD = map_estimate.local, map_estimate.X_MD
+    p_DL = local_positions(map_estimate)
+    filter_ = pose_filter.start(model, map_estimate.ids[local], p_DL, float(X_MD[2]), map_estimate.covariance)
+    return Localizer(X_MD, filter_)
 
 
 def step_localizer(
@@ -93,10 +88,12 @@ def localized_pose(
     filter_ = localizer.filter
     X_MB, covariance = _in_map(
         localizer.X_MD,
-        filter_.considered,
         filter_.mean,
         filter_.covariance,
-        filter_.cross,
+        filter_.sensitivity,
+        filter_.seen,
+        filter_.p_DL,
+        filter_.considered,
         increment,
         dt,
         model.noise,
@@ -107,27 +104,61 @@ def localized_pose(
 @njit(cache=True)
 def _in_map(
     X_MD: FloatArray,
-    considered: FloatArray,
     mean: FloatArray,
     covariance: FloatArray,
-    cross: FloatArray,
+    sensitivity: FloatArray,
+    seen: IntArray,
+    p_DL: FloatArray,
+    considered: FloatArray,
     increment: FloatArray,
     dt: float,
     noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """X_MB (3,) = X_MD X_DB and its covariance (3, 3), X_DB of the filter after an odometry increment."""
-    X_DB, P_BB, P_BD = predict_pose(mean, covariance, cross, POSE, increment, dt, noise)
-    P_DD = considered[-POSE:, -POSE:].copy()
+    X_DB, P_BB, P_BD = predict_pose(
+        mean, covariance, sensitivity, seen, p_DL, X_MD[2], considered, increment, dt, noise
+    )
     c, s = math.cos(X_MD[2]), math.sin(X_MD[2])
     x, y = c * X_DB[0] - s * X_DB[1], s * X_DB[0] + c * X_DB[1]
-    by_D, by_B = np.eye(3), np.eye(3)
-    by_D[0, 2], by_D[1, 2] = -y, x
-    by_B[0, 0], by_B[0, 1], by_B[1, 0], by_B[1, 1] = c, -s, s, c
-    mixed = by_B @ P_BD @ by_D.T
-    X_MB = np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + X_DB[2])])
-    return X_MB, by_D @ P_DD @ by_D.T + by_B @ P_BB @ by_B.T + mixed + mixed.T
+    # By X_DB and by X_MD.
+    J = np.zeros((3, 6))
+    J[0, 0], J[0, 1], J[1, 0], J[1, 1], J[2, 2] = c, -s, s, c, 1.0
+    J[0, 3], J[1, 4], J[2, 5], J[0, 5], J[1, 5] = 1.0, 1.0, 1.0, -y, x
+    joint = np.empty((6, 6))
+    for i in range(3):
+        for j in range(3):
+            joint[i, j], joint[i, 3 + j], joint[3 + j, i] = P_BB[i, j], P_BD[i, j], P_BD[i, j]
+            joint[3 + i, 3 + j] = considered[i - 3, j - 3]
+    P_MB = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(6):
+                for m in range(6):
+                    P_MB[i, j] += J[i, k] * joint[k, m] * J[j, m]
+    return np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + X_DB[2])]), P_MB
 
 
 def local_tags(localizer: Localizer) -> FloatArray:
     """p_MU (u, 2) of the tags met on the way, row for row with localizer.filter.local_ids."""
     return se2.transform(localizer.X_MD, localizer.filter.mean[CORE:].reshape(-1, 2))
+
+
+def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
+    """The ids (u,) of the tags met on the way that are not among some ids (n,), ascending, and their p_MU (u, 2)."""
+    filter_ = localizer.filter
+    new_ids, p_MU = _new_tags(localizer.X_MD, filter_.mean, filter_.local_ids, ids)
+    return new_ids, p_MU
+
+
+@njit(cache=True)
+def _new_tags(X_MD: FloatArray, mean: FloatArray, local_ids: IntArray, ids: IntArray) -> tuple[IntArray, FloatArray]:
+    new_ids, p_MU, count = np.empty(len(local_ids), dtype=np.int64), np.empty((len(local_ids), 2)), 0
+    c, s = math.cos(X_MD[2]), math.sin(X_MD[2])
+    for i in range(len(local_ids)):
+        row = np.searchsorted(ids, local_ids[i])
+        if row == len(ids) or ids[row] != local_ids[i]:
+            x, y = mean[CORE + 2 * i], mean[CORE + 2 * i + 1]
+            new_ids[count] = local_ids[i]
+            p_MU[count, 0], p_MU[count, 1] = X_MD[0] + c * x - s * y, X_MD[1] + s * x + c * y
+            count += 1
+    return new_ids[:count].copy(), p_MU[:count].copy()

@@ -41,13 +41,12 @@ class RangeScale:
     @property
     def mean(self) -> FloatArray:
         """(2,) of r and o (m)."""
-        return np.asarray(_mean(self.information, self.vector))
+        return np.array(_moments(self.information, self.vector)[:2])
 
     @property
     def sigma(self) -> float:
         """Standard deviation of r."""
-        (a, b), (_, c) = self.information.tolist()
-        return float(np.sqrt(c / (a * c - b * b)))
+        return float(_moments(self.information, self.vector)[2])
 
 
 def unknown_scale() -> RangeScale:
@@ -74,10 +73,12 @@ def compare(scale: RangeScale, detections: TagDetections, scan: LaserScan) -> Ra
 
 
 @njit(cache=True)
-def _mean(information: FloatArray, vector: FloatArray) -> FloatArray:
+def _moments(information: FloatArray, vector: FloatArray) -> tuple[float, float, float]:
+    """The expected scale error and offset (m), and the standard deviation of the first."""
     a, b, c = information[0, 0], information[0, 1], information[1, 1]
     determinant = a * c - b * b
-    return np.array([(c * vector[0] - b * vector[1]) / determinant, (a * vector[1] - b * vector[0]) / determinant])
+    r, o = (c * vector[0] - b * vector[1]) / determinant, (a * vector[1] - b * vector[0]) / determinant
+    return r, o, math.sqrt(c / determinant)
 
 
 @njit(cache=True)
@@ -116,7 +117,7 @@ def _compare(
 ) -> tuple[FloatArray, FloatArray, int]:
     """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and their number."""
     step = angles[1] - angles[0]
-    mean = _mean(information, vector)
+    r, o, _ = _moments(information, vector)
     determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
     more, more_vector, pairs = information.copy(), vector.copy(), 0
     for k in range(len(range_)):
@@ -128,7 +129,7 @@ def _compare(
         variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2 / RAYS
         predicted = information[1, 1] * distance**2 - 2.0 * information[0, 1] * distance * lever
         predicted += information[0, 0] * lever**2
-        error = range_[k] - distance - mean[0] * distance - mean[1] * lever
+        error = range_[k] - distance - r * distance - o * lever
         if error * error > GATE**2 * (variance + predicted / determinant):
             continue
         more[0, 0] += distance * distance / variance
@@ -147,8 +148,8 @@ def correction(scale: RangeScale) -> float:
     A correction that is itself in doubt would tie all tags of a goal together by an error that their covariance does
     not know.
     """
-    r = float(scale.mean[0])
-    return r if scale.pairs and abs(r) >= SIGNIFICANT * scale.sigma else 0.0
+    r, _, sigma = _moments(scale.information, scale.vector)
+    return float(r) if scale.pairs and abs(r) >= SIGNIFICANT * sigma else 0.0
 
 
 def corrected(detections: TagDetections, scale: RangeScale) -> TagDetections:
