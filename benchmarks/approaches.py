@@ -79,7 +79,7 @@ def driven(approach: Approach, random: np.random.Generator) -> tuple[int, float,
             seen = _with_losses(full, approach, random)
             watch = watched(watch, seen, told.X_OB, told.at_rest, robot.radius, approach.stated)
         velocity = state[:2]
-        state = filter_command(state, now, command, NO_HAZARD, seen, watch, told.X_OB, robot, safety, PERIOD)
+        state = filter_command(state, now, command, NO_HAZARD, seen, watch, told, robot, safety, PERIOD)
         base = drive.step(base, velocity, approach.walls, robot, PERIOD)
         stood = stood + 1 if state[0] == 0.0 else 0
         if stood > 64:

@@ -14,7 +14,6 @@ from tfg_drake import __version__
 from tfg_drake.diagrams.errors import KnownWorld, path_length, pose_errors
 from tfg_drake.diagrams.run_folder import RunFolder
 from tfg_drake.diagrams.scenario import Scenario
-from tfg_drake.figure import draw_run
 from tfg_drake.files import write_atomic
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
@@ -106,8 +105,15 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
     X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
     seen = (mission.world, estimate, tfg, grid, X_WB, X_WB_true, reachable)
-    folder.attempt("figure.png", lambda path: draw_run(path, _title(summary), *seen))
+    folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
     return summary
+
+
+def _draw(*arguments: Any) -> None:
+    """`draw_run`, whose libraries stay out of a mission's memory."""
+    from tfg_drake.figure import draw_run
+
+    draw_run(*arguments)
 
 
 def _size(path: Path) -> int:

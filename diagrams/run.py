@@ -19,12 +19,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.common.yaml import yaml_dump_typed
-from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
@@ -50,11 +49,14 @@ from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.cpu_meter import CpuMeter
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
-from tfg_drake.systems.picture import Picture
 from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.pose_vector import PoseVector
-from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+    from tfg_drake.systems.picture import Picture
 
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
 ESTIMATOR = ("slam_estimator", "grid_mapper")
@@ -525,6 +527,9 @@ def MakeMissionDiagram(
     if writer is not None:
         PortRecorder.AddToBuilder(builder, station, explorer, writer)
     if meshcat is not None:
+        # Only a picture needs what this imports.
+        from tfg_drake.systems.visualizer import TfgVisualizer
+
         TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius, title)
 
     diagram = builder.Build()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pydrake.common import RandomDistribution
-from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
 from pydrake.systems.primitives import RandomSource
 
@@ -16,7 +17,9 @@ from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.systems.odometry import Odometry
 from tfg_drake.systems.safety_filter import SafetyFilter
 from tfg_drake.systems.tag_sensor import TagSensor
-from tfg_drake.systems.visualizer import TfgVisualizer
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
 
 # Longer than any run: drawn once.
 _ONCE = 2.0**30
@@ -85,6 +88,9 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
 
     if meshcat is not None:
+        # Only a picture needs what this imports.
+        from tfg_drake.systems.visualizer import TfgVisualizer
+
         picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, "station")
         builder.AddNamedSystem("visualizer", picture)
         builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))

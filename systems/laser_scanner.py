@@ -7,6 +7,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from tfg_drake.config import ScanConfig
+from tfg_drake.messages import replace
 from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import set_state_message
@@ -32,7 +33,8 @@ class LaserScanner(LeafSystem):
     def __init__(self, world: World, config: ScanConfig):
         super().__init__()
         self._walls, self._config = world.walls, config
-        self._angles = ray_angles(config)
+        # A message's own, which every other shares.
+        self._angles = replace(no_scan(config), angles=ray_angles(config)).angles
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
         self._message = self.DeclareAbstractState(AbstractValue.Make(no_scan(config)))

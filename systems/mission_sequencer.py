@@ -111,7 +111,7 @@ class _Inputs(MissionInputs):
         self.__dict__.update(known, _ask=ask, _context=context)
 
     def __getattr__(self, name: str) -> object:
-        value = self.__dict__[name] = self._ask[name](self._context)
+        value = self.__dict__[name] = self.__dict__["_ask"][name](self._context)
         return value
 
 

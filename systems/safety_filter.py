@@ -89,10 +89,8 @@ class SafetyFilter(LeafSystem):
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
         scan, watch = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
-        now = context.get_time()
-        X_OB = _pose_at(eval_message(self._odometry, context, Odometry), now)
-        state, robot = self._State(context), self._robot
-        return filter_command(state, now, command, hazards, scan, watch, X_OB, robot, self._safety, PERIOD)
+        state, now, odometry = self._State(context), context.get_time(), eval_message(self._odometry, context, Odometry)
+        return filter_command(state, now, command, hazards, scan, watch, odometry, self._robot, self._safety, PERIOD)
 
     def _State(self, context: Context) -> FloatArray:
         state: FloatArray = context.get_discrete_state(self._state).value()

@@ -181,7 +181,7 @@ def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch)
 
 @pytest.mark.parametrize("lost", [["map.npz"], ["summary.json"], ["figure.png"], ["trajectory.tum", "truth.tum"]])
 def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monkeypatch, lost):
-    writers = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "draw_run"}
+    writers = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "_draw"}
     monkeypatch.setattr(report, writers.get(lost[0], "write_tum"), _fail)
     (tmp_path / "room.yaml").write_text(ROOM)
     arguments = ["explore", tmp_path / "room.yaml", "--tag-spacing", 1, "--headless", "--max-time", 30, "--json"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
-from tfg_drake.messages import Hazards, LaserScan
+from tfg_drake.messages import Hazards, LaserScan, Odometry
 from tfg_drake.safety.scan_watch import no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     BASE_SPEED,
@@ -36,7 +36,8 @@ def watch_of(scan, X_OB=ORIGIN, watch=None):
 def filtered_command(state, stamp, command, hazards, scan, watch=None, X_OB=ORIGIN):
     """The filter's state a period later; without a watch all that it knows is this scan, taken where the robot is."""
     watch = watch_of(scan) if watch is None else watch
-    return filter_command(state, stamp, np.array(command), hazards, scan, watch, X_OB, ROBOT, SAFETY, PERIOD)
+    odometry = Odometry(stamp, X_OB, np.zeros(2), at_rest=True)
+    return filter_command(state, stamp, np.array(command), hazards, scan, watch, odometry, ROBOT, SAFETY, PERIOD)
 
 
 def run(command, duration=2.0, hazards=NONE, scan=CLEAR, state=None):

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import RobotConfig, SafetyConfig
-from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan
+from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry
 from tfg_drake.safety.corridor import touch_distance
 from tfg_drake.safety.scan_watch import ScanWatch
 from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
@@ -123,7 +123,7 @@ def filter_command(
     hazards: Hazards,
     scan: LaserScan,
     watch: ScanWatch,
-    X_OB: FloatArray,
+    odometry: Odometry,
     robot: RobotConfig,
     safety: SafetyConfig,
     period: float,
@@ -131,7 +131,7 @@ def filter_command(
     """The filter's state one period (s) later; its first two entries are the velocity for the base.
 
     state: (STATE_SIZE,). stamp: the time now, s. command: (2,) forward speed (m/s) and turn rate (rad/s). scan: the
-    newest, watch: what is believed of it and of those before. X_OB: (3,) the pose now by odometry.
+    newest, watch: what is believed of it and of those before. odometry: the newest.
 
     - A command that is not finite is zero.
     - A cliff or a dropped wheel stops the base at once.
@@ -168,7 +168,9 @@ def filter_command(
         space.met,
         space.p_OM,
         watch.newest,
-        X_OB,
+        odometry.X_OB,
+        odometry.V_B,
+        stamp - odometry.stamp,
         robot.radius,
         robot.max_speed,
         robot.max_turn_rate,
@@ -196,6 +198,8 @@ def _let_through(
     p_OM: FloatArray,
     newest: float,
     X_OB: FloatArray,
+    V_B: FloatArray,
+    since: float,
     radius: float,
     max_speed: float,
     max_turn_rate: float,
@@ -207,7 +211,7 @@ def _let_through(
     period: float,
 ) -> FloatArray:
     """filter_command where nothing is pressed. age: of the scan, s; trusted: what it shows, or showed a moment ago, is
-    believed; then the memory of what was seen."""
+    believed; then the memory of what was seen, and odometry, since s ago."""
     step, turn_step = acceleration * period, turn_acceleration * period
     base_before, turn_before = state[BASE_SPEED], state[TURN_RATE]
     wanted, turn_wanted = command[0], command[1]
@@ -226,6 +230,7 @@ def _let_through(
             curvature = turn_rate / speed
             reach = stop_distance + speed * 2.0 * period + 0.5 * speed * speed / acceleration
             clear = _free_distance(angles, ranges, X_SB, curvature, radius, side_margin, reach + CELL)
+            X_OB = advance(X_OB, V_B[0], V_B[1], since)
             known = open_distance_among(corner, seen, met, p_OM, X_OB, curvature, radius, reach, newest)
             room = min(clear - stop_distance, known - stop_distance)
         speed = min(speed, _speed_allowed(room, acceleration, period))

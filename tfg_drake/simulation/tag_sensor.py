@@ -92,9 +92,9 @@ def _sighted(
     range_noise: float,
     noise_per_metre: float,
     bearing_noise: float,
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Rows (k,) of the tags that a frame shows, their ids ascending; row for row where they are from the sensor, m
-    along W's axes (k, 2), the measured range and its standard deviation, m, and that of the bearing, rad.
+) -> tuple[IntArray, FloatArray]:
+    """Rows (k,) of the tags that a frame shows, their ids ascending; column for column (5, k) where they are from the
+    sensor, m along W's axes, the measured range and its standard deviation, m, and that of the bearing, rad.
 
     threshold: a tag is shown where its third number of normal (n, NOISE_PER_TAG) is less than this.
     """
@@ -110,13 +110,13 @@ def _sighted(
             rows[k] = row
             shown += 1
     rows = rows[:shown]
-    offset, measured, sigma = np.empty((shown, 2)), np.empty(shown), np.empty(shown)
+    told = np.empty((5, shown))
     for k in range(shown):
-        offset[k, 0], offset[k, 1] = p_WT[rows[k], 0] - X_WB[0], p_WT[rows[k], 1] - X_WB[1]
-        distance = math.hypot(offset[k, 0], offset[k, 1])
-        sigma[k] = range_noise + noise_per_metre * distance
-        measured[k] = max(0.0, range_scale * distance + sigma[k] * normal[rows[k], 0])
-    return rows, offset, measured, sigma, np.full(shown, bearing_noise)
+        told[0, k], told[1, k] = p_WT[rows[k], 0] - X_WB[0], p_WT[rows[k], 1] - X_WB[1]
+        distance = math.hypot(told[0, k], told[1, k])
+        told[3, k], told[4, k] = range_noise + noise_per_metre * distance, bearing_noise
+        told[2, k] = max(0.0, range_scale * distance + told[3, k] * normal[rows[k], 0])
+    return rows, told
 
 
 def detect(
@@ -128,7 +128,7 @@ def detect(
     those of the noise: range_noise + range_noise_per_metre * r at the true range r, and bearing_noise; gross errors and
     misread ids come on top.
     """
-    rows, offset, measured, sigma_range, sigma_bearing = _sighted(
+    rows, (east, north, measured, sigma_range, sigma_bearing) = _sighted(
         world.p_WT,
         world.tag_facing,
         world.tag_ids,
@@ -144,7 +144,7 @@ def detect(
         config.range_noise_per_metre,
         config.bearing_noise,
     )
-    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - X_WB[2] + sigma_bearing * standard_normal[rows, 1]
+    bearing = np.arctan2(north, east) - X_WB[2] + sigma_bearing * standard_normal[rows, 1]
     ids = world.tag_ids[rows]
     # The number that let the tag be detected is uniform below the detection probability: its lowest part makes gross
     # errors, the next misread ids, and the place within its part says which.

@@ -97,8 +97,13 @@ def reachable_cells(grid: Grid, world: World, robot_radius: float) -> BoolArray:
     without one no cell is reachable.
     """
     free = free_cells(grid, world.walls, robot_radius + MARGIN)
-    row, column = np.nonzero(free)
-    distance = np.hypot(*(grid.p_WG + CELL * np.column_stack([column, row]) - world.start[:2]).T)
+    start_row, start_column = grid.cell(world.start[None, :2])
+    half = int(np.ceil(robot_radius / CELL)) + 1
+    around = np.zeros(grid.shape, dtype=np.bool_)
+    rows, columns = (slice(max(int(at[0]) - half, 0), int(at[0]) + half + 1) for at in (start_row, start_column))
+    around[rows, columns] = free[rows, columns]
+    row, column = np.nonzero(around)
+    distance = np.hypot(*(grid.centers(around) - world.start[:2]).T)
     if not len(row) or distance.min() > robot_radius:
         return np.zeros(grid.shape, dtype=np.bool_)
     nearest = int(np.argmin(distance))
@@ -142,8 +147,9 @@ def reachable_tags(world: World, grid: Grid, reachable: BoolArray, tag_range: fl
     normals = np.column_stack([np.cos(world.tag_facing), np.sin(world.tag_facing)])
     seen = _seen(world.walls, world.p_WT, normals, _coarse(grid, reachable), tag_range, max_incidence)
     rest = np.nonzero(~seen)[0]
-    cells = grid.centers(reachable)
-    seen[rest] = _seen(world.walls, world.p_WT[rest], normals[rest], cells, tag_range, max_incidence)
+    if len(rest):
+        cells = grid.centers(reachable)
+        seen[rest] = _seen(world.walls, world.p_WT[rest], normals[rest], cells, tag_range, max_incidence)
     return seen
 
 
