@@ -618,11 +618,13 @@ def _needed(
 
 
 @njit(cache=True)
-def components(edges: IntArray, count: int) -> IntArray:
-    """The connected component (count,) of each node under edges (e, 2), by the number of its first node."""
+def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
+    """The connected component (count,) of each node under some (e,) of the edges (e, 2), by the number of its first
+    node."""
     first = np.arange(count)
     for e in range(len(edges)):
-        connect(first, edges[e, 0], edges[e, 1])
+        if which[e]:
+            connect(first, edges[e, 0], edges[e, 1])
     settle(first)
     return first
 
