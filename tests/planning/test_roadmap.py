@@ -249,13 +249,13 @@ def test_the_way_driven_goes_on_from_where_it_ended_though_the_map_has_moved():
             shift = shift + np.array([0.2, 0.02, 0.0])
         estimate, tfg = known(segments, goals[:k], shift)
         state = extend(state, tfg, estimate, PARAMETERS, driven=driven)
-    label = components(state.edges.nodes[state.edges.travelled], len(state.points))
+    label = components(state.edges.nodes, state.edges.travelled, len(state.points))
     first, last = (nearest(state, X[:2]) for X in estimate.X_MA[[0, -1]])
     assert label[first] == label[last]
     # Where it was carried it has not driven.
     estimate, tfg = known(segments, [*goals, (-2.0, 1.0, 0.0)], shift)
     state = extend(state, tfg, estimate, PARAMETERS, driven=driven)
-    label = components(state.edges.nodes[state.edges.travelled], len(state.points))
+    label = components(state.edges.nodes, state.edges.travelled, len(state.points))
     assert label[nearest(state, estimate.X_MA[-1, :2])] != label[last]
 
 

@@ -7,9 +7,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import cKDTree
+from numba import njit
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_view import View, expected_tags, local_view
@@ -160,11 +161,26 @@ def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
     nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    distance, _ = cKDTree(np.vstack([tfg.star_centers[turned], p_MD])).query(points, distance_upper_bound=APART)
-    if len(tfg.star_centers) < MOST_LOOKS:
-        return np.asarray(np.isinf(distance))
-    last, _ = cKDTree(tfg.star_centers).query(points, k=[MOST_LOOKS], distance_upper_bound=APART)
-    return np.asarray(np.isinf(distance) & np.isinf(last[:, 0]))
+    return np.asarray(_apart(points, np.append(tfg.star_centers, p_MD[None], axis=0), np.append(turned, True)))
+
+
+@njit(cache=True)
+def _apart(points: FloatArray, places: FloatArray, is_done: BoolArray) -> BoolArray:
+    """Which of the points (n, 2) have none of those places (k, 2) that are done with (k,) within APART, nor MOST_LOOKS
+    of any but the last."""
+    apart = np.ones(len(points), dtype=np.bool_)
+    grid, near = segment_grid(np.hstack((places, places))), np.empty(len(places), dtype=np.int64)
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        looks = 0
+        for k in range(rows_in_box(grid, x - APART, x + APART, y - APART, y + APART, near)):
+            j = near[k]
+            if (places[j, 0] - x) ** 2 + (places[j, 1] - y) ** 2 < APART * APART:
+                looks += j < len(places) - 1
+                if is_done[j] or looks >= MOST_LOOKS:
+                    apart[i] = False
+                    break
+    return apart
 
 
 def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
@@ -242,25 +258,42 @@ def _filled(
 def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
     """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
     fit."""
-    frontiers = View(roadmap.frontier_offsets, roadmap.frontier_index)
-    node, length = _each_seen(roadmap.points, frontiers, tfg, sensor)
-    enough = np.bincount(node, length, len(roadmap.points)) >= ENOUGH_FRONTIER
+    _, total = _each_seen(roadmap.points, View(roadmap.frontier_offsets, roadmap.frontier_index), tfg, sensor)
+    enough = total >= ENOUGH_FRONTIER
     return bool(enough[roadmap.reachable].any()), bool(enough[~roadmap.reachable].any())
 
 
 def frontier_seen(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
     """Length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, less where the view
     ends soon behind it."""
-    point, seen = _each_seen(points, frontiers, tfg, sensor)
+    seen, _ = _each_seen(points, frontiers, tfg, sensor)
     length = np.zeros((len(points), len(tfg.frontiers)))
-    length[point, frontiers.index] = seen
+    length[np.repeat(np.arange(len(points)), frontiers.count), frontiers.index] = seen
     return length
 
 
 def _each_seen(
     points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig
-) -> tuple[IntArray, FloatArray]:
-    """Of each entry of the view, the point's row and the length, m, as of `frontier_seen`."""
-    point = np.repeat(np.arange(len(points)), frontiers.count)
-    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
-    return point, tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
+) -> tuple[FloatArray, FloatArray]:
+    """Of each entry of the view the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
+    of_frontier = tfg.frontiers, tfg.frontier_length, frontier_reach(sensor)
+    return _lengths_seen(points, frontiers.offsets, frontiers.index, *of_frontier)
+
+
+@njit(cache=True)
+def _lengths_seen(
+    points: FloatArray,
+    offsets: IntArray,
+    index: IntArray,
+    frontiers: FloatArray,
+    frontier_length: FloatArray,
+    reach: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    seen, total = np.empty(len(index)), np.zeros(len(points))
+    for i in range(len(points)):
+        for k in range(offsets[i], offsets[i + 1]):
+            f = index[k]
+            distance = math.hypot(frontiers[f, 0] - points[i, 0], frontiers[f, 1] - points[i, 1])
+            seen[k] = frontier_length[f] * share_seen(distance, reach)
+            total[i] += seen[k]
+    return seen, total

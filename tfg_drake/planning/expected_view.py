@@ -36,7 +36,7 @@ class View:
     @property
     def count(self) -> IntArray:
         """Targets seen from each point, (c,)."""
-        return np.diff(self.offsets)
+        return self.offsets[1:] - self.offsets[:-1]
 
     def of(self, points: IntArray) -> View:
         """The view from some of the points, (k,) rows."""

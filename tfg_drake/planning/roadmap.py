@@ -483,9 +483,8 @@ def extend(
     )
     proposed = np.vstack([chain, _nearest_edges(points, first_new)])
     was_driven = np.arange(len(proposed)) < len(chain)
-    edges = _distinct(state.edges.and_those_of(unchecked(proposed, was_driven)), len(points))
-    asked = np.flatnonzero(around[edges.nodes].all(axis=1))
-    edges = _checked(edges, asked, points, sigma, tfg, parameters, EFFORTS[effort][1])
+    edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
+    edges, asked = _checked(edges, around, points, sigma, tfg, parameters, EFFORTS[effort][1])
     home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(goals), -1]])
     edges = _with_needed(edges, asked, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
     ids = np.append(state.ids, state.next_id + np.arange(fresh))
@@ -533,35 +532,70 @@ def _with_new_nodes(
     return points, chain, way_end
 
 
-def _distinct(edges: Edges, count: int) -> Edges:
-    """One edge for each pair of count nodes, in the order of the nodes; a travelled one stands for its twin."""
-    pair = edges.nodes @ np.array([count, 1])
-    order = np.argsort(2 * pair + ~edges.travelled, kind="stable")
-    return edges.of(order[np.diff(pair[order], prepend=-1) > 0])
+def _distinct(edges: Edges, proposed: Edges, count: int) -> Edges:
+    """The edges, distinct and in the order of the nodes, and those proposed: one for each pair of count nodes; a
+    travelled one stands for its twin."""
+    if not len(proposed):
+        return edges
+    both = edges.and_those_of(proposed)
+    pair = both.nodes[:, 0] * count + both.nodes[:, 1]
+    order = np.argsort(2 * pair + ~both.travelled, kind="stable")
+    pair = pair[order]
+    return both.of(order[np.append(True, pair[1:] > pair[:-1])])
 
 
 def _checked(
     edges: Edges,
-    asked: IntArray,
+    around: BoolArray,
     points: FloatArray,
     sigma: FloatArray,
     tfg: TfgMap,
     parameters: RoadmapParameters,
     accepted: float,
-) -> Edges:
-    """The edges between points (n, 2), some (a,) of them checked against the map: each usable where it lies in free
-    space and has the room that it needs by the deviations sigma (n,), m, for the probability of a collision that is
-    accepted, or the planner's, if that is more."""
+) -> tuple[Edges, BoolArray]:
+    """The edges between points (n, 2), those of them (e,), told too, checked against the map that join two of the nodes
+    around (n,): each usable where it lies in free space and has the room that it needs by the deviations sigma (n,), m,
+    for the probability of a collision that is accepted, or the planner's, if that is more."""
     has, need = edges.clearance.copy(), edges.required.copy()
-    free, usable = edges.free | edges.travelled, edges.usable.copy()
-    nodes = edges.nodes[asked]
-    need[asked] = room_needed(parameters.robot, parameters.planner, np.maximum(*sigma[nodes.T]), accepted)
-    lines = points[nodes].reshape(-1, 4)
-    has[asked] = clearance(lines, tfg.segments, max(COMFORT, float(need[asked].max(initial=0.0))))
-    ask = ~free[asked] & (has[asked] >= parameters.robot.radius)
-    free[asked[ask]] = in_free_space(lines[ask], tfg)
-    usable[asked] = free[asked] & (has[asked] >= need[asked])
-    return replace(edges, clearance=has, required=need, free=free, usable=usable)
+    node_need = room_needed(parameters.robot, parameters.planner, sigma, accepted)
+    asked = _measure(has, need, edges.nodes, around, points, node_need, tfg.segments)
+    free = edges.free | edges.travelled
+    ask = np.flatnonzero(asked & ~free & (has >= parameters.robot.radius))
+    free[ask] = in_free_space(points[edges.nodes[ask]].reshape(-1, 4), tfg)
+    usable = np.where(asked, free & (has >= need), edges.usable)
+    return replace(edges, clearance=has, required=need, free=free, usable=usable), asked
+
+
+@njit(cache=True)
+def _measure(
+    has: FloatArray,
+    need: FloatArray,
+    edges: IntArray,
+    around: BoolArray,
+    points: FloatArray,
+    node_need: FloatArray,
+    segments: FloatArray,
+) -> BoolArray:
+    """Which of the edges (e, 2) join two of the points around (n,), (e,). Of these it puts in place the clearance that
+    they have (e,), m, from segments (m, 4), if it is less than COMFORT or what any of them needs, and what they need
+    (e,), m, by what either end does (n,), m."""
+    asked, reach = np.zeros(len(edges), dtype=np.bool_), COMFORT
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        if around[a] and around[b]:
+            asked[e], need[e] = True, max(node_need[a], node_need[b])
+            reach = max(reach, need[e])
+    grid, room = segment_grid(segments), np.zeros(len(points))
+    for n in range(len(points)):
+        if around[n]:
+            room[n] = room_beside(points[n, 0], points[n, 1], points[n, 0], points[n, 1], segments, grid, reach)
+    for e in range(len(edges)):
+        if asked[e]:
+            # No edge has more room than its ends.
+            a, b = edges[e, 0], edges[e, 1]
+            most = min(room[a], room[b])
+            has[e] = room_beside(points[a, 0], points[a, 1], points[b, 0], points[b, 1], segments, grid, most)
+    return asked
 
 
 def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, accepted: float) -> FloatArray:
@@ -576,13 +610,14 @@ def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, a
     return np.asarray(np.minimum(own, least) if accepted > planner.collision_probability else own)
 
 
-def _with_needed(edges: Edges, asked: IntArray, least: float, home: int, here: int, count: int) -> Edges:
-    """The edges, of those just checked (a,) the ones usable too that are `_needed`."""
-    room = np.full(len(edges), -np.inf)
-    room[asked] = np.where(edges.travelled[asked], edges.clearance[asked], -np.inf)
+def _with_needed(edges: Edges, asked: BoolArray, least: float, home: int, here: int, count: int) -> Edges:
+    """The edges, of those just checked (e,) the ones usable too that are `_needed`."""
+    driven = asked & edges.travelled
+    if not (driven & ~edges.usable).any():
+        return edges
+    room = np.where(driven, edges.clearance, -np.inf)
     usable = edges.usable | _needed(edges.nodes, edges.usable, room, least, home, here, count)
-    required = edges.required.copy()
-    required[asked] = np.where(usable, np.minimum(required, edges.clearance), required)[asked]
+    required = np.where(asked & usable, np.minimum(edges.required, edges.clearance), edges.required)
     return replace(edges, required=required, usable=usable)
 
 
@@ -601,8 +636,6 @@ def _needed(
     those that lead from here home, whatever their room.
     """
     needed = np.zeros(len(edges), dtype=np.bool_)
-    if not (np.isfinite(room) & ~keeps).any():
-        return needed
     asked = np.flatnonzero(keeps | np.isfinite(room))
     narrowness = np.where(keeps[asked], 1.0, 2.0 + room.max(initial=0.0) - room[asked])
     graph = csr_matrix((narrowness, edges[asked].T), shape=(count, count))
@@ -618,11 +651,13 @@ def _needed(
 
 
 @njit(cache=True)
-def components(edges: IntArray, count: int) -> IntArray:
-    """The connected component (count,) of each node under edges (e, 2), by the number of its first node."""
+def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
+    """The connected component (count,) of each node under some (e,) of the edges (e, 2), by the number of its first
+    node."""
     first = np.arange(count)
     for e in range(len(edges)):
-        connect(first, edges[e, 0], edges[e, 1])
+        if which[e]:
+            connect(first, edges[e, 0], edges[e, 1])
     settle(first)
     return first
 

@@ -7,8 +7,6 @@ import math
 
 import numpy as np
 from numba import njit
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance
@@ -26,6 +24,7 @@ from tfg_drake.planning.roadmap import (
     in_free_space,
     room_needed,
 )
+from tfg_drake.planning.shortest_ways import Ways, shortest_ways
 
 # The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
 # the building that is too narrow.
@@ -70,78 +69,83 @@ def routes(
     if n == 0:
         none = np.zeros(0)
         return Routes(none, np.zeros(0, dtype=np.int64), none, none)
-    usable = state.edges.of(state.edges.usable)
-    (a, b), has = usable.nodes.T, usable.clearance
-    # Open though too narrow, as the robot came by it and nothing else leads back: no risk that it has a choice about.
-    forced = usable.clearance <= usable.required
+    edges = state.edges
+    has, is_open = edges.clearance, edges.usable
     if obstacles is not None and len(obstacles):
-        room = clearance(state.points[usable.nodes].reshape(-1, 4), obstacles, COMFORT)
-        passable = room >= robot.radius + OBSTACLE_MARGIN
-        a, b, has, forced = a[passable], b[passable], np.minimum(has, room)[passable], forced[passable]
+        room = np.full(len(edges), np.inf)
+        room[is_open] = clearance(state.points[edges.nodes[is_open]].reshape(-1, 4), obstacles, COMFORT)
+        has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + OBSTACLE_MARGIN)
+    length, weight = _weights(state.points, edges.nodes, has, is_open)
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
-    length = np.hypot(*(state.points[a] - state.points[b]).T)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
-    source = np.concatenate([a, b, np.full(len(links), n)])
-    target = np.concatenate([b, a, links])
-    lengths = np.concatenate([length, length, links_length])
-    gap = np.concatenate([has, has, links_has])
-    weight = np.maximum(lengths, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
-    ends = np.stack([source, target])
+    links_weight = _weight(links_length, links_has)
     if planner.risk == "path":
-        sigma = state.sigma[[a, b]].max(axis=0)
-        risk = _edge_risk(lengths, gap, np.concatenate([sigma, sigma, state.sigma[links]]), robot.radius)
-        risk[np.concatenate([forced, forced, links_has < robot.radius + NODE_MARGIN])] = 0.0
-        cost, predecessor = _cheapest_within(planner.collision_probability, risk, ends, weight, n)
+        sigma = np.append(state.sigma[edges.nodes].max(axis=1), state.sigma[links])
+        risk = _edge_risk(np.append(length, links_length), np.append(has, links_has), sigma, robot.radius)
+        # Open though too narrow, as the robot came by it and nothing else leads back: no risk that it has a choice of.
+        forced = np.append(edges.clearance <= edges.required, links_has < robot.radius + NODE_MARGIN)
+        risk[forced] = 0.0
+        ways = _cheapest_within(planner.collision_probability, risk, edges.nodes, weight, links, links_weight, n)
     else:
-        cost, predecessor = _cheapest(ends, weight, n)
-    order = np.argsort(cost, kind="stable")
+        ways = Ways(*shortest_ways(edges.nodes, weight, links, links_weight, n))
     stop = robot.max_speed / robot.max_acceleration
-    length, time = _travel(state.points, X_MB, predecessor, order, robot.max_speed, robot.max_turn_rate, stop)
-    time[np.isfinite(time)] += stop
-    return Routes(cost, predecessor, length, time)
+    speed = robot.max_speed, robot.max_turn_rate
+    length, time = _travel(state.points, X_MB, ways.predecessor, ways.order, *speed, stop)
+    time[ways.order] += stop
+    return Routes(ways.cost, ways.predecessor, length, time)
 
 
-def _cheapest(ends: IntArray, weight: FloatArray, n: int) -> tuple[FloatArray, IntArray]:
-    """Cost and predecessor (n,) on the cheapest ways from the robot, node n, by edges from ends[0] to ends[1], (2, e),
-    of this weight (e,)."""
-    graph = csr_matrix((weight, tuple(ends)), shape=(n + 1, n + 1))
-    cost, predecessor = dijkstra(graph, directed=True, indices=n, return_predecessors=True)
-    return cost[:n], np.where(np.isfinite(cost), predecessor, -1)[:n].astype(np.int64)
+@njit(cache=True)
+def _weight(length: FloatArray | float, gap: FloatArray | float) -> FloatArray:
+    """What edges of a length (e,), m, with a clearance of gap (e,), m, cost, (e,), m."""
+    return np.maximum(length, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
+
+
+@njit(cache=True)
+def _weights(points: FloatArray, edges: IntArray, gap: FloatArray, is_open: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Length, m, and cost of edges (e, 2) between points (n, 2), m, (e,) and (e,): inf of those that are not open."""
+    length, weight = np.empty(len(edges)), np.full(len(edges), np.inf)
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        length[e] = math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1])
+        if is_open[e]:
+            weight[e] = _weight(length[e], gap[e])
+    return length, weight
 
 
 def _cheapest_within(
-    probability: float, risk: FloatArray, ends: IntArray, weight: FloatArray, n: int
-) -> tuple[FloatArray, IntArray]:
-    """As _cheapest, by ways whose edges' risks (e,) add up to this probability at most, inf and -1 where none is found.
+    probability: float,
+    risk: FloatArray,
+    edges: IntArray,
+    weight: FloatArray,
+    links: IntArray,
+    links_weight: FloatArray,
+    n: int,
+) -> Ways:
+    """The ways from the robot, along links (l,) to nodes and edges (e, 2), whose steps' risks (e + l,) add up to this
+    probability at most: the cheapest of the tree that is found.
 
     A tree of ways weighs all risks alike, so the one that reaches most is taken, of equals the one of least detour.
     """
-    edge_risk = csr_matrix((np.maximum(risk, 1e-300), tuple(ends)), shape=(n + 1, n + 1))
     most = -1
     for detour in RISK_LENGTHS:
-        cost, predecessor = _cheapest(ends, weight + detour * risk / probability, n)
-        kept = np.isfinite(cost)
-        kept &= _risk_to(predecessor, np.argsort(cost, kind="stable"), edge_risk) <= probability
+        costs = detour * risk / probability
+        ways = Ways(*shortest_ways(edges, weight + costs[: len(edges)], links, links_weight + costs[len(edges) :], n))
+        kept = _risk_to(ways, risk) <= probability
         if kept.sum() > most:
-            most, found = int(kept.sum()), (np.where(kept, cost, np.inf), np.where(kept, predecessor, -1))
-        if most == np.isfinite(cost).sum():
+            cost, predecessor = np.where(kept, ways.cost, np.inf), np.where(kept, ways.predecessor, -1)
+            most, found = int(kept.sum()), Ways(cost, predecessor, ways.step, ways.order[kept[ways.order]])
+        if most == len(ways.order):
             break
     return found
 
 
-def _risk_to(predecessor: IntArray, order: IntArray, edge_risk: csr_matrix) -> FloatArray:
-    """At most the probability (n,) of a collision anywhere on the way to each node along a tree of routes.
-
-    order: nodes by increasing cost. edge_risk: (n + 1, n + 1), from node to node, the robot last.
-    """
-    on_tree = np.flatnonzero(predecessor >= 0)
-    risk = np.ones(len(predecessor) + 1)
-    risk[-1] = 0.0
-    step = np.zeros(len(predecessor))
-    step[on_tree] = np.asarray(edge_risk[predecessor[on_tree], on_tree]).ravel()
-    for i in order[np.isin(order, on_tree)]:
-        risk[i] = risk[predecessor[i]] + step[i]
-    return risk[:-1]
+def _risk_to(ways: Ways, risk: FloatArray) -> FloatArray:
+    """At most the probability (n,) of a collision anywhere on the way to each node; risk: of each step."""
+    total = np.append(np.full(len(ways.cost), np.inf), 0.0)
+    for i in ways.order:
+        total[i] = total[ways.predecessor[i]] + risk[ways.step[i]]
+    return total[:-1]
 
 
 def _edge_risk(length: FloatArray, gap: FloatArray, sigma: FloatArray, radius: float) -> FloatArray:
@@ -193,8 +197,8 @@ def _connect(
     """Nodes the robot can drive to directly (l,), and the clearance of the way there (l,), m."""
     here = X_MB[:2]
     distance = np.hypot(*(state.points - here).T)
-    near = np.argsort(distance, kind="stable")[: 3 * NEIGHBOURS]
-    near = near[distance[near] <= EDGE_LENGTH]
+    near = np.flatnonzero(distance <= EDGE_LENGTH)
+    near = near[np.argsort(distance[near], kind="stable")[: 3 * NEIGHBOURS]]
     segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
     # No surface can pass through where the robot stands.
     apart = clearance(segments, np.concatenate([here, here])[None], np.inf)
@@ -221,7 +225,7 @@ def _fitting(
 
 def _joined(state: RoadmapState, edges: BoolArray, reachable: BoolArray) -> BoolArray:
     """Nodes (n,) that some edges (e,) join to any of the reachable ones (n,)."""
-    label = components(state.edges.nodes[edges], len(reachable))
+    label = components(state.edges.nodes, edges, len(reachable))
     joined = np.zeros(len(reachable), dtype=np.bool_)
     joined[label[reachable]] = True
     return joined[label]
@@ -236,12 +240,13 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
     fits = _fitting(state, robot, planner, FAIR_DEVIATION, 0.0) | state.edges.travelled
     beyond = _joined(state, fits, reachable) & ~reachable
     if beyond.any():
-        a, b = state.edges.nodes[fits & beyond[state.edges.nodes].any(axis=1)].T
-        length = np.hypot(*(state.points[a] - state.points[b]).T)
-        graph = csr_matrix((length, (a, b)), shape=(len(entry), len(entry)))
-        doors = np.intersect1d(np.append(a, b), np.flatnonzero(reachable))
-        sources = dijkstra(graph, directed=False, indices=doors, min_only=True, return_predecessors=True)[2]
-        entry[beyond] = sources[beyond]
+        nodes = state.edges.nodes[fits & beyond[state.edges.nodes].any(axis=1)]
+        doors = np.unique(nodes[reachable[nodes]])
+        length = np.hypot(*(state.points[nodes[:, 0]] - state.points[nodes[:, 1]]).T)
+        from_doors = Ways(*shortest_ways(nodes, length, doors, np.zeros(len(doors)), len(entry)))
+        for i in from_doors.order:
+            if beyond[i]:
+                entry[i] = entry[from_doors.predecessor[i]]
     return entry
 
 

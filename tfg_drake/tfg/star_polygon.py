@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -48,12 +50,17 @@ def _simplify(reach: FloatArray, limit: FloatArray, angles: FloatArray, toleranc
     return keep
 
 
+@njit(cache=True)
 def looked_round(star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray) -> BoolArray:
     """Which of k star polygons, packed as in `tfg_drake.geometry.star`, show a look all round, (k,)."""
-    if not len(star_centers):
-        return np.zeros(0, dtype=np.bool_)
-    reach = np.hypot(*(star_vertices - np.repeat(star_centers, np.diff(star_offsets), axis=0)).T)
-    return np.asarray(np.minimum.reduceat(reach, star_offsets[:-1]) > 1.5 * UNSEEN)
+    all_round = np.ones(len(star_centers), dtype=np.bool_)
+    for j in range(len(star_centers)):
+        for v in range(star_offsets[j], star_offsets[j + 1]):
+            dx, dy = star_vertices[v, 0] - star_centers[j, 0], star_vertices[v, 1] - star_centers[j, 1]
+            if math.hypot(dx, dy) <= 1.5 * UNSEEN:
+                all_round[j] = False
+                break
+    return all_round
 
 
 def star_polygon(panorama: Panorama) -> FloatArray:
