@@ -14,6 +14,9 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
 from tfg_drake.slam.planar_graph import Motions, PlanarGraph, Sightings
 
+# Steps that show which of two starts is the better one.
+STEPS_TO_COMPARE = 10
+
 
 @message
 class PoseGraph:
@@ -46,9 +49,9 @@ def solve_pose_graph(graph: PoseGraph, report: Callable[[float], None] = lambda 
     """The graph at its least-squares values.
 
     The problem is not convex: it is solved from the values that the graph states, if it states all of them, or from
-    values built up in the order of the ids, whichever have the smaller error. Without a fixed pose the first one is
-    held. report: called with the share of the work done, 0 to 1. Raises ValueError where a pose is tied to no earlier
-    one, or a landmark was never seen.
+    values built up in the order of the ids, whichever have the smaller error after a few steps. Without a fixed pose
+    the first one is held. report: called with the share of the work done, 0 to 1. Raises ValueError where a pose is
+    tied to no earlier one, or a landmark was never seen.
     """
     factors = _factors(graph)
     starts = []
@@ -61,12 +64,14 @@ def solve_pose_graph(graph: PoseGraph, report: Callable[[float], None] = lambda 
     loose = np.setdiff1d(np.flatnonzero(np.isnan(X_MB[:, 0])), factors.motions.later())
     unseen = np.setdiff1d(graph.landmark_ids, graph.sightings[:, 1])
     if not len(loose) and not len(unseen):
-        starts.append(factors.grown(_unknowns(X_MB, np.full_like(graph.p_ML, np.nan)), report))
+        starts.append(factors.grown(_unknowns(X_MB, np.full_like(graph.p_ML, np.nan)), lambda share: report(0.9 * share)))
     elif not starts:
         if len(loose):
             raise ValueError(f"pose {graph.pose_ids[loose[0]]} is tied to no earlier pose")
         raise ValueError(f"landmark {unseen[0]} has no sighting")
-    x, _ = factors.solved(min(starts, key=factors.cost))
+    x, _ = min((factors.solved(start, STEPS_TO_COMPARE) for start in starts), key=lambda one: one[1])
+    x, _ = factors.solved(x)
+    report(1.0)
     X_MB, p_ML, _ = factors.parts(x)
     return replace(graph, X_MB=np.column_stack([X_MB[:, :2], se2.wrap_angle(X_MB[:, 2])]), p_ML=p_ML)
 
