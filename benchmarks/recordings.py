@@ -58,7 +58,13 @@ def dead_reckoned(graph: PoseGraph) -> PoseGraph:
 
 
 def chain(
-    ids: IntArray, edges: IntArray, X_ij: FloatArray, step: FloatArray, sightings: IntArray, p_BL: FloatArray, tree: float
+    ids: IntArray,
+    edges: IntArray,
+    X_ij: FloatArray,
+    step: FloatArray,
+    sightings: IntArray,
+    p_BL: FloatArray,
+    tree: float,
 ) -> PoseGraph:
     """Poses of these ids in a chain; step (3,) and tree: variances of a step and of a tree's x and y."""
     trees = np.unique(sightings[:, 1])
