@@ -17,7 +17,7 @@ from tfg_drake.messages import FloatArray, IntArray
 
 # Steps of one solve that lower the cost, at most, and the relative decrease of the cost after which no other is needed.
 MOST_STEPS = 100
-SMALL_DECREASE = 1e-8
+SMALL_DECREASE = 1e-10
 # Damping, as a share of the Hessian's diagonal: at first next to none, for it would keep a long chain of poses from
 # bending as a whole; what a solution may end with; and what shows that no step lowers the cost any more.
 FIRST_DAMPING = 1e-9
