@@ -5,12 +5,14 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from tests.mutations import assert_refused_or_read
 from tfg_drake.datasets.g2o import read_g2o, write_g2o
-from tfg_drake.datasets.pose_graph import half_chi_square, solve_pose_graph
+from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.geometry import se2
+from tfg_drake.messages import replace
 
 
 def loop(tmp_path, noise=0.0, vertices=True, landmark=True):
@@ -69,6 +71,108 @@ def test_the_solution_is_the_least_error_there_is(tmp_path):
         object.__setattr__(moved, "X_MB", solved.X_MB + 1e-3 * random.normal(size=solved.X_MB.shape))
         object.__setattr__(moved, "p_ML", solved.p_ML + 1e-3 * random.normal(size=solved.p_ML.shape))
         assert half_chi_square(moved) > least
+
+
+def test_the_solution_is_that_of_a_dense_solver(tmp_path):
+    """Residuals as g2o defines them, by a solver that knows nothing of sparsity or of where to begin."""
+    graph = read_g2o(loop(tmp_path, noise=0.1)[0])
+    solved = solve_pose_graph(graph)
+
+    def residual(x):
+        poses, tree = np.vstack([graph.X_MB[0], x[:-2].reshape(-1, 3)]), x[-2:]
+        rows = []
+        for (i, j), X_ij, information in zip(graph.edges, graph.X_ij, graph.edge_information, strict=True):
+            error = se2.between(X_ij, se2.between(poses[i], poses[j]))
+            rows.append(np.linalg.cholesky(information).T @ error)
+        for (i, _), p_BL, information in zip(graph.sightings, graph.p_BL, graph.sighting_information, strict=True):
+            error = se2.transform(se2.inverse(poses[i]), tree) - p_BL
+            rows.append(np.linalg.cholesky(information).T @ error)
+        return np.concatenate(rows)
+
+    found = np.append(solved.X_MB[1:].ravel(), solved.p_ML.ravel())
+    dense = least_squares(residual, found + 0.01, xtol=1e-14, ftol=1e-14, gtol=1e-12)
+    assert half_chi_square(solved) == pytest.approx(dense.cost, rel=1e-6)
+    np.testing.assert_allclose(residual(found), residual(dense.x), atol=1e-5)
+
+
+def drive(wrong=0.0, noise=1.0):
+    """Laps of a robot among trees that it sees in x and y, and the same as it believes them by dead reckoning; loops
+    are closed by trees alone. Of the sightings a share names the tree next to the one seen."""
+    random = np.random.default_rng(5)
+    k, n = 400, 30
+    trees = random.uniform(-30.0, 30.0, (n, 2))
+    step = np.array([1.0, 0.0, 0.05])
+    poses = [np.array([0.0, -20.0, 0.0])]
+    for _ in range(k - 1):
+        poses.append(se2.compose(poses[-1], step))
+    true = np.array(poses)
+    X_ij = step + noise * np.array([0.03, 0.03, 0.02]) * random.standard_normal((k - 1, 3))
+    reckoned = [true[0]]
+    for one in X_ij:
+        reckoned.append(se2.compose(reckoned[-1], one))
+    i, j = np.nonzero(random.random((k, n)) < 0.05)
+    p_BL = np.array([se2.transform(se2.inverse(true[a]), trees[b]) for a, b in zip(i, j, strict=True)])
+    p_BL = p_BL + 0.3 * noise * random.standard_normal(p_BL.shape)
+    distance = np.linalg.norm(trees[:, None] - trees, axis=2) + 1e3 * np.eye(n)
+    named = np.where(random.random(len(j)) < wrong, np.argmin(distance, axis=1)[j], j)
+    graph = PoseGraph(
+        pose_ids=np.arange(k),
+        X_MB=true,
+        landmark_ids=np.arange(k, k + n),
+        p_ML=trees,
+        fixed=np.empty(0, dtype=np.int64),
+        edges=np.column_stack([np.arange(k - 1), np.arange(1, k)]),
+        X_ij=X_ij,
+        edge_information=np.tile(np.diag([1 / 0.03**2, 1 / 0.03**2, 1 / 0.02**2]), (k - 1, 1, 1)),
+        sightings=np.column_stack([i, k + named]),
+        p_BL=p_BL,
+        sighting_information=np.tile(np.eye(2) / 0.3**2, (len(i), 1, 1)),
+    )
+    first = [int(np.flatnonzero(named == tree)[0]) for tree in range(n)]
+    p_ML = np.array([se2.transform(np.array(reckoned)[i[row]], p_BL[row]) for row in first])
+    return graph, replace(graph, X_MB=np.array(reckoned), p_ML=p_ML)
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.03])
+def test_dead_reckoning_leads_to_the_optimum_near_the_truth(wrong):
+    true, reckoned = drive(wrong)
+    best = half_chi_square(solve_pose_graph(true))
+    assert half_chi_square(reckoned) > 30.0 * best
+    assert half_chi_square(solve_pose_graph(reckoned)) == pytest.approx(best, rel=1e-6)
+
+
+def test_a_long_graph_without_noise_is_solved_exactly():
+    true, _ = drive(noise=0.0)
+    nowhere = replace(true, X_MB=np.full_like(true.X_MB, np.nan), p_ML=np.full_like(true.p_ML, np.nan))
+    solved = solve_pose_graph(replace(nowhere, fixed=np.array([0]), X_MB=np.vstack([true.X_MB[:1], nowhere.X_MB[1:]])))
+    np.testing.assert_allclose(solved.X_MB[:, :2], true.X_MB[:, :2], atol=1e-6)
+    np.testing.assert_allclose(se2.wrap_angle(solved.X_MB[:, 2] - true.X_MB[:, 2]), 0.0, atol=1e-6)
+    np.testing.assert_allclose(solved.p_ML, true.p_ML, atol=1e-6)
+
+
+def test_edges_may_lead_to_earlier_poses(tmp_path):
+    path = tmp_path / "back.g2o"
+    path.write_text("EDGE_SE2 1 0 1 0 0 1 0 0 1 0 1\nEDGE_SE2 2 1 1 0 0 1 0 0 1 0 1\n")
+    np.testing.assert_allclose(solve_pose_graph(read_g2o(path)).X_MB[:, 0], [0.0, -1.0, -2.0], atol=1e-9)
+
+
+def test_where_all_poses_are_fixed_only_landmarks_move(tmp_path):
+    path = tmp_path / "fixed.g2o"
+    path.write_text(
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 2 0 0 1 0 0 1 0 1\nEDGE_SE2_XY 0 2 1 1 1 0 1\n"
+        "EDGE_SE2_XY 1 2 1 1 1 0 1\nFIX 0\nFIX 1\n"
+    )
+    solved = solve_pose_graph(read_g2o(path))
+    np.testing.assert_allclose(solved.X_MB[:, 0], [0.0, 1.0])
+    np.testing.assert_allclose(solved.p_ML, [[1.5, 1.0]], atol=1e-6)
+
+
+def test_progress_runs_from_nothing_to_one():
+    shares = []
+    solve_pose_graph(drive()[1], shares.append)
+    assert shares == sorted(shares)
+    assert len(shares) > 5
+    assert shares[-1] == 1.0
 
 
 def test_what_is_written_is_read_again_to_the_bit(tmp_path):

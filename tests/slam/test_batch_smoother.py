@@ -1,13 +1,17 @@
 """The batch smoother on drives whose truth is known."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
+from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
-from tfg_drake.messages import TagDetections
+from tfg_drake.messages import Odometry, TagDetections, replace
 from tfg_drake.slam.batch_smoother import HUBER_SIGMAS, smooth
+from tfg_drake.slam.odometry_model import arc, odometry_model, predict_increment
 
 
 def record(drive, noise, steps=640, seed=4):
@@ -105,13 +109,61 @@ def test_progress_runs_from_nothing_to_one(drive):
     assert shares[-1] == 1.0
 
 
-def test_a_guess_may_help_and_never_harms(drive):
-    odometry, frames, stamps, X_MB, robot = record(drive, 1.0, steps=200)
-    alone = smooth(odometry, frames, robot.config)
-    # Wherever it lies, the first pose is where odometry has it.
-    moved = se2.compose(np.array([3.0, -2.0, 1.0]), X_MB)
-    good = smooth(odometry, frames, robot.config, guess=(stamps, moved))
-    np.testing.assert_allclose(good.X_MB, alone.X_MB, atol=1e-3)
-    nonsense = np.random.default_rng(0).uniform(-20.0, 20.0, X_MB.shape)
-    bad = smooth(odometry, frames, robot.config, guess=(stamps, nonsense))
-    assert bad.half_chi_square + 8.0 * bad.rejected <= alone.half_chi_square + 8.0 * alone.rejected + 1e-6
+def test_misread_ids_lead_nowhere(drive):
+    odometry, frames, stamps, X_MB, robot = record(drive, 1.0)
+    random = np.random.default_rng(1)
+    spoiled, count = [], 0
+    for frame in frames:
+        ids = np.where(random.random(len(frame.ids)) < 0.1, random.integers(100, 112, len(frame.ids)), frame.ids)
+        count += int(np.sum(ids != frame.ids))
+        spoiled.append(replace(frame, ids=ids))
+    run = smooth(odometry, tuple(spoiled), robot.config)
+    assert count <= run.rejected <= count + 0.01 * run.used
+    assert max(errors(run, stamps, X_MB, robot)) < 0.1
+
+
+def test_the_solution_is_that_of_a_dense_solver():
+    """A short way with a frame at every odometry message, so that nothing is interpolated."""
+    random = np.random.default_rng(2)
+    config = OdometryConfig()
+    model = odometry_model(config)
+    tags = random.uniform(-4.0, 4.0, (6, 2))
+    X_MB, X_OB, odometry, frames, seen = np.zeros(3), np.zeros(3), [], [], []
+    for i in range(25):
+        odometry.append(Odometry(stamp=0.4 * i, X_OB=X_OB, V_B=np.zeros(2)))
+        d = se2.transform(se2.inverse(X_MB), tags)
+        noise = random.standard_normal((2, 6))
+        bearing, distance = np.arctan2(d[:, 1], d[:, 0]) + 0.01 * noise[0], np.hypot(*d.T) + 0.05 * noise[1]
+        frames.append(TagDetections(0.4 * i, np.arange(6), distance, bearing, np.full(6, 0.05), np.full(6, 0.01)))
+        seen.append(np.column_stack([bearing, distance]))
+        X_MB = se2.compose(X_MB, np.array([0.2, 0.0, 0.15]))
+        X_OB = se2.compose(X_OB, np.array([0.2, 0.0, 0.15]) + 0.003 * random.standard_normal(3))
+    run = smooth(tuple(odometry), tuple(frames), config)
+    assert run.rejected == 0
+
+    increments = [arc(a.X_OB, b.X_OB) for a, b in itertools.pairwise(odometry)]
+    whiteners = [
+        np.linalg.inv(np.linalg.cholesky(predict_increment(one, 0.4, np.zeros(3), model.noise)[2]))
+        for one in increments
+    ]
+
+    def residual(x):
+        poses, p_ML, calibration = np.vstack([np.zeros(3), x[:72].reshape(-1, 3)]), x[72:84].reshape(-1, 2), x[84:]
+        rows = [calibration / model.calibration_sigma]
+        for i, (increment, whitener) in enumerate(zip(increments, whiteners, strict=True)):
+            motion = predict_increment(increment, 0.4, calibration, model.noise)[0]
+            rows.append(whitener @ (se2.between(poses[i], poses[i + 1]) - motion))
+        for pose, z in zip(poses, seen, strict=True):
+            d = se2.transform(se2.inverse(pose), p_ML)
+            r = np.column_stack(
+                [se2.wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - z[:, 0]) / 0.01, (np.hypot(*d.T) - z[:, 1]) / 0.05]
+            )
+            length = np.linalg.norm(r, axis=1)
+            huber = np.sqrt(2.0 * HUBER_SIGMAS * np.maximum(length, HUBER_SIGMAS) - HUBER_SIGMAS**2)
+            rows.append((r * np.where(length > HUBER_SIGMAS, huber / length, 1.0)[:, None]).ravel())
+        return np.concatenate(rows)
+
+    found = np.concatenate([run.X_MB[1:].ravel(), run.p_ML.ravel(), run.calibration])
+    dense = least_squares(residual, found + 1e-3 * random.standard_normal(87), xtol=1e-12, ftol=1e-12, gtol=1e-9)
+    assert run.half_chi_square == pytest.approx(dense.cost, rel=1e-6)
+    np.testing.assert_allclose(found, dense.x, atol=1e-4)

@@ -5,14 +5,16 @@ This is what a g2o file holds. It is no stream of range and bearing, so the onli
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
-from tfg_drake.slam.planar_graph import Motions, PlanarGraph, Sightings
+from tfg_drake.slam.planar_graph import Motions, OnProgress, PlanarGraph, Sightings
+
+# Steps that show which of two starts is the better one.
+STEPS_TO_COMPARE = 10
 
 
 @message
@@ -39,21 +41,22 @@ class PoseGraph:
 
 def half_chi_square(graph: PoseGraph) -> float:
     """Half the sum of squared whitened errors at the graph's values."""
-    return _factors(graph).cost(_unknowns(graph.X_MB, graph.p_ML))
+    factors = _factors(graph)
+    return factors.cost(factors.unknowns(graph.X_MB, graph.p_ML))
 
 
-def solve_pose_graph(graph: PoseGraph, report: Callable[[float], None] = lambda _share: None) -> PoseGraph:
+def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None) -> PoseGraph:
     """The graph at its least-squares values.
 
     The problem is not convex: it is solved from the values that the graph states, if it states all of them, or from
-    values built up in the order of the ids, whichever have the smaller error. Without a fixed pose the first one is
-    held. report: called with the share of the work done, 0 to 1. Raises ValueError where a pose is tied to no earlier
-    one, or a landmark was never seen.
+    values built up in the order of the ids, whichever have the smaller error after a few steps. Without a fixed pose
+    the first one is held. report: called with the share of the work done, 0 to 1. Raises ValueError where a pose is
+    tied to no earlier one, or a landmark was never seen.
     """
     factors = _factors(graph)
     starts = []
     if np.isfinite(graph.X_MB).all() and np.isfinite(graph.p_ML).all():
-        starts.append(_unknowns(graph.X_MB, graph.p_ML))
+        starts.append(factors.unknowns(graph.X_MB, graph.p_ML))
     X_MB = np.full_like(graph.X_MB, np.nan)
     X_MB[0] = 0.0
     given = factors.held[np.isfinite(graph.X_MB[factors.held]).all(axis=1)]
@@ -61,12 +64,14 @@ def solve_pose_graph(graph: PoseGraph, report: Callable[[float], None] = lambda 
     loose = np.setdiff1d(np.flatnonzero(np.isnan(X_MB[:, 0])), factors.motions.later())
     unseen = np.setdiff1d(graph.landmark_ids, graph.sightings[:, 1])
     if not len(loose) and not len(unseen):
-        starts.append(factors.grown(_unknowns(X_MB, np.full_like(graph.p_ML, np.nan)), report))
+        x = factors.unknowns(X_MB, np.full_like(graph.p_ML, np.nan))
+        starts.append(factors.grown(x, lambda share: report(0.9 * share)))
     elif not starts:
-        if len(loose):
-            raise ValueError(f"pose {graph.pose_ids[loose[0]]} is tied to no earlier pose")
-        raise ValueError(f"landmark {unseen[0]} has no sighting")
-    x, _ = factors.solved(min(starts, key=factors.cost))
+        loose_pose = f"pose {graph.pose_ids[loose[0]]} is tied to no earlier pose" if len(loose) else ""
+        raise ValueError(loose_pose or f"landmark {unseen[0]} has no sighting")
+    x, _ = min((factors.solved(start, STEPS_TO_COMPARE) for start in starts), key=lambda one: one[1])
+    x, _ = factors.solved(x)
+    report(1.0)
     X_MB, p_ML, _ = factors.parts(x)
     return replace(graph, X_MB=np.column_stack([X_MB[:, :2], se2.wrap_angle(X_MB[:, 2])]), p_ML=p_ML)
 
@@ -79,10 +84,6 @@ class _Points(Sightings):
 
     def error(self, p_BL: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.einsum("sij,sj->si", self.whitener, p_BL - self.p_BL), self.whitener
-
-
-def _unknowns(X_MB: FloatArray, p_ML: FloatArray) -> FloatArray:
-    return np.concatenate([X_MB.ravel(), p_ML.ravel(), np.zeros(3)])
 
 
 def _factors(graph: PoseGraph) -> PlanarGraph:

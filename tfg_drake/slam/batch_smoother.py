@@ -35,6 +35,8 @@ HUBER_SIGMAS = 1.3
 MOST_ROUNDS = 6
 # Without frames a pose at least this often while the robot moves, s of the odometry's clock.
 LONGEST_GAP = 0.5
+# A landmark nearer than this, m, has no bearing.
+LEAST_RANGE = 1e-6
 
 
 @message
@@ -90,14 +92,11 @@ class _BearingRange(Sightings):
     def error(self, p_BL: FloatArray) -> tuple[FloatArray, FloatArray]:
         bearing, distance, sigma_bearing, sigma_range = self.z.T
         x, y = p_BL.T
-        r = np.hypot(x, y)
-        error = np.column_stack(
-            [se2.wrap_angle(np.arctan2(y, x) - bearing) / sigma_bearing, (r - distance) / sigma_range]
-        )
-        jacobian = np.stack(
-            [-y / r**2 / sigma_bearing, x / r**2 / sigma_bearing, x / r / sigma_range, y / r / sigma_range]
-        )
-        return error, jacobian.T.reshape(-1, 2, 2)
+        r = np.maximum(np.hypot(x, y), LEAST_RANGE)
+        turn = se2.wrap_angle(np.arctan2(y, x) - bearing)
+        error = np.column_stack([turn / sigma_bearing, (r - distance) / sigma_range])
+        on_bearing = np.column_stack([-y, x]) / (r**2 * sigma_bearing)[:, None]
+        return error, np.stack([on_bearing, p_BL / (r * sigma_range)[:, None]], axis=1)
 
 
 def smooth(
@@ -116,13 +115,12 @@ def smooth(
     graph = _graph(run, odometry_model(config))
     start = np.full((graph.poses, 3), np.nan)
     start[0] = run.X_OB[0]
-    x = np.concatenate([start.ravel(), np.full(2 * graph.landmarks, np.nan), np.zeros(3)])
+    x = graph.unknowns(start, np.full((graph.landmarks, 2), np.nan))
     x = graph.grown(x, lambda share: on_progress(0.7 * share))
     kept = np.ones(len(run.ids), dtype=bool)
     for rounds in range(1, MOST_ROUNDS + 1):
         x = _with_landmarks(graph, x, kept)
-        believed = replace(graph, sightings=graph.sightings.take(kept))
-        x, error = believed.solved(x)
+        x, error = replace(graph, sightings=graph.sightings.take(kept)).solved(x)
         near = _near(graph, x, kept)
         if rounds == MOST_ROUNDS or np.array_equal(near, kept):
             break

@@ -13,11 +13,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.messages import FloatArray, IntArray
 
 # Steps of one solve that lower the cost, at most, and the relative decrease of the cost after which no other is needed.
 MOST_STEPS = 100
-SMALL_DECREASE = 1e-8
+SMALL_DECREASE = 1e-10
 # Damping, as a share of the Hessian's diagonal: at first next to none, for it would keep a long chain of poses from
 # bending as a whole; what a solution may end with; and what shows that no step lowers the cost any more.
 FIRST_DAMPING = 1e-9
@@ -31,8 +31,8 @@ _SYMMETRIC = {"diag_pivot_thresh": 0.0, "panel_size": 1, "options": {"SymmetricM
 class Rows:
     """m residuals of one kind, linearised.
 
-    residual: (m, d), whitened. columns: (m, w), the unknowns that each depends on. jacobian: (m, d, w). huber: the length
-    beyond which a residual costs in proportion to its length.
+    residual: (m, d), whitened. columns: (m, w), the unknowns that each depends on. jacobian: (m, d, w). huber: the
+    length beyond which a residual costs in proportion to its length.
     """
 
     residual: FloatArray
@@ -66,6 +66,8 @@ def minimise(
     rows = linearise(x)
     least = cost(rows)
     free = _elimination_order(rows, held, blocks)
+    if not len(free):
+        return x, least
     damping, growth = FIRST_DAMPING, 2.0
     for _ in range(most_steps):
         hessian, gradient = _normal_equations(rows, free, len(x))
@@ -97,9 +99,8 @@ def _elimination_order(rows: Sequence[Rows], held: IntArray, blocks: IntArray) -
         free[one.columns] = True
     free[held] = False
     count = int(blocks.max()) + 1
-    incidence = _matrix(
-        [(np.ones((len(one.columns), 1, one.columns.shape[1])), blocks[one.columns]) for one in rows], count
-    )
+    ties = [blocks[one.columns] for one in rows]
+    incidence = _matrix([(np.ones((len(at), 1, at.shape[1])), at) for at in ties], count)
     pattern = incidence.T @ incidence + sparse.eye_array(count)
     position = splu(pattern.tocsc(), permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c
     unknowns = np.flatnonzero(free)
@@ -119,7 +120,7 @@ def _normal_equations(rows: Sequence[Rows], free: IntArray, n: int) -> tuple[spa
 
 
 def _matrix(parts: Sequence[tuple[FloatArray, IntArray]], n: int) -> sparse.csr_array:
-    """The sparse matrix with n columns of dense rows (m, d, w), those of one part below the other, at columns (m, w)."""
+    """The sparse matrix of n columns with dense rows (m, d, w) at columns (m, w), those of a part below the last's."""
     data = np.concatenate([values.ravel() for values, _ in parts])
     columns = np.concatenate([np.repeat(at, values.shape[1], axis=0).ravel() for values, at in parts])
     widths = np.concatenate([np.full(values.shape[0] * values.shape[1], values.shape[2]) for values, _ in parts])

@@ -14,7 +14,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.least_squares import MOST_STEPS, Rows, cost, minimise
 
 # Poses that a graph grows by before it is solved again.
@@ -28,7 +28,7 @@ OnProgress = Callable[[float], None]
 class _Factors:
     """Arrays with a row a factor."""
 
-    def take(self, rows: IntArray | slice) -> Self:
+    def take(self, rows: IntArray | BoolArray | slice) -> Self:
         """Some of the factors."""
         return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
@@ -37,7 +37,7 @@ class _Factors:
 class Motions(_Factors):
     """Measured poses of one pose in another.
 
-    first, second: (m,) their rows. X_ij: (m, 3), the second in the first. whitener: (m, 3, 3) of its error (x, y, theta).
+    first, second: (m,) their rows. X_ij: (m, 3), the second in the first. whitener: (m, 3, 3) of the error of X_ij.
     """
 
     first: IntArray
@@ -59,8 +59,8 @@ class Motions(_Factors):
 class Sightings(_Factors):
     """Landmarks seen from poses.
 
-    pose, landmark: (s,) their rows. p_BL: (s, 2) m, where the landmark seems to be in the body. huber: the whitened error
-    beyond which one counts in proportion to its length.
+    pose, landmark: (s,) their rows. p_BL: (s, 2) m, where the landmark seems to be in the body. huber: the whitened
+    error beyond which one counts in proportion to its length.
     """
 
     pose: IntArray
@@ -93,36 +93,41 @@ class PlanarGraph:
         X_MB, p_ML, calibration = np.split(x, [3 * self.poses, 3 * self.poses + 2 * self.landmarks])
         return X_MB.reshape(-1, 3), p_ML.reshape(-1, 2), calibration
 
-    def linearise(self, x: FloatArray) -> list[Rows]:
-        """All residuals, those of the sightings last."""
-        X_MB, p_ML, calibration = self.parts(x)
-        at_calibration = len(x) - 3 + np.arange(3)
-        rows = []
-        if self.calibration_sigma is not None:
-            whitener = np.diag(1.0 / self.calibration_sigma)
-            rows.append(Rows((whitener @ calibration)[None], at_calibration[None], whitener[None]))
+    def unknowns(self, X_MB: FloatArray, p_ML: FloatArray) -> FloatArray:
+        """The vector of these poses (k, 3) and landmarks (n, 2), with a calibration of zero."""
+        return np.concatenate([X_MB.ravel(), p_ML.ravel(), np.zeros(3)])
 
+    def linearise(self, x: FloatArray) -> list[Rows]:
+        """All residuals and their Jacobians."""
+        rows = [self._motion_rows(x), self._sighting_rows(x)]
+        if self.calibration_sigma is not None:
+            whitener, calibration = np.diag(1.0 / self.calibration_sigma), self.parts(x)[2]
+            rows.append(Rows((whitener @ calibration)[None], len(x) - 3 + np.arange(3)[None], whitener[None]))
+        return rows
+
+    def _motion_rows(self, x: FloatArray) -> Rows:
+        X_MB, _, calibration = self.parts(x)
         ties = self.motions
         measured, on_calibration = ties.measured(calibration)
         p, on_first, on_p = in_body(X_MB[ties.first], X_MB[ties.second, :2])
         turn = X_MB[ties.second, 2] - X_MB[ties.first, 2]
         error = np.column_stack([p - measured[:, :2], se2.wrap_angle(turn - measured[:, 2])])
-        m, c = len(error), on_calibration.shape[2]
+        m, _, c = on_calibration.shape
         jacobian = np.zeros((m, 3, 6 + c))
         jacobian[:, :2, :3], jacobian[:, :2, 3:5] = on_first, on_p
         jacobian[:, 2, 2], jacobian[:, 2, 5] = -1.0, 1.0
         jacobian[:, :, 6:] = -on_calibration
-        columns = [_at(ties.first, 3), _at(ties.second, 3), np.broadcast_to(at_calibration[:c], (m, c))]
-        residual = np.einsum("mij,mj->mi", ties.whitener, error)
-        rows.append(Rows(residual, np.hstack(columns), ties.whitener @ jacobian))
+        columns = [_at(ties.first, 3), _at(ties.second, 3), np.broadcast_to(len(x) - 3 + np.arange(c), (m, c))]
+        return Rows(np.einsum("mij,mj->mi", ties.whitener, error), np.hstack(columns), ties.whitener @ jacobian)
 
+    def _sighting_rows(self, x: FloatArray) -> Rows:
+        X_MB, p_ML, _ = self.parts(x)
         seen = self.sightings
-        p, on_pose, on_p = in_body(X_MB[seen.pose], p_ML[seen.landmark])
-        residual, on_body = seen.error(p)
+        p_BL, on_pose, on_landmark = in_body(X_MB[seen.pose], p_ML[seen.landmark])
+        residual, on_body = seen.error(p_BL)
         columns = [_at(seen.pose, 3), 3 * self.poses + _at(seen.landmark, 2)]
-        jacobian = on_body @ np.concatenate([on_pose, on_p], axis=2)
-        rows.append(Rows(residual, np.hstack(columns), jacobian, seen.huber))
-        return rows
+        jacobian = on_body @ np.concatenate([on_pose, on_landmark], axis=2)
+        return Rows(residual, np.hstack(columns), jacobian, seen.huber)
 
     def cost(self, x: FloatArray) -> float:
         """Half the sum of squared whitened errors, with Huber's function where sightings have a threshold."""
@@ -146,29 +151,21 @@ class PlanarGraph:
         tie[later] = np.arange(len(later))
         first_seen = np.full(self.landmarks, len(seen.pose))
         np.minimum.at(first_seen, seen.landmark, np.arange(len(seen.landmark)))
-        x, begin = x.copy(), 0
-        while begin < self.poses:
+        x = x.copy()
+        for begin in range(0, self.poses, POSES_AT_ONCE):
             end = min(begin + POSES_AT_ONCE, self.poses)
             X_MB, p_ML, calibration = self.parts(x)
             measured, _ = ties.measured(calibration)
-            for i in range(begin, end):
-                if np.isnan(X_MB[i, 0]):
-                    e = tie[i]
-                    forward = ties.second[e] == i
-                    X_MB[i] = se2.compose(
-                        X_MB[ties.first[e] if forward else ties.second[e]],
-                        measured[e] if forward else se2.inverse(measured[e]),
-                    )
-            sighted = slice(*np.searchsorted(seen.pose, [begin, end]))
-            new = np.flatnonzero((first_seen >= sighted.start) & (first_seen < sighted.stop))
+            for i in np.flatnonzero(np.isnan(X_MB[begin:end, 0])) + begin:
+                first, second, X_ij = ties.first[tie[i]], ties.second[tie[i]], measured[tie[i]]
+                X_MB[i] = (
+                    se2.compose(X_MB[first], X_ij) if second == i else se2.compose(X_MB[second], se2.inverse(X_ij))
+                )
+            before, so_far = np.searchsorted(seen.pose, [begin, end])
+            new = np.flatnonzero((first_seen >= before) & (first_seen < so_far))
             p_ML[new] = in_map(X_MB[seen.pose[first_seen[new]]], seen.p_BL[first_seen[new]])
-            so_far = replace(
-                self,
-                motions=ties.take(slice(0, np.searchsorted(later, end))),
-                sightings=seen.take(slice(0, sighted.stop)),
-            )
-            x, _ = so_far.solved(x, most_steps=1)
-            begin = end
+            motions, sightings = ties.take(slice(np.searchsorted(later, end))), seen.take(slice(so_far))
+            x, _ = replace(self, motions=motions, sightings=sightings).solved(x, most_steps=1)
             report(end / self.poses)
         return x
 
