@@ -8,9 +8,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
 from pydrake.systems.primitives import RandomSource
 
-from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
-from tfg_drake.hardware.robot_devices import open_devices
 from tfg_drake.systems import odometry
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.laser_scanner import LaserScanner
@@ -62,6 +60,10 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     robot cannot be used.
     """
     if hardware:
+        # Only a robot needs what these import.
+        from tfg_drake.diagrams.hardware_station import MakeHardwareStation
+        from tfg_drake.hardware.robot_devices import open_devices
+
         return MakeHardwareStation(scenario, open_devices(scenario.hardware, scenario.robot))
     world, disturbances = MakeWorld(scenario.world), scenario.disturbances
     builder = DiagramBuilder()

@@ -199,17 +199,15 @@ def _beside(walls: FloatArray, grid: Grid, connected: BoolArray, points: FloatAr
     """Which face points (n, 2) have a cell of the connected space right in front of them, in line of sight."""
     origins = points + _OFF_WALL * normals
     row, column = grid.cell(points + 1.5 * CELL * normals)
-    candidates = []
-    for dr in (-1, 0, 1):
-        for dc in (-1, 0, 1):
-            r = np.clip(row + dr, 0, grid.shape[0] - 1)
-            c = np.clip(column + dc, 0, grid.shape[1] - 1)
-            candidates.append((connected[r, c], grid.p_WG + CELL * np.column_stack([c, r])))
+    # The nine cells round it.
+    around = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1), indexing="ij"), axis=-1).reshape(-1, 2)
+    r = np.clip(row[:, None] + around[:, 0], 0, grid.shape[0] - 1)
+    c = np.clip(column[:, None] + around[:, 1], 0, grid.shape[1] - 1)
+    centers = grid.p_WG + CELL * np.stack([c, r], axis=-1)
+    front = connected[r, c] & (((centers - origins[:, None]) * normals[:, None]).sum(axis=-1) > 0.0)
     result = np.zeros(len(points), dtype=np.bool_)
-    for i in range(len(points)):
-        near = np.array([center[i] for inside, center in candidates if inside[i]]).reshape(-1, 2)
-        near = np.ascontiguousarray(near[(near - origins[i]) @ normals[i] > 0.0])
-        result[i] = len(near) > 0 and bool(line_of_sight(walls, origins[i], near).any())
+    for i in np.flatnonzero(front.any(axis=1)).tolist():
+        result[i] = line_of_sight(walls, origins[i], centers[i, front[i]]).any()
     return result
 
 
