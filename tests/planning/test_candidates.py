@@ -8,17 +8,18 @@ from hypothesis import strategies as st
 from tfg_drake.config import ExplorerConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.candidates import (
-    EXACT,
-    SCREENING_TAGS,
-    _screened,
     frontier_seen,
     sees_known_jointly,
     thin_candidates,
     time_at_goal,
 )
 from tfg_drake.planning.expected_view import View
+<<<<<<< HEAD
 from tfg_drake.planning.information_gain import Gains
 from tfg_drake.slam.keyframe_graph import empty_map as empty_estimate
+=======
+from tfg_drake.slam.goal_graph import empty_map as empty_estimate
+>>>>>>> 9697ef80594ec64c8fb5a52e91f25b920965a886
 from tfg_drake.tfg.graph import empty_map
 
 
@@ -51,21 +52,6 @@ def test_a_place_is_judged_anew_where_all_it_sees_is_known_jointly_whatever_stan
     # The robot left from elsewhere: its map does not say.
     elsewhere = replace(of_first, X_MD=np.array([20.0, 0.0, 0.0]))
     assert sees_known_jointly(beside, elsewhere, walled, sensor).tolist() == [False]
-
-
-def test_what_is_best_by_some_of_its_tags_is_judged_by_all_of_them():
-    rng = np.random.default_rng(0)
-    n, tags = 300, 40
-    worth, time = rng.uniform(1.0, 2.0, n), rng.uniform(1.0, 9.0, n)
-    view = View(tags * np.arange(n + 1), np.arange(n * tags))
-
-    def expected(rows, tags_seen):
-        np.testing.assert_array_equal(tags_seen.index // tags, np.repeat(rows, tags_seen.count))
-        return Gains(worth[rows] * tags_seen.count, np.zeros(len(rows)), np.zeros(len(rows)))
-
-    gain = _screened(expected, view, time).gain
-    best = np.isin(np.arange(n), np.append(np.argsort(-worth / time)[:EXACT], np.argsort(-worth)[:EXACT]))
-    np.testing.assert_allclose(gain, worth * np.where(best, tags, SCREENING_TAGS))
 
 
 def test_a_frontier_near_the_end_of_the_view_counts_for_less():

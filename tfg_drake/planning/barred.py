@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.messages import FloatArray, IntArray, Roadmap
 from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
-from tfg_drake.planning.information_gain import information_gain
+from tfg_drake.planning.information_gain import turns
 
 # Nodes as near as this lie before the same passage, m.
 SAME_PASSAGE = 2.0
@@ -44,9 +44,8 @@ def barred_places(now: Situation) -> Barred:
     distance = roadmap.travel_length[entry] + beyond
     time = roadmap.travel_time[entry] + beyond / parameters.robot.max_speed
     tags, frontiers = expected_tags(points, estimate, tfg, sensor), expected_frontiers(points, tfg, sensor)
-    gains = information_gain(
-        points, distance, time, tags, frontiers, estimate, tfg, sensor, parameters.odometry, parameters.explorer
-    )
+    judge = turns(estimate, tfg, sensor, parameters.odometry, parameters.explorer)
+    gains = judge.gains(points, judge.arrival(points, distance, time), tags, frontiers)
     return Barred(nodes, entry, gains.gain, time)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -14,8 +13,9 @@ from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_view import View, expected_tags, local_view
-from tfg_drake.planning.information_gain import Gains, frontier_reach, information_gain
+from tfg_drake.planning.information_gain import Gains, frontier_reach, turns
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
+from tfg_drake.planning.promises import Promises
 from tfg_drake.tfg.drift import known_jointly
 from tfg_drake.tfg.star_polygon import looked_round
 
@@ -25,9 +25,6 @@ OVERHEAD = 1.0
 APART = 0.3
 # Nor where it has looked so often, whichever way: what is still open there does not show from there.
 MOST_LOOKS = 6
-# Candidates are screened by so many of the tags in view, and so many of the best, by each of two rules, judged by all.
-SCREENING_TAGS = 32
-EXACT = 60
 # A place is judged anew where all landmarks that it sees within this share of the sensor's range are known jointly.
 KNOWN_REACH = 0.5
 
@@ -59,16 +56,16 @@ class Situation:
 class Candidates:
     """Places to go to next.
 
-    nodes: (c,) of the roadmap, ascending, names: (c,) theirs. points: (c, 2) m in M, time: (c,) s to get there. gains:
-    what each promises. tags: (c,) known landmarks in view, -1 where a place promises what it did before. open_ahead:
-    (c, f) m that each sees of each live frontier point.
+    nodes: (c,) of the roadmap, ascending, names: (c,) theirs. points: (c, 2) m in M, time: (c,) s to get there.
+    promises: what each is expected to bring. tags: (c,) known landmarks in view, -1 where they were not looked up.
+    open_ahead: (c, f) m that each sees of each live frontier point.
     """
 
     nodes: IntArray
     names: IntArray
     points: FloatArray
     time: FloatArray
-    gains: Gains
+    promises: Promises
     tags: IntArray
     open_ahead: FloatArray
 
@@ -79,7 +76,9 @@ class Candidates:
 
     def worth(self, stop_gain: float) -> BoolArray:
         """Which (c,) are worth a visit: they see enough live frontier, or promise more than stop_gain, nats."""
-        return np.asarray(self.sees_enough | (self.gains.gain > stop_gain))
+        enough = self.sees_enough
+        self.promises.ask(np.flatnonzero(~enough & (self.promises.gains.gain > stop_gain)))
+        return np.asarray(enough | (self.promises.gains.gain > stop_gain))
 
 
 def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
@@ -92,13 +91,11 @@ def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
     return max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
 
 
-def judged(now: Situation, previous: GoalChoice, *, in_full: bool = False) -> Candidates:
+def judged(now: Situation, previous: GoalChoice) -> Candidates:
     """The roadmap's reachable nodes, but for those next to past goals, at most explorer.samples of them judged now.
 
     On a large map, a place where the landmarks are not known jointly with the robot's pose promises what it did when
-    they last were, by the previous choice (see `goal_choice.remember`): nothing has changed there since. Unless all are
-    to be judged in_full, candidates that come nowhere near the best promise what SCREENING_TAGS of their tags do, a
-    little less than they would.
+    they last were, by the previous choice (see `goal_choice.remember`): nothing has changed there since.
     """
     estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
@@ -109,24 +106,29 @@ def judged(now: Situation, previous: GoalChoice, *, in_full: bool = False) -> Ca
     # Far away, where nothing was worth remembering, only what sees frontier is asked.
     ask = ~kept & (here | (sees.count[nodes] > 0))
     asked = thin_candidates(nodes[ask], sees.count[nodes[ask]], explorer.samples)
-    candidates = np.union1d(asked, nodes[kept])
+    candidates = np.union1d(asked, nodes[kept]) if kept.any() else asked
     ask = np.isin(candidates, asked)
+    here = here[np.searchsorted(nodes, candidates)]
     points, time, names = roadmap.points[candidates], roadmap.travel_time[candidates], roadmap.names(candidates)
-    open_ahead = frontier_seen(points, sees.of(candidates), tfg, sensor)
+    frontiers_seen = sees.of(candidates)
+    open_ahead = frontier_seen(points, frontiers_seen, tfg, sensor)
+    judge = turns(estimate, tfg, sensor, now.parameters.odometry, explorer)
+    arrival = judge.arrival(points, roadmap.travel_length[candidates], time)
 
-    def expected(rows: IntArray, tags: View) -> Gains:
-        return expected_gains(asked[rows], tags, now)
+    def expected(rows: IntArray) -> Gains:
+        tags, frontiers = expected_tags(points[rows], estimate, tfg, sensor), frontiers_seen.of(rows)
+        arriving = arrival._replace(odometry=arrival.odometry[rows])
+        return _found_again(judge.gains(points[rows], arriving, tags, frontiers), here[rows])
 
-    tags = expected_tags(points[ask], estimate, tfg, sensor)
-    if explorer.gain == "exact" and len(asked) > 2 * EXACT and not in_full:
-        promised = _screened(expected, tags, time[ask] + time_at_goal(sensor, explorer))
-    else:
-        promised = expected(np.arange(len(asked)), tags)
-    promised = _found_again(promised, here[np.isin(nodes, asked)])
-    in_view = np.full(len(candidates), -1)
-    in_view[ask] = tags.count
+    # What is remembered has to be known, and the most that a place can bring is known of the exact gain alone.
+    all_at_once = len(estimate.local) < len(estimate.ids) or explorer.gain != "exact" or not explorer.pose_price
+    promised = expected(np.flatnonzero(ask)) if all_at_once else judge.most(points, arrival, frontiers_seen)
     gains = _filled(previous, names, ask, promised, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
-    return Candidates(candidates, names, points, time, gains, in_view, open_ahead)
+    promises = Promises(gains, ~ask | all_at_once, expected, pay=explorer.pose_price)
+    in_view = np.full(len(candidates), -1)
+    if explorer.least_tags:
+        in_view[ask] = expected_tags(points[ask], estimate, tfg, sensor).count
+    return Candidates(candidates, names, points, time, promises, in_view, open_ahead)
 
 
 def expected_gains(nodes: IntArray, tags: View, now: Situation) -> Gains:
@@ -135,8 +137,8 @@ def expected_gains(nodes: IntArray, tags: View, now: Situation) -> Gains:
     roadmap, parameters = now.roadmap, now.parameters
     points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
     frontiers = View(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
-    settings = parameters.sensor, parameters.odometry, parameters.explorer
-    return information_gain(points, distance, time, tags, frontiers, now.estimate, now.tfg, *settings)
+    judge = turns(now.estimate, now.tfg, parameters.sensor, parameters.odometry, parameters.explorer)
+    return judge.gains(points, judge.arrival(points, distance, time), tags, frontiers)
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:
@@ -189,42 +191,12 @@ def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, s
     seen or not."""
     reach = KNOWN_REACH * sensor.range
     known = known_jointly(points, estimate, reach)
+    if known.all():
+        return known
     ask = np.flatnonzero(~known & (np.hypot(*(points - estimate.X_MD[:2]).T) < sensor.range))
     view = expected_tags(points[ask], estimate, tfg, dataclasses.replace(sensor, range=reach))
     known[ask] = local_view(view, estimate).count == view.count
     return known
-
-
-def _screened(expected: Callable[[IntArray, View], Gains], tags: View, time: FloatArray) -> Gains:
-    """The gains of candidates by SCREENING_TAGS of the tags they see, those of the best by all.
-
-    expected: the gains of some rows of them that see these tags. time: (c,) s that each takes.
-    """
-    gains = expected(np.arange(len(time)), tags.thinned(SCREENING_TAGS))
-    best = _best(gains, time)
-    best = best[tags.count[best] > SCREENING_TAGS]
-    return _replaced(gains, best, expected(best, tags.of(best)))
-
-
-def _best(gains: Gains, time: FloatArray) -> IntArray:
-    """The rows, ascending, of the EXACT candidates of most gain per time (c,), s, and of as many of most gain were the
-    arrival pose known."""
-    return np.union1d(np.argsort(-gains.gain / time)[:EXACT], np.argsort(-gains.gain - gains.pose_price)[:EXACT])
-
-
-def _replaced(gains: Gains, rows: IntArray, exact: Gains) -> Gains:
-    """The gains (c,) with those of some rows (r,) put in the place of what they were."""
-
-    def put(all_of: FloatArray, some: FloatArray) -> FloatArray:
-        result = all_of.copy()
-        result[rows] = some
-        return result
-
-    return Gains(
-        exploitation=put(gains.exploitation, exact.exploitation),
-        exploration=put(gains.exploration, exact.exploration),
-        pose_price=put(gains.pose_price, exact.pose_price),
-    )
 
 
 def _found_again(gains: Gains, known: BoolArray) -> Gains:

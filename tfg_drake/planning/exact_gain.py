@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import FloatArray, IntArray
 
 
@@ -178,6 +179,13 @@ def to_arrival(X_MD: FloatArray, points: FloatArray) -> FloatArray:
     return F
 
 
+def arrival_covariance(F: FloatArray, arrival: Arrival, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance (c, 3, 3) of the arrival pose, and what it is given all landmarks; covariance: as in Known."""
+    F_T = F.transpose(0, 2, 1)
+    of_arrival = F @ covariance[-3:, -3:] @ F_T + arrival.odometry
+    return of_arrival, F @ arrival.departure_given_map @ F_T + arrival.odometry
+
+
 @njit(cache=True)
 def _terms(
     points: FloatArray, F: FloatArray, known: Known, new: New, noise: FloatArray
@@ -207,6 +215,90 @@ def _terms(
     return logs, T, B
 
 
+@njit(cache=True)
+def most_gain(
+    points: FloatArray,
+    S_xx: FloatArray,
+    S_x_given_L: FloatArray,
+    F: FloatArray,
+    p_ML: FloatArray,
+    facing: FloatArray,
+    covariance: FloatArray,
+    range_max: float,
+    max_incidence: float,
+    new: New,
+    noise: FloatArray,
+) -> FloatArray:
+    """What a turn at each point (c, 2), m in M, brings at most by known and by new landmarks, (c, 2), nats, whatever
+    hides some of them: with z the measurements,
+
+        I(L; z) <= I(L; x) + I(L; z | x),   I(L; z | x) <= the sum over all landmarks that could be in view.
+
+    S_xx, S_x_given_L: (c, 3, 3) covariance of the arrival pose, also given all landmarks, F: (c, 3, 3), see
+    `to_arrival`. p_ML (n, 2), m in M, that face facing (n, 2), and their covariance as in Known. What is farther away
+    than range_max (m) or seen more aslant than max_incidence (rad) is not in view. noise: as in _whitened.
+    """
+    most, cos_max, pose = np.zeros((len(points), 2)), math.cos(max_incidence), 2 * len(p_ML)
+    grid, near, variance = (
+        segment_grid(np.hstack((p_ML, p_ML))),
+        np.empty(len(p_ML), dtype=np.int64),
+        new.prior_sigma**2,
+    )
+    for c in range(len(points)):
+        x, y, S = points[c, 0], points[c, 1], S_xx[c]
+        # The inverse of S.
+        a, b, d = (
+            S[1, 1] * S[2, 2] - S[1, 2] ** 2,
+            S[0, 2] * S[1, 2] - S[0, 1] * S[2, 2],
+            S[0, 1] * S[1, 2] - S[0, 2] * S[1, 1],
+        )
+        e, f, g = (
+            S[0, 0] * S[2, 2] - S[0, 2] ** 2,
+            S[0, 1] * S[0, 2] - S[0, 0] * S[1, 2],
+            S[0, 0] * S[1, 1] - S[0, 1] ** 2,
+        )
+        det = S[0, 0] * a + S[0, 1] * b + S[0, 2] * d
+        T = S_x_given_L[c]
+        det_T = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] ** 2) + T[0, 1] * (T[0, 2] * T[1, 2] - T[0, 1] * T[2, 2])
+        det_T += T[0, 2] * (T[0, 1] * T[1, 2] - T[0, 2] * T[1, 1])
+        if not (det > 0.0 and det_T > 0.0):
+            most[c] = np.inf
+            continue
+        product = max(1.0, det / det_T)
+        for k in range(rows_in_box(grid, x - range_max, x + range_max, y - range_max, y + range_max, near)):
+            i = near[k]
+            dx, dy = p_ML[i, 0] - x, p_ML[i, 1] - y
+            r = math.sqrt(dx * dx + dy * dy)
+            if r > range_max or -(dx * facing[i, 0] + dy * facing[i, 1]) < cos_max * r:
+                continue
+            # Its covariance given the arrival pose.
+            p, q = 2 * i, 2 * i + 1
+            x0, x1, x2 = covariance[p, pose], covariance[p, pose + 1], covariance[p, pose + 2]
+            y0, y1, y2 = covariance[q, pose], covariance[q, pose + 1], covariance[q, pose + 2]
+            x0, x1, y0, y1 = x0 + F[c, 0, 2] * x2, x1 + F[c, 1, 2] * x2, y0 + F[c, 0, 2] * y2, y1 + F[c, 1, 2] * y2
+            u0, u1, u2 = a * x0 + b * x1 + d * x2, b * x0 + e * x1 + f * x2, d * x0 + f * x1 + g * x2
+            xx = covariance[p, p] - (u0 * x0 + u1 * x1 + u2 * x2) / det
+            xy = covariance[p, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
+            u0, u1, u2 = a * y0 + b * y1 + d * y2, b * y0 + e * y1 + f * y2, d * y0 + f * y1 + g * y2
+            yy = covariance[q, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
+            r = max(r, 0.05)
+            ux, uy, sigma = dx / r, dy / r, max(noise[0] + noise[1] * r, noise[2])
+            of_range = (ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy) / sigma**2
+            of_bearing = (uy * uy * xx - 2.0 * ux * uy * xy + ux * ux * yy) / (r * noise[3]) ** 2
+            of_both = (ux * uy * (yy - xx) + (ux * ux - uy * uy) * xy) / (sigma * r * noise[3])
+            product *= max(1.0, (1.0 + of_range) * (1.0 + of_bearing) - of_both**2)
+            if product > 1e100:
+                most[c, 0], product = most[c, 0] + 0.5 * math.log(product), 1.0
+        most[c, 0] += 0.5 * math.log(product)
+        for u in new.rows[new.offsets[c] : new.offsets[c + 1]]:
+            dx, dy = new.p_MU[u, 0] - x, new.p_MU[u, 1] - y
+            r = math.sqrt(dx * dx + dy * dy)
+            count, r = new.number[u] * share_seen(r, new.reach), max(r, 0.05)
+            sigma = max(noise[0] + noise[1] * r, noise[2])
+            most[c, 1] += 0.5 * count * math.log((1.0 + variance / sigma**2) * (1.0 + variance / (r * noise[3]) ** 2))
+    return most
+
+
 def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
     """Exploitation, exploration and price of the pose, (c, 3), nats, of a turn at each point (c, 2), m in M.
 
@@ -215,22 +307,19 @@ def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
     """
     F = to_arrival(arrival.X_MD, points)
     log, T, B = _terms(points, F, known, new, noise)
-    F_T = F.transpose(0, 2, 1)
-    S_xx = F @ known.covariance[-3:, -3:] @ F_T + arrival.odometry
-    S_x_given_L = F @ arrival.departure_given_map @ F_T + arrival.odometry
+    S_xx, S_x_given_L = arrival_covariance(F, arrival, known.covariance)
     N = np.concatenate([np.broadcast_to(np.eye(3), S_xx.shape), S_xx], axis=1)  # the last three columns of M
     inner = np.eye(6) + np.concatenate([T[:, :, 3:], T @ N], axis=2)  # I + T M
     S_x_given_z = S_xx - N.transpose(0, 2, 1) @ np.linalg.solve(inner, T @ N)
 
     log_known = log[:, 0] + _log_det(inner)
-    price_known = _log_det(np.eye(3) + S_x_given_L @ B[:, 0])
-    price_all = _log_det(np.eye(3) + S_x_given_L @ (B[:, 0] + B[:, 1]))
-    log_localised = _log_det(np.eye(3) + S_x_given_z @ B[:, 2])
+    prices = np.stack([S_x_given_L @ B[:, 0], S_x_given_L @ (B[:, 0] + B[:, 1]), S_x_given_z @ B[:, 2]])
+    price_known, price_all, log_localised = _log_det(np.eye(3) + prices)
     exploitation = 0.5 * (log_known - price_known)
     exploration = 0.5 * (log[:, 1] + log_localised - price_all + price_known)
     return np.stack([exploitation, exploration, 0.5 * log.sum(axis=1) - exploitation - exploration], axis=1)
 
 
 def _log_det(A: FloatArray) -> FloatArray:
-    """log|A|, (c,), of matrices (c, k, k)."""
+    """log|A|, (...), of matrices (..., k, k)."""
     return np.asarray(np.linalg.slogdet(A)[1])

@@ -41,8 +41,9 @@ class View:
     def of(self, points: IntArray) -> View:
         """The view from some of the points, (k,) rows."""
         count = self.count[points]
-        offsets = np.append(0, np.cumsum(count))
-        row = np.repeat(self.offsets[points] - offsets[:-1], count) + np.arange(offsets[-1])
+        offsets = np.zeros(len(points) + 1, dtype=np.int64)
+        np.cumsum(count, out=offsets[1:])
+        row = np.repeat(self.offsets[:-1][points] - offsets[:-1], count) + np.arange(offsets[-1])
         return View(offsets, self.index[row])
 
     def spread(self, points: IntArray, count: int) -> View:
@@ -213,5 +214,7 @@ def local_entries(estimate: MapEstimate) -> IntArray:
 
 def local_view(tags: View, estimate: MapEstimate) -> View:
     """A view of rows of estimate.ids as one of the entries of estimate.local, those that are not in it left out."""
+    if len(estimate.local) == len(estimate.ids):
+        return tags
     index = local_entries(estimate)[tags.index]
     return View(tags.offsets, index).kept(index >= 0)

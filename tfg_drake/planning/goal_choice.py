@@ -85,11 +85,10 @@ def choose(
         again = _second_look(now, previous)
         if again is not None:
             return again
-    # Before the mission ends all are asked by all that they see.
-    candidates = judged(now, previous, in_full=not open_left)
+    candidates = judged(now, previous)
+    promises = candidates.promises
     affordable = budget.affords(roadmap, candidates.nodes)
     worth = candidates.worth(explorer.stop_gain)
-    gains = candidates.gains
     # As long as any place is worth going to, every place will do for a goal drawn at random.
     anywhere = explorer.goal == "random" and bool(worth.any())
     open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
@@ -109,8 +108,10 @@ def choose(
     looked, explored = previous.looked_again, math.inf
     if best >= 0:
         node, verdict = int(candidates.nodes[best]), "goal"
-        rate = gains.gain[best] / (candidates.time[best] + stay)
-        reason = f"{gains.gain[best]:.1f} nats are expected at the rate of {rate:.2f} nats per second."
+        promises.ask(np.array([best]))
+        gain = promises.gains.gain[best]
+        rate = gain / (candidates.time[best] + stay)
+        reason = f"{gain:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     elif worth.any():
         node, verdict, reason = -1, "budget", budget.spent()
     else:
@@ -119,6 +120,7 @@ def choose(
     if verdict != "goal" and explorer.return_home:
         node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
     name, p_MG = _named(roadmap, node)
+    gains = promises.gains
     return GoalChoice(
         stage=estimate.stage,
         node=name,
@@ -282,19 +284,18 @@ def _values(
 
     stay: s at each. open_to: (c,) those that may be chosen.
     """
-    gains, time, open_ahead = candidates.gains, candidates.time, candidates.open_ahead
+    promises, time, open_ahead = candidates.promises, candidates.time, candidates.open_ahead
     all_of_it = np.ones(len(tfg.frontiers), dtype=np.bool_)
-    paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
-    if explorer.goal == "argmax":
-        return paid, all_of_it
     if explorer.goal == "nearest_frontier":
         apart = np.hypot(*(candidates.points[:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
         asked = (open_ahead > 0.0) & (open_to & candidates.sees_enough)[:, None]
         return nearest_frontier(time, np.where(asked, apart, np.inf)), all_of_it
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
-        return tour(paid, time, stay, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
-    return gain_per_time(paid, time + stay), all_of_it
+        return tour(promises, time, stay, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
+    spent = np.ones(len(time)) if explorer.goal == "argmax" else time + stay
+    promises.best(lambda paid: np.where(open_to, paid / spent, -np.inf))
+    return gain_per_time(promises.paid, spent), all_of_it
 
 
 def preferred(open_to: BoolArray, tags: IntArray, least_tags: int) -> BoolArray:

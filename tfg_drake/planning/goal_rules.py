@@ -5,12 +5,15 @@ Every rule gives the candidates a value; the one of most value among those worth
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numba import njit
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
+from tfg_drake.planning.information_gain import Gains
+from tfg_drake.planning.promises import Promises
+from tfg_drake.planning.shortest_ways import Ways, shortest_ways
 
 # Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
 TOUR_GOALS = 11
@@ -38,7 +41,7 @@ def nearest_frontier(time: FloatArray, frontier_distance: FloatArray) -> FloatAr
 
 
 def tour(
-    gain: FloatArray,
+    promises: Promises,
     time: FloatArray,
     stay: float,
     frontier: FloatArray,
@@ -50,35 +53,28 @@ def tour(
     """Minus the time (c,), s, until each goal of a short tour is done with, -inf for the others: the tour's first is
     best. And what that goal is there to look at, (f,) of the frontier points.
 
-    The tour's goals look through all that is open near the robot: one after the other, the candidate that adds most
-    gain (c,), nats, by what it sees of the frontier that those before do not, over the time (c,), s, of going there
-    and the stay, s. Their order is the one that takes least time from the robot to the farthest of them, which comes
-    last: exploring goes on from there, and what is nearer now would have to be come back for. The place of the first
-    is then the one that lies best on the way to the second, among those that see as good as all it was chosen for.
+    The tour's goals look through all that is open near the robot: one after the other, the candidate that adds most of
+    what it promises, nats, by what it sees of the frontier that those before do not, over the time (c,), s, of going
+    there and the stay, s. Their order is the one that takes least time from the robot to the farthest of them, which
+    comes last: exploring goes on from there, and what is nearer now would have to be come back for. The place of the
+    first is then the one that lies best on the way to the second, among those that see as good as all it was chosen
+    for.
     frontier: (c, f) m that each candidate sees of each frontier point. least: m, less than this is not worth a goal.
     nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides; where no place that sees
     enough promises anything, as by an approximation with few tags in view, the metres of frontier do.
     """
-    left = np.ones(frontier.shape[1], dtype=np.bool_)
     seen = frontier.sum(axis=1)
-    promise = gain if (gain[seen >= least] > 0.0).any() else seen
-    chosen: list[int] = []
-    looked_at: list[BoolArray] = []
-    while len(chosen) < TOUR_GOALS:
-        new = frontier @ left
-        rate = np.where(new >= least, promise * new / np.maximum(seen, 1e-9) / (time + stay), -np.inf)
-        if rate.max(initial=-np.inf) <= 0.0:
-            break
-        chosen.append(int(np.argmax(rate)))
-        looked_at.append(left & (frontier[chosen[-1]] > 0.0))
-        left = left & ~looked_at[-1]
+    chosen, looked_at = _most_by_time(promises, frontier, least, time + stay)
     if not chosen:
-        return gain_per_time(gain, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
+        metres = Gains(seen, np.zeros(len(seen)), np.zeros(len(seen)))
+        chosen, looked_at = _most_by_time(Promises(metres), frontier, least, time + stay)
+    if not chosen:
+        return gain_per_time(promises.paid, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
     # From a place that only the robot is joined to, as it stands near it, the way leads back past where it stands.
     past_robot = time[chosen][:, None] + time
     to_nodes = np.minimum(_times_to(nodes[chosen], nodes, roadmap, speed), past_robot)
     between = to_nodes[:, chosen]
-    value = np.full(len(gain), -np.inf)
+    value = np.full(len(time), -np.inf)
     arrival = 0.0
     order = _shortest_order(time[chosen], between, int(np.argmax(time[chosen])))
     for before, k in zip([-1, *order[:-1]], order, strict=True):
@@ -93,12 +89,37 @@ def tour(
     return value, look
 
 
+def _most_by_time(
+    promises: Promises, frontier: FloatArray, least: float, spent: FloatArray
+) -> tuple[list[int], list[BoolArray]]:
+    """The goals of a tour, TOUR_GOALS at the most, and which frontier points (f,) each is the first to look at: one
+    after the other, the candidate (c,) of most of what it promises, in proportion to what is new of the frontier that
+    it sees (c, f), m, over the time spent (c,), s."""
+    seen = np.maximum(frontier.sum(axis=1), 1e-9)
+
+    def by_time(promise: FloatArray, new: FloatArray) -> FloatArray:
+        return np.where(new >= least, promise * new / seen / spent, -np.inf)
+
+    left = np.ones(frontier.shape[1], dtype=np.bool_)
+    chosen: list[int] = []
+    looked_at: list[BoolArray] = []
+    while len(chosen) < TOUR_GOALS:
+        goal, rate = promises.best(functools.partial(by_time, new=frontier @ left))
+        if rate <= 0.0:
+            break
+        chosen.append(goal)
+        looked_at.append(left & (frontier[goal] > 0.0))
+        left = left & ~looked_at[-1]
+    return chosen, looked_at
+
+
 def _times_to(sources: IntArray, nodes: IntArray, roadmap: Roadmap, speed: float) -> FloatArray:
     """Seconds (k, n) between nodes (k,) of the roadmap and others (n,), by the shortest way."""
     a, b = roadmap.edges.T
-    length = np.hypot(*(roadmap.points[a] - roadmap.points[b]).T)
-    graph = csr_matrix((np.maximum(length, 1e-9), (a, b)), shape=2 * (len(roadmap.points),))
-    return np.asarray(dijkstra(graph, directed=False, indices=sources)[:, nodes] / speed)
+    length = np.maximum(np.hypot(*(roadmap.points[a] - roadmap.points[b]).T), 1e-9)
+    at_once, count = np.zeros(1), len(roadmap.points)
+    ways = [Ways(*shortest_ways(roadmap.edges, length, source, at_once, count)) for source in sources[:, None]]
+    return np.array([way.cost[nodes] for way in ways]) / speed
 
 
 @njit(cache=True)

@@ -8,7 +8,6 @@ on relative covariance only. The approximations, by name: `approximate_gain`.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 
 import numpy as np
@@ -17,7 +16,15 @@ from scipy.linalg import cho_factor, cho_solve
 from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
-from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
+from tfg_drake.planning.exact_gain import (
+    Arrival,
+    Known,
+    New,
+    arrival_covariance,
+    exact_gain,
+    most_gain,
+    to_arrival,
+)
 from tfg_drake.planning.expected_view import View, local_view
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
@@ -74,7 +81,6 @@ def turn_noise(sensor: TagSensorConfig, sightings: float) -> FloatArray:
     )
 
 
-@functools.lru_cache(maxsize=1)
 def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
     """Covariance (3, 3) of the departure pose X_MD given all landmarks that are known jointly with it."""
     n = 2 * len(estimate.local)
@@ -82,43 +88,82 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
     S_DD = np.array(S[n:, n:])
     if n == 0:
         return S_DD
-    factor = cho_factor(S[:n, :n], lower=True, check_finite=False)
+    factor = cho_factor(S.T[:n, :n], lower=True, check_finite=False)  # in the order of its memory
     conditional = S_DD - S[n:, :n] @ cho_solve(factor, S[:n, n:], check_finite=False)
     return np.asarray(0.5 * (conditional + conditional.T))
 
 
-def information_gain(
-    points: FloatArray,
-    distance: FloatArray,
-    time: FloatArray,
-    tags: View,
-    frontiers: View,
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    explorer: ExplorerConfig,
-) -> Gains:
-    """Expected gains of a full turn at each point (c, 2), m in M, reached after distance (c,) m and time (c,) s.
+@dataclasses.dataclass(frozen=True)
+class Turns:
+    """What full turns are judged by at one stage: map, TFG and settings, and the covariance (3, 3) of the departure
+    pose given all landmarks (see `departure_given_landmarks`), which is worked out once."""
 
-    tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new landmarks,
-    seen where the frontier point is, less where the view ends soon behind it. The arrival pose is known through
-    odometry since the last departure alone, as in the factor that will join the two goals. Landmarks that are not known
-    jointly with the departure pose count for nothing. explorer.gain names the formula.
-    """
-    tags = local_view(tags, estimate)
-    points = np.ascontiguousarray(points)
-    number, reach = explorer.density * tfg.frontier_length, frontier_reach(sensor)
-    known = Known(tags.offsets, tags.index, estimate.p_ML[estimate.local], estimate.covariance)
-    new = New(frontiers.offsets, frontiers.index, tfg.frontiers, number, explorer.prior_sigma, reach)
-    noise = turn_noise(sensor, sightings_of_turn(sensor, explorer.turn_rate))
-    if explorer.gain == "authors":
-        out = authors_gain(points, known, new, tfg.frontier_normal)
-    elif explorer.gain == "paper":
-        out = paper_gain(points, known, new, noise)
-    else:
-        Q = odometry_covariance(estimate.X_MD, points, distance, time, odometry)
-        arrival = Arrival(estimate.X_MD, departure_given_landmarks(estimate), Q)
-        gain = exact_gain if explorer.gain == "exact" else limit_gain
-        out = gain(points, arrival, known, new, noise)
-    return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])
+    estimate: MapEstimate
+    tfg: TfgMap
+    sensor: TagSensorConfig
+    odometry: OdometryConfig
+    explorer: ExplorerConfig
+    departure_given_map: FloatArray
+
+    def arrival(self, points: FloatArray, distance: FloatArray, time: FloatArray) -> Arrival:
+        """How a robot arrives at each point (c, 2), m in M, after distance (c,) m and time (c,) s: its pose is known
+        through odometry since the last departure alone, as in the factor that will join the two goals."""
+        X_MD = self.estimate.X_MD
+        Q = odometry_covariance(X_MD, points, distance, time, self.odometry)
+        return Arrival(X_MD, self.departure_given_map, Q)
+
+    def gains(self, points: FloatArray, arrival: Arrival, tags: View, frontiers: View) -> Gains:
+        """Expected gains of a full turn at each point (c, 2), m in M, arrived at like this.
+
+        tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new
+        landmarks, seen where the frontier point is, less where the view ends soon behind it. Landmarks that are not
+        known jointly with the departure pose count for nothing. explorer.gain names the formula.
+        """
+        estimate, explorer = self.estimate, self.explorer
+        tags = local_view(tags, estimate)
+        points = np.ascontiguousarray(points)
+        known = Known(tags.offsets, tags.index, estimate.p_ML[estimate.local], estimate.covariance)
+        new, noise = self._new(frontiers), self._noise()
+        if explorer.gain == "authors":
+            out = authors_gain(points, known, new, self.tfg.frontier_normal)
+        elif explorer.gain == "paper":
+            out = paper_gain(points, known, new, noise)
+        else:
+            gain = exact_gain if explorer.gain == "exact" else limit_gain
+            out = gain(points, arrival, known, new, noise)
+        return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])
+
+    def most(self, points: FloatArray, arrival: Arrival, frontiers: View) -> Gains:
+        """As much as gains can be by the exact formula at the most, whichever of the known landmarks the points see:
+        many times cheaper than that, and little more where most of it lies beyond the frontiers."""
+        estimate, sensor = self.estimate, self.sensor
+        points = np.ascontiguousarray(points)
+        F = to_arrival(arrival.X_MD, points)
+        out = most_gain(
+            points,
+            *arrival_covariance(F, arrival, estimate.covariance),
+            F,
+            estimate.p_ML[estimate.local],
+            self.tfg.facing[estimate.local],
+            estimate.covariance,
+            sensor.range,
+            sensor.max_incidence,
+            self._new(frontiers),
+            self._noise(),
+        )
+        return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=np.zeros(len(points)))
+
+    def _new(self, frontiers: View) -> New:
+        tfg, explorer = self.tfg, self.explorer
+        number, reach = explorer.density * tfg.frontier_length, frontier_reach(self.sensor)
+        return New(frontiers.offsets, frontiers.index, tfg.frontiers, number, explorer.prior_sigma, reach)
+
+    def _noise(self) -> FloatArray:
+        return turn_noise(self.sensor, sightings_of_turn(self.sensor, self.explorer.turn_rate))
+
+
+def turns(
+    estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, odometry: OdometryConfig, explorer: ExplorerConfig
+) -> Turns:
+    """What full turns are judged by, with this map, its TFG and these settings."""
+    return Turns(estimate, tfg, sensor, odometry, explorer, departure_given_landmarks(estimate))

@@ -220,6 +220,7 @@ def uncovered_runs(
 
 def taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:
     """Offsets and contents of some rows of a packed array, in this order."""
-    count = np.diff(offsets)[rows]
-    starts = np.append(0, np.cumsum(count))
-    return starts, packed[np.repeat(offsets[rows] - starts[:-1], count) + np.arange(starts[-1])]
+    count = offsets[1:][rows] - offsets[:-1][rows]
+    starts = np.zeros(len(rows) + 1, dtype=np.int64)
+    np.cumsum(count, out=starts[1:])
+    return starts, packed[np.repeat(offsets[:-1][rows] - starts[:-1], count) + np.arange(starts[-1])]

@@ -1,0 +1,76 @@
+"""What candidates are expected to bring, judged only as far as it takes to find the best of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.planning.information_gain import Gains
+
+# Candidates that may be the best are judged so many at a time.
+AT_ONCE = 12
+
+
+class Promises:
+    """The gains of candidates, judged when they are asked for: until then, what they can be at the most.
+
+    gains: (c,) of all of them.
+    """
+
+    def __init__(
+        self,
+        gains: Gains,
+        judged: BoolArray | None = None,
+        expected: Callable[[IntArray], Gains] | None = None,
+        *,
+        pay: bool = True,
+    ) -> None:
+        """gains: of those that are judged already (c,), of the others the most. expected: the gains of some rows (r,);
+        none where all are judged. pay: the price of the pose."""
+        self.gains = gains
+        self._judged = np.ones(len(gains.gain), dtype=np.bool_) if judged is None else judged.copy()
+        self._expected = expected
+        self._pay = pay
+
+    @property
+    def paid(self) -> FloatArray:
+        """What goals are preferred by, (c,), nats: the gain, or as if the pose cost nothing."""
+        return self.gains.gain if self._pay else self.gains.gain + self.gains.pose_price
+
+    def ask(self, rows: IntArray) -> None:
+        """Judge these rows (r,), if they are not yet."""
+        rows = rows[~self._judged[rows]]
+        if not len(rows) or self._expected is None:
+            return
+        now = self._expected(rows)
+
+        def put(all_of: FloatArray, some: FloatArray) -> FloatArray:
+            result = all_of.copy()
+            result[rows] = some
+            return result
+
+        self.gains = Gains(
+            exploitation=put(self.gains.exploitation, now.exploitation),
+            exploration=put(self.gains.exploration, now.exploration),
+            pose_price=put(self.gains.pose_price, now.pose_price),
+        )
+        self._judged[rows] = True
+
+    def best(self, value: Callable[[FloatArray], FloatArray]) -> tuple[int, float]:
+        """The row of most value, and that; -1 and -inf where none is in question. value: of all candidates (c,) by what
+        they are preferred by (c,), more for more of it, and -inf for those that are out of the question.
+
+        Only those are judged that might be the best by what they can bring at the most.
+        """
+        while True:
+            of_each = value(self.paid)
+            best = int(np.argmax(of_each)) if len(of_each) else -1
+            if best < 0 or of_each[best] == -np.inf:
+                return -1, -np.inf
+            if self._judged[best]:
+                return best, float(of_each[best])
+            beaten = of_each[self._judged].max(initial=-np.inf)
+            rows = np.flatnonzero(~self._judged & (of_each > beaten))
+            self.ask(rows[np.argsort(-of_each[rows], kind="stable")[:AT_ONCE]])
