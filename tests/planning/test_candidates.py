@@ -14,12 +14,7 @@ from tfg_drake.planning.candidates import (
     time_at_goal,
 )
 from tfg_drake.planning.expected_view import View
-<<<<<<< HEAD
-from tfg_drake.planning.information_gain import Gains
 from tfg_drake.slam.keyframe_graph import empty_map as empty_estimate
-=======
-from tfg_drake.slam.goal_graph import empty_map as empty_estimate
->>>>>>> 9697ef80594ec64c8fb5a52e91f25b920965a886
 from tfg_drake.tfg.graph import empty_map
 
 
