@@ -1,0 +1,350 @@
+"""The compiled kernels, made ready before anything waits for them.
+
+numba compiles a kernel where it is first called, and keeps it in a cache. All of them take most of a minute and several
+hundred megabytes. So processes of their own do it, in the installation or beside a program that starts without them:
+
+    python -m tfg_drake.kernels       compile what is missing
+
+kernels.txt names every kernel and the types that it is called with; tests/test_kernels.py fails where it lacks one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import fcntl
+import functools
+import hashlib
+import importlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from tfg_drake.files import write_atomic
+
+PACKAGE = Path(__file__).parent
+TABLE = PACKAGE / "kernels.txt"
+# A process that compiles keeps all it has compiled; one that is larger than this, MB, makes room for a new one.
+LARGEST = 230.0
+# What the table's kernels are to the processes that compile, a byte each.
+_WAITING, _TAKEN, _DONE = b".", b"o", b"x"
+_RECEIPT = "tfg_drake-kernels.json"
+_IMPORT = re.compile(r"^from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
+
+
+@dataclasses.dataclass(frozen=True)
+class Kernel:
+    """A kernel, and the types of its arguments as `spelled` has them. first: the first look of a mission needs it."""
+
+    module: str
+    name: str
+    types: str
+    first: bool = False
+
+    def compile(self) -> None:
+        """Compile it into numba's cache, unless it is there. Raises what importing it or numba raises."""
+        module = importlib.import_module(self.module)
+        getattr(module, self.name).compile(_types(self.types, module))
+
+
+def read_table() -> list[Kernel]:
+    """All kernels, those that the first look needs before the others."""
+    rows = (line.split(maxsplit=2) for line in TABLE.read_text().splitlines())
+    kernels = [Kernel(*name.rsplit(".", 1), types, when == "first") for when, name, types in rows]
+    return sorted(kernels, key=lambda kernel: not kernel.first)
+
+
+def spelled(kind: Any) -> str:
+    """A numba type in a form that Python reads: float64[:, ::1], readonly(int64[::1]), omitted(0.5), Name(float64)."""
+    from numba import types
+
+    if isinstance(kind, types.Array):
+        axes = [":"] * kind.ndim
+        if kind.layout in "CF":
+            axes[-1 if kind.layout == "C" else 0] = "::1"
+        array = f"{spelled(kind.dtype)}[{', '.join(axes)}]"
+        return array if kind.mutable else f"readonly({array})"
+    if isinstance(kind, types.Omitted):
+        return f"omitted({kind.value!r})"
+    if isinstance(kind, types.BaseTuple):
+        of = kind.instance_class
+        return f"{'tuple_' if of is tuple else of.__name__}({', '.join(map(spelled, kind))})"
+    return "boolean" if kind == types.boolean else str(kind)
+
+
+def _types(text: str, module: Any) -> tuple[Any, ...]:
+    """What `spelled` has spelled; named tuples are those that a module knows."""
+    from numba import types
+
+    made = types.BaseTuple.from_types
+    tuples = {
+        name: lambda *kinds, of=value: made(kinds, of)
+        for name, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, tuple)
+    }
+    words = {
+        "readonly": lambda array: array.copy(readonly=True),
+        "omitted": types.Omitted,
+        "tuple_": lambda *kinds: made(kinds),
+    }
+    return tuple(eval(f"({text},)", {**vars(types), **tuples, **words}))
+
+
+# What is compiled
+
+
+def choose_folder() -> None:
+    """Where this package's folder cannot be written, the user's cache keeps what is compiled: to be called before numba
+    is imported.
+
+    Raises:
+        OSError: no folder can be written.
+    """
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        folder = Path(given)
+    elif os.access(PACKAGE, os.W_OK):
+        return
+    else:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tfg_drake"
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+
+
+def folder() -> Path:
+    """Where what is compiled is kept; of numba's many folders the uppermost."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    return Path(given) if given else PACKAGE / "__pycache__"
+
+
+def are_compiled() -> bool:
+    """Whether all kernels are in the cache, of the sources and for the machine that there are now. Imports nothing."""
+    there = _receipt()
+    return (
+        bool(there["cached"])
+        and there["environment"] == _environment()
+        and there["sources"] == {name: _stamp(path) for name, path in _all_sources().items()}
+        and set(there["cached"]) <= {str(path) for module in _modules() for path in _cached(module)}
+    )
+
+
+def drop_stale() -> None:
+    """Forget what was compiled of sources that have changed since, and take note of those that there are now.
+
+    numba looks at the file that a kernel is in, and not at those of the kernels that it calls, which are part of it.
+    """
+    before, environment = _receipt(), _environment()
+    now = {name: _stamp(path) for name, path in _all_sources().items()}
+    for module in _modules():
+        known = before["environment"] == environment
+        if not known or any(before["sources"].get(name) != now[name] for name in _sources(module)):
+            for path in _cached(module):
+                path.unlink(missing_ok=True)
+    _write_receipt(environment, now, [])
+
+
+def _receipt() -> dict[str, Any]:
+    try:
+        read: dict[str, Any] = json.loads((folder() / _RECEIPT).read_text())
+    except (OSError, ValueError):
+        return {"environment": None, "sources": {}, "cached": []}
+    return read
+
+
+def _write_receipt(environment: str, sources: dict[str, list[int]], cached: list[str]) -> None:
+    folder().mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"environment": environment, "sources": sources, "cached": cached})
+    write_atomic(folder() / _RECEIPT, text, durable=False)
+
+
+def _environment() -> str:
+    """What compiles, and for what processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = [platform.machine()]
+    processor = sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}) or lines
+    words = [sys.version, *(version(name) for name in ("numba", "llvmlite", "numpy")), *processor]
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+
+def _stamp(path: Path) -> list[int]:
+    status = path.stat()
+    return [status.st_mtime_ns, status.st_size]
+
+
+@functools.cache
+def _modules() -> tuple[str, ...]:
+    return tuple(sorted({kernel.module for kernel in read_table()}))
+
+
+def _all_sources() -> dict[str, Path]:
+    """The files that the kernels are made of, by module."""
+    return {name: _path(name) for module in _modules() for name in _sources(module)}
+
+
+@functools.cache
+def _sources(module: str) -> frozenset[str]:
+    """The modules that what is compiled of one is made of: itself, those that it imports and, where these have kernels
+    too, theirs."""
+    found, left = {module}, [module]
+    while left:
+        text = _path(left.pop()).read_text(encoding="utf-8")
+        if "njit" not in text:
+            continue
+        for package, names in _IMPORT.findall(text):
+            for name in (package, *(f"{package}.{name}" for name in re.findall(r"\w+", names))):
+                if name not in found and _path(name).is_file():
+                    found.add(name)
+                    left.append(name)
+    return frozenset(found)
+
+
+def _path(module: str) -> Path:
+    return PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")
+
+
+def _cached(module: str) -> list[Path]:
+    """What numba has kept of a module."""
+    source = _path(module)
+    name = f"{source.stem}.*.nb[ic]"
+    if folder() == PACKAGE / "__pycache__":
+        return sorted((source.parent / "__pycache__").glob(name))
+    return sorted(folder().glob(f"{source.parent.name}_*/{name}"))
+
+
+# Who compiles
+
+
+class Compilation:
+    """Processes that compile what is missing while this one does something else; to be closed."""
+
+    def __init__(self, *, beside: bool = False) -> None:
+        """beside: a program runs beside them: there are two until the kernels of the first look are there, then one.
+
+        Raises:
+            OSError: the cache cannot be written.
+        """
+        drop_stale()
+        kernels = read_table()
+        self.of = len(kernels)
+        self._first = sum(kernel.first for kernel in kernels)
+        self._folder = tempfile.TemporaryDirectory(prefix="tfg_drake-")
+        self._board = Path(self._folder.name) / "board"
+        self._board.write_bytes(_WAITING * self.of)
+        rows = [self.of, self._first if beside else self.of]
+        self._processes = [_start(self._board, last) for last in rows]
+
+    @property
+    def done(self) -> int:
+        """How many kernels are there."""
+        return self._board.read_bytes().count(_DONE)
+
+    @property
+    def ready(self) -> bool:
+        """Whether all are there that the first look of a mission needs, or nobody compiles them any more."""
+        return self._board.read_bytes()[: self._first].count(_DONE) == self._first or self.ended
+
+    @property
+    def ended(self) -> bool:
+        """Whether all are there, or nobody compiles the others any more."""
+        return all(process.poll() is not None for process in self._processes)
+
+    def close(self) -> None:
+        """Ends what is still at work; takes note that all kernels are there, if they are."""
+        for process in self._processes:
+            process.terminate()
+            process.wait()
+        if self.done == self.of:
+            there = _receipt()
+            cached = [str(path) for module in _modules() for path in _cached(module)]
+            with contextlib.suppress(OSError):
+                _write_receipt(there["environment"], there["sources"], cached)
+        self._folder.cleanup()
+
+
+def _start(board: Path, last: int) -> subprocess.Popen[bytes]:
+    """A process that compiles those of the table's first `last` kernels that nobody else does. Ctrl-C passes it by."""
+    command = [sys.executable, "-m", "tfg_drake.kernels", str(board), str(last)]
+    nothing = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, process_group=0)
+
+
+def _work(path: Path, last: int) -> None:
+    """What such a process does, until the one that started it is gone."""
+    parent = os.getppid()
+    with path.open("r+b", buffering=0) as board:
+        _take_turns(board)
+        for row, kernel in enumerate(read_table()[:last]):
+            if os.getppid() != parent:
+                return
+            with _alone(board):
+                taken = os.pread(board.fileno(), 1, row) != _WAITING
+                if not taken:
+                    os.pwrite(board.fileno(), _TAKEN, row)
+            if taken:
+                continue
+            with contextlib.suppress(Exception):  # Whoever calls it will hear of it.
+                kernel.compile()
+            os.pwrite(board.fileno(), _DONE, row)
+            if _memory() > LARGEST:
+                os.execv(sys.executable, [sys.executable, "-m", "tfg_drake.kernels", str(path), str(last)])
+
+
+@contextlib.contextmanager
+def _alone(board: BinaryIO) -> Iterator[None]:
+    """No other process at the same board is within one of these blocks at the same time."""
+    fcntl.lockf(board, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        fcntl.lockf(board, fcntl.LOCK_UN)
+
+
+def _take_turns(board: BinaryIO) -> None:
+    """numba reads, changes and writes the list of what is kept of a kernel as if nobody else did."""
+    from numba.core.caching import IndexDataCacheFile
+
+    save = IndexDataCacheFile.save
+
+    def save_alone(self: Any, key: Any, data: Any) -> None:
+        with _alone(board):
+            save(self, key, data)
+
+    IndexDataCacheFile.save = save_alone
+
+
+def _memory() -> float:
+    """What this process holds, MB; 0 where that cannot be known."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Compile what is missing, with a line every other second."""
+    if arguments:
+        _work(Path(arguments[0]), int(arguments[1]))
+        return
+    choose_folder()
+    if are_compiled():
+        return
+    with contextlib.closing(Compilation()) as compilation:
+        while not compilation.ended:
+            print(f"compiling kernels into {folder()}: {compilation.done} of {compilation.of}", flush=True)
+            time.sleep(2.0)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
