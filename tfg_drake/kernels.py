@@ -20,6 +20,7 @@ import json
 import os
 import platform
 import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -33,8 +34,9 @@ from tfg_drake.files import write_atomic
 
 PACKAGE = Path(__file__).parent
 TABLE = PACKAGE / "kernels.txt"
-# A process that compiles keeps all it has compiled; one that is larger than this, MB, makes room for a new one.
-LARGEST = 230.0
+# What a process compiles it keeps. What numba needs again and again is compiled first, until a process holds so much,
+# MB; then copies of it go on one after the other, until each holds so much.
+SHARED, LARGEST = 190.0, 250.0
 # What the table's kernels are to the processes that compile, a byte each.
 _WAITING, _TAKEN, _DONE = b".", b"o", b"x"
 _RECEIPT = "tfg_drake-kernels.json"
@@ -262,7 +264,8 @@ class Compilation:
     def close(self) -> None:
         """Ends what is still at work; takes note that all kernels are there, if they are."""
         for process in self._processes:
-            process.terminate()
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
             process.wait()
         if self.done == self.of:
             there = _receipt()
@@ -284,20 +287,29 @@ def _work(path: Path, last: int) -> None:
     parent = os.getppid()
     with path.open("r+b", buffering=0) as board:
         _take_turns(board)
-        for row, kernel in enumerate(read_table()[:last]):
-            if os.getppid() != parent:
-                return
-            with _alone(board):
-                taken = os.pread(board.fileno(), 1, row) != _WAITING
-                if not taken:
-                    os.pwrite(board.fileno(), _TAKEN, row)
-            if taken:
-                continue
-            with contextlib.suppress(Exception):  # Whoever calls it will hear of it.
-                kernel.compile()
-            os.pwrite(board.fileno(), _DONE, row)
-            if _memory() > LARGEST:
-                os.execv(sys.executable, [sys.executable, "-m", "tfg_drake.kernels", str(path), str(last)])
+        kernels = read_table()[:last]
+        while os.getppid() == parent and _WAITING in os.pread(board.fileno(), last, 0):
+            if _memory() < SHARED:
+                _compile_next(kernels, board)
+            elif child := os.fork():
+                os.waitpid(child, 0)
+            else:
+                while _memory() < LARGEST and _compile_next(kernels, board):
+                    pass
+                os._exit(0)
+
+
+def _compile_next(kernels: Sequence[Kernel], board: BinaryIO) -> bool:
+    """Compile the first kernel that nobody has taken; whether there was one."""
+    with _alone(board):
+        row = os.pread(board.fileno(), len(kernels), 0).find(_WAITING)
+        if row < 0:
+            return False
+        os.pwrite(board.fileno(), _TAKEN, row)
+    with contextlib.suppress(Exception):  # Whoever calls it will hear of it.
+        kernels[row].compile()
+    os.pwrite(board.fileno(), _DONE, row)
+    return True
 
 
 @contextlib.contextmanager

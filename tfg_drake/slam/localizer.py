@@ -17,7 +17,7 @@ from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, message, 
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
-from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
+from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, motion
 
 # Landmarks considered: the nearest to the departure pose, or to the robot.
 WINDOW = 300
@@ -167,16 +167,43 @@ def _in_map(
     noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """X_MB (3,) = X_MD X_DB and its covariance (3, 3), X_DB of the filter after an odometry increment."""
-    X_DB, P_BB, P_BD = predict_pose(mean, covariance, cross, POSE, increment, dt, noise)
-    P_DD = considered[-POSE:, -POSE:].copy()
+    X_DB, F, N = motion(mean, increment, dt, noise)
     c, s = math.cos(X_MD[2]), math.sin(X_MD[2])
     x, y = c * X_DB[0] - s * X_DB[1], s * X_DB[0] + c * X_DB[1]
-    by_D, by_B = np.eye(3), np.eye(3)
-    by_D[0, 2], by_D[1, 2] = -y, x
-    by_B[0, 0], by_B[0, 1], by_B[1, 0], by_B[1, 1] = c, -s, s, c
-    mixed = by_B @ P_BD @ by_D.T
-    X_MB = np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + X_DB[2])])
-    return X_MB, by_D @ P_DD @ by_D.T + by_B @ P_BB @ by_B.T + mixed + mixed.T
+    # The error of X_MB is J times that of X_MD and of the filter's state before the increment, and N turned into M.
+    size = len(considered) - POSE
+    J = np.zeros((POSE, POSE + CORE))
+    J[0, 0] = J[1, 1] = J[2, 2] = 1.0
+    J[0, 2], J[1, 2] = -y, x
+    joint = np.empty((POSE + CORE, POSE + CORE))
+    for j in range(CORE):
+        J[0, POSE + j] = c * F[0, j] - s * F[1, j]
+        J[1, POSE + j] = s * F[0, j] + c * F[1, j]
+        J[2, POSE + j] = F[2, j]
+        for k in range(CORE):
+            joint[POSE + j, POSE + k] = covariance[j, k]
+        for k in range(POSE):
+            joint[POSE + j, k] = joint[k, POSE + j] = cross[j, size + k]
+    for j in range(POSE):
+        for k in range(POSE):
+            joint[j, k] = considered[size + j, size + k]
+    P = np.empty((POSE, POSE))
+    for i in range(POSE):
+        by = np.zeros(POSE + CORE)
+        for j in range(POSE + CORE):
+            for k in range(POSE + CORE):
+                by[k] += J[i, j] * joint[j, k]
+        for m in range(POSE):
+            P[i, m] = 0.0
+            for k in range(POSE + CORE):
+                P[i, m] += by[k] * J[m, k]
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    for i in range(POSE):
+        for m in range(POSE):
+            for j in range(POSE):
+                for k in range(POSE):
+                    P[i, m] += R[i, j] * N[j, k] * R[m, k]
+    return np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + X_DB[2])]), P
 
 
 def local_tags(localizer: Localizer) -> FloatArray:

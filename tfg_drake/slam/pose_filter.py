@@ -116,15 +116,52 @@ def keep_local(filter_: PoseFilter, keep: BoolArray) -> PoseFilter:
 @njit(cache=True)
 def _index(ids: IntArray, map_ids: IntArray, local_ids: IntArray) -> IntArray:
     index = np.full(len(ids), NEW)
-    row = np.searchsorted(map_ids, ids)
     for i in range(len(ids)):
-        if row[i] < len(map_ids) and map_ids[row[i]] == ids[i]:
-            index[i] = -1 - row[i]
+        row, end = 0, len(map_ids)
+        while row < end:
+            middle = (row + end) // 2
+            if map_ids[middle] < ids[i]:
+                row = middle + 1
+            else:
+                end = middle
+        if row < len(map_ids) and map_ids[row] == ids[i]:
+            index[i] = -1 - row
         else:
             for k in range(len(local_ids)):
                 if local_ids[k] == ids[i]:
                     index[i] = k
     return index
+
+
+@njit(cache=True)
+def motion(
+    mean: FloatArray, increment: FloatArray, dt: float, noise: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What an odometry increment does to the pose: the state (6,) after it, F (3, 6) and N (3, 3).
+
+    The pose's error is F times that of the state before it, and a random one of covariance N. mean: (6 + 2k,) as in
+    PoseFilter; increment, dt and noise as in `predict_increment`.
+    """
+    X, on_calibration, Q = predict_increment(increment, dt, mean[POSE:CORE], noise)
+    c, s = math.cos(mean[2]), math.sin(mean[2])
+    dx, dy = c * X[0] - s * X[1], s * X[0] + c * X[1]
+    state = mean[:CORE].copy()
+    state[0] += dx
+    state[1] += dy
+    state[2] = wrap(mean[2] + X[2])
+    # Identity, the lever of the heading, and the calibration, turned as the motion is.
+    F = np.zeros((POSE, CORE))
+    F[0, 0] = F[1, 1] = F[2, 2] = 1.0
+    F[0, 2], F[1, 2] = -dy, dx
+    N = np.empty((POSE, POSE))
+    for j in range(3):
+        F[0, 3 + j] = c * on_calibration[0, j] - s * on_calibration[1, j]
+        F[1, 3 + j] = s * on_calibration[0, j] + c * on_calibration[1, j]
+        F[2, 3 + j] = on_calibration[2, j]
+        N[0, j], N[1, j], N[2, j] = c * Q[0, j] - s * Q[1, j], s * Q[0, j] + c * Q[1, j], Q[2, j]
+    for i in range(3):
+        N[i, 0], N[i, 1] = c * N[i, 0] - s * N[i, 1], s * N[i, 0] + c * N[i, 1]
+    return state, F, N
 
 
 @njit(cache=True)
@@ -137,40 +174,19 @@ def _predict(
     noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     mean, P, cross = mean.copy(), covariance.copy(), cross.copy()
-    X, on_calibration, Q = predict_increment(increment, dt, mean[3:6].copy(), noise)
-    c, s = math.cos(mean[2]), math.sin(mean[2])
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    motion = R @ X
-    # x' = F x on the pose's rows: identity, the lever of the heading, and the calibration.
-    F = np.zeros((3, 6))
-    F[0, 0] = F[1, 1] = F[2, 2] = 1.0
-    F[0, 2], F[1, 2] = -motion[1], motion[0]
-    F[:, 3:] = R @ on_calibration
-    P[:3, :] = _apply(F, P)
-    P[:, :3] = _apply(F, np.ascontiguousarray(P.T)).T
-    P[:3, :3] += R @ Q @ R.T
-    cross[:3, :] = _apply(F, cross)
-    mean[0] += motion[0]
-    mean[1] += motion[1]
-    mean[2] = wrap(mean[2] + X[2])
+    state, F, N = motion(mean, increment, dt, noise)
+    _move(F, P)
+    for k in range(len(mean)):
+        row = np.zeros(POSE)
+        for i in range(POSE):
+            for j in range(CORE):
+                row[i] += F[i, j] * P[k, j]
+        for i in range(POSE):
+            P[k, i] = row[i] + (N[k, i] if k < POSE else 0.0)
+    _move(F, cross)
+    for i in range(POSE):
+        mean[i] = state[i]
     return mean, P, cross
-
-
-@njit(cache=True)
-def predict_pose(
-    mean: FloatArray,
-    covariance: FloatArray,
-    cross: FloatArray,
-    extra: int,
-    increment: FloatArray,
-    dt: float,
-    noise: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The pose (3,) alone after an odometry increment, its covariance (3, 3), and that with the last `extra` considered
-    quantities (3, extra). Other arguments as in PoseFilter and OdometryModel."""
-    C = cross[:CORE, cross.shape[1] - extra :]
-    X, P, C = _predict(mean[:CORE], covariance[:CORE, :CORE], C, increment, dt, noise)
-    return X[:POSE].copy(), P[:POSE, :POSE].copy(), C[:POSE].copy()
 
 
 @njit(cache=True)
@@ -196,30 +212,42 @@ def _step(
     mean, P, cross = _predict(mean, covariance, cross, increment, dt, noise)
     index = _index(ids, map_ids, local_ids)
     z = np.empty((len(ids), 4))
-    z[:, 0], z[:, 1], z[:, 2], z[:, 3] = range_, bearing, sigma_range, sigma_bearing
-    accepted = _correct(mean, P, cross, p_DL, considered, index, z, GATE)
-    new = np.flatnonzero(index == NEW)
-    seen = np.full(len(local_ids) + len(new), stamp)
-    seen[: len(local_ids)] = last_seen
+    new = 0
     for i in range(len(ids)):
-        if accepted[i] and index[i] >= 0:
+        z[i, 0], z[i, 1], z[i, 2], z[i, 3] = range_[i], bearing[i], sigma_range[i], sigma_bearing[i]
+        new += index[i] == NEW
+    accepted = _correct(mean, P, cross, p_DL, considered, index, z, GATE)
+    local = len(local_ids)
+    joined, seen = np.empty(local + new, dtype=np.int64), np.full(local + new, stamp)
+    for k in range(local):
+        joined[k], seen[k] = local_ids[k], last_seen[k]
+    fresh, used = np.empty((new, 4)), 0
+    new = 0
+    for i in range(len(ids)):
+        used += accepted[i]
+        if index[i] == NEW:
+            joined[local + new] = ids[i]
+            for e in range(4):
+                fresh[new, e] = z[i, e]
+            new += 1
+        elif accepted[i] and index[i] >= 0:
             seen[index[i]] = stamp
-    if len(new) > 0:
-        mean, P, cross = _initialise(mean, P, cross, z[new])
-    known = len(ids) - len(new)
-    return mean, P, cross, np.concatenate((local_ids, ids[new])), seen, known, known - int(np.sum(accepted))
+    if new > 0:
+        mean, P, cross = _initialise(mean, P, cross, fresh)
+    known = len(ids) - new
+    return mean, P, cross, joined, seen, known, known - used
 
 
 @njit(cache=True)
-def _apply(F: FloatArray, rows: FloatArray) -> FloatArray:
-    """F (3, 6) times the first six rows."""
-    result = np.zeros((3, rows.shape[1]))
-    for i in range(3):
-        for j in range(6):
-            if F[i, j] != 0.0:
-                for k in range(rows.shape[1]):
-                    result[i, k] += F[i, j] * rows[j, k]
-    return result
+def _move(F: FloatArray, rows: FloatArray) -> None:
+    """Put F (3, 6) times the first six rows in the place of the first three."""
+    moved = np.zeros((POSE, rows.shape[1]))
+    for i in range(POSE):
+        for j in range(CORE):
+            _add(moved[i], F[i, j], rows[j])
+    for i in range(POSE):
+        for k in range(rows.shape[1]):
+            rows[i, k] = moved[i, k]
 
 
 @njit(cache=True)
@@ -255,11 +283,14 @@ def _correct(
         residual[i, 1] = wrap(z[i, 1] - (math.atan2(dy, dx) - mean[2]))
         H_p[i, 0, 0], H_p[i, 0, 1] = dx / r, dy / r
         H_p[i, 1, 0], H_p[i, 1, 1] = -dy / r2, dx / r2
-        H_x[i, :, :2] = -H_p[i]
+        H_x[i, 0, 0], H_x[i, 0, 1], H_x[i, 1, 0], H_x[i, 1, 1] = -dx / r, -dy / r, dy / r2, -dx / r2
         H_x[i, 1, 2] = -1.0
         accepted[i] = _inside_gate(P, cross, considered, index[i], H_x[i], H_p[i], residual[i], z[i], gate)
-    used = np.flatnonzero(accepted)
-    m = len(used)
+    used, m = np.empty(len(index), dtype=np.int64), 0
+    for i in range(len(index)):
+        if accepted[i]:
+            used[m] = i
+            m += 1
     size = len(mean)
     # Rows of H (P, P_xy): covariance of the predicted sightings with the state and with the landmarks.
     HP = np.zeros((2 * m, size))
@@ -309,7 +340,8 @@ def _correct(
         for b in range(a):
             _add(HP[a], -S[a, b], HP[b])
             nu[a] -= S[a, b] * nu[b]
-        HP[a] /= S[a, a]
+        for q in range(size):
+            HP[a, q] /= S[a, a]
         nu[a] /= S[a, a]
     for a in range(2 * m):
         _add(mean, nu[a], HP[a])
@@ -321,7 +353,8 @@ def _correct(
         for a in range(2 * m - 1, -1, -1):
             for b in range(a + 1, 2 * m):
                 _add(gain[a], -S[b, a], gain[b])
-            gain[a] /= S[a, a]
+            for q in range(size):
+                gain[a, q] /= S[a, a]
         for q in range(size):
             for a in range(2 * m):
                 _add(cross[q], -gain[a, q], HC[a])
@@ -330,7 +363,7 @@ def _correct(
 
 @njit(cache=True)
 def _add(target: FloatArray, factor: float, source: FloatArray) -> None:
-    for q in range(len(target)):
+    for q in range(len(source)):
         target[q] += factor * source[q]
 
 
@@ -347,21 +380,24 @@ def _inside_gate(
     gate: float,
 ) -> bool:
     """Whether one sighting is within its Mahalanobis gate."""
+    k = 6 + 2 * index if index >= 0 else 2 * (-1 - index)
     joint = np.empty((5, 5))
-    joint[:3, :3] = covariance[:3, :3]
-    if index >= 0:
-        k = 6 + 2 * index
-        joint[:3, 3:] = covariance[:3, k : k + 2]
-        joint[3:, 3:] = covariance[k : k + 2, k : k + 2]
-    else:
-        k = 2 * (-1 - index)
-        joint[:3, 3:] = cross[:3, k : k + 2]
-        joint[3:, 3:] = considered[k : k + 2, k : k + 2]
-    joint[3:, :3] = joint[:3, 3:].T
-    H = np.empty((2, 5))
-    H[:, :3] = H_x
-    H[:, 3:] = H_p
-    S = H @ joint @ H.T
+    for i in range(3):
+        for j in range(3):
+            joint[i, j] = covariance[i, j]
+        for j in range(2):
+            joint[i, 3 + j] = joint[3 + j, i] = covariance[i, k + j] if index >= 0 else cross[i, k + j]
+    for i in range(2):
+        for j in range(2):
+            joint[3 + i, 3 + j] = covariance[k + i, k + j] if index >= 0 else considered[k + i, k + j]
+    S = np.zeros((2, 2))
+    for i in range(5):
+        for j in range(5):
+            for e in range(2):
+                for f in range(2):
+                    left = H_x[e, i] if i < 3 else H_p[e, i - 3]
+                    right = H_x[f, j] if j < 3 else H_p[f, j - 3]
+                    S[e, f] += left * joint[i, j] * right
     a, b, d = S[0, 0] + z[2] * z[2], S[0, 1], S[1, 1] + z[3] * z[3]
     u, v = residual[0], residual[1]
     return bool(d * u * u - 2.0 * b * u * v + a * v * v <= gate * (a * d - b * b))
@@ -375,10 +411,11 @@ def _initialise(
     old, new = len(mean), 2 * len(z)
     joined = np.empty(old + new)
     P = np.zeros((old + new, old + new))
-    C = np.empty((old + new, cross.shape[1]))
-    joined[:old] = mean
-    P[:old, :old] = covariance
-    C[:old] = cross
+    C = np.zeros((old + new, cross.shape[1]))
+    for i in range(old):
+        joined[i] = mean[i]
+        _add(P[i], 1.0, covariance[i])
+        _add(C[i], 1.0, cross[i])
     J = np.zeros((new, 3))
     for i in range(len(z)):
         r, angle = z[i, 0], mean[2] + z[i, 1]
@@ -386,10 +423,16 @@ def _initialise(
         joined[old + 2 * i], joined[old + 2 * i + 1] = mean[0] + r * c, mean[1] + r * s
         J[2 * i, 0] = J[2 * i + 1, 1] = 1.0
         J[2 * i, 2], J[2 * i + 1, 2] = -r * s, r * c
-    P[old:, :old] = J @ np.ascontiguousarray(covariance[:3])
-    P[:old, old:] = P[old:, :old].T
-    P[old:, old:] = J @ np.ascontiguousarray(covariance[:3, :3]) @ J.T
-    C[old:] = J @ np.ascontiguousarray(cross[:3])
+    for i in range(new):
+        for j in range(3):
+            _add(P[old + i], J[i, j], covariance[j])
+            _add(C[old + i], J[i, j], cross[j])
+    for i in range(new):
+        for j in range(old):
+            P[j, old + i] = P[old + i, j]
+        for k in range(new):
+            for j in range(3):
+                P[old + i, old + k] += P[old + i, j] * J[k, j]
     for i in range(len(z)):
         angle = mean[2] + z[i, 1]
         c, s = math.cos(angle), math.sin(angle)
