@@ -17,15 +17,15 @@ import functools
 import hashlib
 import importlib
 import json
+import math
 import os
 import platform
 import re
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -34,23 +34,28 @@ from tfg_drake.files import write_atomic
 
 PACKAGE = Path(__file__).parent
 TABLE = PACKAGE / "kernels.txt"
-# What a process compiles it keeps. What numba needs again and again is compiled first, until a process holds so much,
-# MB; then copies of it go on one after the other, until each holds so much.
-SHARED, LARGEST = 190.0, 250.0
+# What needs a kernel: the first look of a mission, the rest of a mission in a shipped scenario, or something else only.
+LOOK, MISSION, OTHER = range(3)
+_NEEDS = ("look", "mission", "other")
+# A process keeps what it has compiled for good. Beside a program that does something else it is replaced when it holds
+# so much, MB; likewise, later, where the program only waits.
+BESIDE, ALONE = 270.0, 400.0
 # What the table's kernels are to the processes that compile, a byte each.
 _WAITING, _TAKEN, _DONE = b".", b"o", b"x"
+# What is known of a cache: what compiled it, of what sources, for what need, and its files.
 _RECEIPT = "tfg_drake-kernels.json"
+_NOTHING: dict[str, Any] = {"environment": None, "sources": {}, "compiled": -1, "cached": []}
 _IMPORT = re.compile(r"^from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 
 
 @dataclasses.dataclass(frozen=True)
 class Kernel:
-    """A kernel, and the types of its arguments as `spelled` has them. first: the first look of a mission needs it."""
+    """A kernel, the types of its arguments as `spelled` has them, and what needs it first: LOOK, MISSION or OTHER."""
 
     module: str
     name: str
     types: str
-    first: bool = False
+    need: int
 
     def compile(self) -> None:
         """Compile it into numba's cache, unless it is there. Raises what importing it or numba raises."""
@@ -58,17 +63,25 @@ class Kernel:
         getattr(module, self.name).compile(_types(self.types, module))
 
 
-def read_table() -> list[Kernel]:
-    """All kernels, those that the first look needs before the others."""
-    rows = (line.split(maxsplit=2) for line in TABLE.read_text().splitlines())
-    kernels = [Kernel(*name.rsplit(".", 1), types, when == "first") for when, name, types in rows]
-    return sorted(kernels, key=lambda kernel: not kernel.first)
+def read_table(need: int = OTHER) -> list[Kernel]:
+    """All kernels that something needs, those that are needed first before the others."""
+    kernels = []
+    for line in TABLE.read_text().splitlines():
+        word, path, types = line.split(maxsplit=2)
+        module, _, name = path.rpartition(".")
+        kernels.append(Kernel(module, name, types, _NEEDS.index(word)))
+    return sorted((one for one in kernels if one.need <= need), key=lambda kernel: kernel.need)
+
+
+def write_table(kernels: Iterable[Kernel]) -> None:
+    """Make these the table. Raises OSError."""
+    lines = (f"{_NEEDS[one.need]} {one.module}.{one.name} {one.types}\n" for one in kernels)
+    write_atomic(TABLE, "".join(sorted(lines)))
 
 
 def spelled(kind: Any) -> str:
     """A numba type in a form that Python reads: float64[:, ::1], readonly(int64[::1]), omitted(0.5), Name(float64)."""
-    from numba import types
-
+    types = importlib.import_module("numba").types
     if isinstance(kind, types.Array):
         axes = [":"] * kind.ndim
         if kind.layout in "CF":
@@ -85,8 +98,7 @@ def spelled(kind: Any) -> str:
 
 def _types(text: str, module: Any) -> tuple[Any, ...]:
     """What `spelled` has spelled; named tuples are those that a module knows."""
-    from numba import types
-
+    types = importlib.import_module("numba").types
     made = types.BaseTuple.from_types
     tuples = {
         name: lambda *kinds, of=value: made(kinds, of)
@@ -128,11 +140,11 @@ def folder() -> Path:
     return Path(given) if given else PACKAGE / "__pycache__"
 
 
-def are_compiled() -> bool:
-    """Whether all kernels are in the cache, of the sources and for the machine that there are now. Imports nothing."""
+def are_compiled(need: int = OTHER) -> bool:
+    """Whether the kernels are in the cache, of the sources and for the machine that there are now. Imports nothing."""
     there = _receipt()
     return (
-        bool(there["cached"])
+        there["compiled"] >= need
         and there["environment"] == _environment()
         and there["sources"] == {name: _stamp(path) for name, path in _all_sources().items()}
         and set(there["cached"]) <= {str(path) for module in _modules() for path in _cached(module)}
@@ -151,21 +163,20 @@ def drop_stale() -> None:
         if not known or any(before["sources"].get(name) != now[name] for name in _sources(module)):
             for path in _cached(module):
                 path.unlink(missing_ok=True)
-    _write_receipt(environment, now, [])
+    _write_receipt({**_NOTHING, "environment": environment, "sources": now})
 
 
 def _receipt() -> dict[str, Any]:
     try:
         read: dict[str, Any] = json.loads((folder() / _RECEIPT).read_text())
     except (OSError, ValueError):
-        return {"environment": None, "sources": {}, "cached": []}
+        return _NOTHING
     return read
 
 
-def _write_receipt(environment: str, sources: dict[str, list[int]], cached: list[str]) -> None:
+def _write_receipt(receipt: dict[str, Any]) -> None:
     folder().mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"environment": environment, "sources": sources, "cached": cached})
-    write_atomic(folder() / _RECEIPT, text, durable=False)
+    write_atomic(folder() / _RECEIPT, json.dumps(receipt), durable=False)
 
 
 def _environment() -> str:
@@ -230,21 +241,21 @@ def _cached(module: str) -> list[Path]:
 class Compilation:
     """Processes that compile what is missing while this one does something else; to be closed."""
 
-    def __init__(self, *, beside: bool = False) -> None:
-        """beside: a program runs beside them: there are two until the kernels of the first look are there, then one.
+    def __init__(self, need: int = OTHER, most: float | None = None) -> None:
+        """need: what the kernels are for. most: MB that a process may hold; then there are two until the kernels of the first look are there, one
+        afterwards. Without it there are two to the end.
 
         Raises:
             OSError: the cache cannot be written.
         """
         drop_stale()
-        kernels = read_table()
-        self.of = len(kernels)
-        self._first = sum(kernel.first for kernel in kernels)
+        self._need = need
+        self.of, self._look = len(read_table(need)), len(read_table(LOOK))
         self._folder = tempfile.TemporaryDirectory(prefix="tfg_drake-")
         self._board = Path(self._folder.name) / "board"
         self._board.write_bytes(_WAITING * self.of)
-        rows = [self.of, self._first if beside else self.of]
-        self._processes = [_start(self._board, last) for last in rows]
+        rows = [self.of, self.of if most is None else self._look]
+        self._processes = [_start(self._board, last, most or math.inf) for last in rows]
 
     @property
     def done(self) -> int:
@@ -254,7 +265,7 @@ class Compilation:
     @property
     def ready(self) -> bool:
         """Whether all are there that the first look of a mission needs, or nobody compiles them any more."""
-        return self._board.read_bytes()[: self._first].count(_DONE) == self._first or self.ended
+        return self._board.read_bytes()[: self._look].count(_DONE) == self._look or self.ended
 
     @property
     def ended(self) -> bool:
@@ -264,52 +275,43 @@ class Compilation:
     def close(self) -> None:
         """Ends what is still at work; takes note that all kernels are there, if they are."""
         for process in self._processes:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGTERM)
+            process.terminate()
             process.wait()
         if self.done == self.of:
-            there = _receipt()
             cached = [str(path) for module in _modules() for path in _cached(module)]
             with contextlib.suppress(OSError):
-                _write_receipt(there["environment"], there["sources"], cached)
+                _write_receipt({**_receipt(), "compiled": self._need, "cached": cached})
         self._folder.cleanup()
 
 
-def _start(board: Path, last: int) -> subprocess.Popen[bytes]:
+def _start(board: Path, last: int, most: float) -> subprocess.Popen[bytes]:
     """A process that compiles those of the table's first `last` kernels that nobody else does. Ctrl-C passes it by."""
-    command = [sys.executable, "-m", "tfg_drake.kernels", str(board), str(last)]
     nothing = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, process_group=0)
+    return subprocess.Popen(_command(board, last, most), stdin=nothing, stdout=nothing, stderr=nothing, process_group=0)
 
 
-def _work(path: Path, last: int) -> None:
+def _command(board: Path, last: int, most: float) -> list[str]:
+    return [sys.executable, "-m", "tfg_drake.kernels", str(board), str(last), str(most)]
+
+
+def _work(path: Path, last: int, most: float) -> None:
     """What such a process does, until the one that started it is gone."""
     parent = os.getppid()
+    kernels = read_table()
     with path.open("r+b", buffering=0) as board:
         _take_turns(board)
-        kernels = read_table()[:last]
-        while os.getppid() == parent and _WAITING in os.pread(board.fileno(), last, 0):
-            if _memory() < SHARED:
-                _compile_next(kernels, board)
-            elif child := os.fork():
-                os.waitpid(child, 0)
-            else:
-                while _memory() < LARGEST and _compile_next(kernels, board):
-                    pass
-                os._exit(0)
-
-
-def _compile_next(kernels: Sequence[Kernel], board: BinaryIO) -> bool:
-    """Compile the first kernel that nobody has taken; whether there was one."""
-    with _alone(board):
-        row = os.pread(board.fileno(), len(kernels), 0).find(_WAITING)
-        if row < 0:
-            return False
-        os.pwrite(board.fileno(), _TAKEN, row)
-    with contextlib.suppress(Exception):  # Whoever calls it will hear of it.
-        kernels[row].compile()
-    os.pwrite(board.fileno(), _DONE, row)
-    return True
+        while os.getppid() == parent:
+            with _alone(board):
+                row = os.pread(board.fileno(), last, 0).find(_WAITING)
+                if row < 0:
+                    return
+                os.pwrite(board.fileno(), _TAKEN, row)
+            with contextlib.suppress(Exception):  # Whoever calls it will hear of it.
+                kernels[row].compile()
+            os.pwrite(board.fileno(), _DONE, row)
+            if _memory() > most:
+                command = _command(path, last, most)
+                os.execv(command[0], command)
 
 
 @contextlib.contextmanager
@@ -324,15 +326,14 @@ def _alone(board: BinaryIO) -> Iterator[None]:
 
 def _take_turns(board: BinaryIO) -> None:
     """numba reads, changes and writes the list of what is kept of a kernel as if nobody else did."""
-    from numba.core.caching import IndexDataCacheFile
-
-    save = IndexDataCacheFile.save
+    file: Any = importlib.import_module("numba.core.caching").IndexDataCacheFile
+    save = file.save
 
     def save_alone(self: Any, key: Any, data: Any) -> None:
         with _alone(board):
             save(self, key, data)
 
-    IndexDataCacheFile.save = save_alone
+    file.save = save_alone
 
 
 def _memory() -> float:
@@ -347,7 +348,7 @@ def _memory() -> float:
 def main(arguments: Sequence[str]) -> None:
     """Compile what is missing, with a line every other second."""
     if arguments:
-        _work(Path(arguments[0]), int(arguments[1]))
+        _work(Path(arguments[0]), int(arguments[1]), float(arguments[2]))
         return
     choose_folder()
     if are_compiled():
