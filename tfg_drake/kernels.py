@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import fcntl
 import functools
 import hashlib
@@ -44,6 +45,7 @@ BESIDE, ALONE = 270.0, 400.0
 _WAITING, _TAKEN, _DONE = b".", b"o", b"x"
 # What is known of a cache: what compiled it, of what sources, for what need, and its files.
 _RECEIPT = "tfg_drake-kernels.json"
+_LOCK = "tfg_drake-kernels.lock"
 _NOTHING: dict[str, Any] = {"environment": None, "sources": {}, "compiled": -1, "cached": []}
 _IMPORT = re.compile(r"^from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 
@@ -117,21 +119,27 @@ def _types(text: str, module: Any) -> tuple[Any, ...]:
 
 
 def choose_folder() -> None:
-    """Where this package's folder cannot be written, the user's cache keeps what is compiled: to be called before numba
-    is imported.
+    """Where this package's folder cannot be written, the user's cache or a temporary folder keeps what is compiled: to
+    be called before numba is imported.
 
     Raises:
         OSError: no folder can be written.
     """
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        folder = Path(given)
-    elif os.access(PACKAGE, os.W_OK):
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if not given and os.access(PACKAGE, os.W_OK):
         return
-    else:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tfg_drake"
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder):
-        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tfg_drake"
+    own = Path(tempfile.gettempdir()) / f"tfg_drake-{os.getuid()}"
+    for tried in [Path(given)] if given else [cache, own]:
+        with contextlib.suppress(OSError):
+            tried.mkdir(mode=0o700, parents=True, exist_ok=True)
+            # What is in it is run: in a folder for everybody's files it must be nobody else's.
+            if tried == own and tried.stat().st_uid != os.getuid():
+                continue
+            with tempfile.TemporaryFile(dir=tried):
+                os.environ["NUMBA_CACHE_DIR"] = str(tried)
+                return
+    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), given or str(cache))
 
 
 def folder() -> Path:
@@ -242,14 +250,14 @@ class Compilation:
     """Processes that compile what is missing while this one does something else; to be closed."""
 
     def __init__(self, need: int = OTHER, most: float | None = None) -> None:
-        """need: what the kernels are for. most: MB that a process may hold; then there are two until the kernels of the first look are there, one
-        afterwards. Without it there are two to the end.
+        """need: what the kernels are for. most: MB that a process may hold; then there are two until the kernels of the
+        first look are there, one afterwards. Without it there are two to the end.
 
         Raises:
             OSError: the cache cannot be written.
         """
         drop_stale()
-        self._need = need
+        self._need, self._since = need, time.monotonic()
         self.of, self._look = len(read_table(need)), len(read_table(LOOK))
         self._folder = tempfile.TemporaryDirectory(prefix="tfg_drake-")
         self._board = Path(self._folder.name) / "board"
@@ -261,6 +269,12 @@ class Compilation:
     def done(self) -> int:
         """How many kernels are there."""
         return self._board.read_bytes().count(_DONE)
+
+    @property
+    def left(self) -> float:
+        """How long it will take at the speed so far, s; inf where nothing is known of that."""
+        done = self.done
+        return (time.monotonic() - self._since) * (self.of - done) / done if done else math.inf
 
     @property
     def ready(self) -> bool:
@@ -299,7 +313,7 @@ def _work(path: Path, last: int, most: float) -> None:
     parent = os.getppid()
     kernels = read_table()
     with path.open("r+b", buffering=0) as board:
-        _take_turns(board)
+        take_turns()
         while os.getppid() == parent:
             with _alone(board):
                 row = os.pread(board.fileno(), last, 0).find(_WAITING)
@@ -315,22 +329,26 @@ def _work(path: Path, last: int, most: float) -> None:
 
 
 @contextlib.contextmanager
-def _alone(board: BinaryIO) -> Iterator[None]:
-    """No other process at the same board is within one of these blocks at the same time."""
-    fcntl.lockf(board, fcntl.LOCK_EX)
+def _alone(file: BinaryIO) -> Iterator[None]:
+    """No other process is within such a block for the same file at the same time."""
+    fcntl.lockf(file, fcntl.LOCK_EX)
     try:
         yield
     finally:
-        fcntl.lockf(board, fcntl.LOCK_UN)
+        fcntl.lockf(file, fcntl.LOCK_UN)
 
 
-def _take_turns(board: BinaryIO) -> None:
-    """numba reads, changes and writes the list of what is kept of a kernel as if nobody else did."""
+def take_turns() -> None:
+    """From now on this process changes the cache only while no other one does that has called this.
+
+    numba reads, changes and writes the list of what is kept of a kernel as if it were alone.
+    """
+    lock = (folder() / _LOCK).open("ab")
     file: Any = importlib.import_module("numba.core.caching").IndexDataCacheFile
     save = file.save
 
     def save_alone(self: Any, key: Any, data: Any) -> None:
-        with _alone(board):
+        with _alone(lock):
             save(self, key, data)
 
     file.save = save_alone
@@ -355,7 +373,7 @@ def main(arguments: Sequence[str]) -> None:
         return
     with contextlib.closing(Compilation()) as compilation:
         while not compilation.ended:
-            print(f"compiling kernels into {folder()}: {compilation.done} of {compilation.of}", flush=True)
+            print(f"compiling kernels: {compilation.done} of {compilation.of}", flush=True)
             time.sleep(2.0)
 
 
