@@ -77,8 +77,8 @@ STAGE_FIELDS = (
 # Time between two looks at the mission, s, simulated or real; a stage takes several times as long.
 STEP = 1.0
 REAL_STEP = 0.25
-# While kernels are compiled: a mission goes at least so fast, times real time, so that a picture moves every second; wall
-# time between two looks at them before it begins, s.
+# While kernels are compiled a mission goes at least so fast, times real time: the picture moves every second. Wall time
+# between two looks at them before it begins, s.
 SLOWEST = 0.15
 COMPILED_INTERVAL = 0.1
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.

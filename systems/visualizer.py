@@ -198,7 +198,7 @@ class TfgVisualizer(LeafSystem):
             builder.Connect(station.GetOutputPort("truth.pose"), self.GetInputPort("truth"))
 
     def ShowBeginning(self) -> None:
-        """Shows what there is before there is a context, the caption with `word`; anew, no more often than any other."""
+        """Shows what there is before there is a context: the caption with `word`, no more often than any other."""
         if time.monotonic() >= self._next_caption:
             self._picture.attempt(lambda: self._ShowCaption(f"{self._title}, {self.word}", []), None)
 
@@ -362,7 +362,7 @@ class TfgVisualizer(LeafSystem):
         document = caption_gltf(render_caption(title, figures, legend), self._view[2] - self._view[0])
         mesh = Mesh(mesh_data=InMemoryMesh(mesh_file=MemoryFile(document.encode(), ".gltf", "caption")))
         self._meshcat.SetObject("/tfg/caption", mesh)
-        # A browser fetches the text as a file of its own, some time later. Meshcat keeps it as long as anything shows it.
+        # A browser asks for the text as a file of its own, some time later. Meshcat keeps what any of these shows.
         self._meshcat.SetObject(f"/tfg/captions/{self._captions % CAPTIONS}", mesh)
         self._captions += 1
         self._next_caption = time.monotonic() + CAPTION_INTERVAL
