@@ -33,7 +33,6 @@ from tfg_drake import __version__
 from tfg_drake.cpu_meter import cpu_totals
 from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
 from tfg_drake.diagrams.methods import METHODS, Method
-from tfg_drake.diagrams.report import write_report
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
@@ -188,8 +187,11 @@ def explore(
                 kernels,
             )
             folder.give_up_reserve()
+            # Not before: what draws figures takes a while to be imported, and nothing moves meanwhile.
+            from tfg_drake.diagrams.report import write_report
+
             summary = write_report(mission, scenario, folder, name, world_name or name)
-            mission.say(mission.outcome)
+            mission.say(mission.outcome.replace("_", " "))
             mission.show()
         if writer is not None and writer.failure is not None:
             folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
@@ -320,7 +322,7 @@ class Mission:
                 # gives the same once more, whatever ended it then and ends it now, so does every other.
                 self._simulator.AdvancePendingEvents()
                 self._observe(write)
-            self.say(f"{self.outcome}: solving the whole map")
+            self.say(f"{self.outcome.replace('_', ' ')}: solving the whole map")
             self.show()
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             self.outcome = "fault"
