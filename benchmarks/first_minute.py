@@ -1,4 +1,4 @@
-"""What a newcomer sees: how soon the picture moves, how long it stands still and the terminal is silent, and what it costs.
+"""What a newcomer sees: how soon the picture moves, how long it stands still, how long nothing is said, at what cost.
 
     python benchmarks/first_minute.py --out FILE
     python benchmarks/first_minute.py --out FILE --old PATH
@@ -14,6 +14,7 @@ hold of files counts once, as they share it, and in the last column for each of 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -24,6 +25,7 @@ import sys
 import tempfile
 import threading
 import time
+from itertools import pairwise
 from pathlib import Path
 
 HERE = Path(__file__).parents[1]
@@ -109,17 +111,16 @@ def trial(checkout: Path, installed: bool) -> dict[str, float]:
         listener = threading.Thread(target=listen)
         listener.start()
         while process.poll() is None:
-            try:
+            with contextlib.suppress(OSError):  # A process has just ended.
                 peak = tuple(map(max, peak, memory(process.pid)))
-            except OSError:  # A process has just ended.
-                pass
             time.sleep(SAMPLE)
         listener.join()
         lines.append(time.monotonic())
         return {
             "picture": pictures[0] - start,
-            "stall": max(after - one for one, after in zip(pictures, pictures[1:], strict=False)),
-            "silence": max(after - one for one, after in zip(lines, lines[1:], strict=False)),
+            # The last one is that of the end, when all is written.
+            "stall": max(after - one for one, after in pairwise(pictures[:-1])),
+            "silence": max(after - one for one, after in pairwise(lines)),
             "cpu": cpu() - before - install_cpu,
             "install_cpu": install_cpu,
             "memory": peak[0],

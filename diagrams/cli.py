@@ -129,10 +129,9 @@ def explore(
         compilation = None
         if need == kernels.MISSION and not headless:
             compilation = compile_kernels(need, kernels.BESIDE)
+            stack.enter_context(contextlib.closing(compilation) if compilation else contextlib.nullcontext())
         elif need == kernels.MISSION or (any(placed) and (world is None or world.exists())):
             wait_for_kernels(show, _interrupted, need)
-        if compilation is not None:
-            stack.enter_context(contextlib.closing(compilation))
         loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
         if robot != "sim" and replayed is None:
             loaded.hardware.robot = robot
@@ -143,6 +142,11 @@ def explore(
             read = [Path(file) for file in (scenario, world) if file is not None and Path(file).is_file()]
             explore_command.check_kept(out, replayed, read)
             _make_writable(out)
+        meshcat = None
+        if compilation is not None:
+            meshcat = explore_command.start_meshcat()
+            name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
+            explore_command.show_beginning(meshcat, loaded, name, compilation, show, _interrupted)
         explorer = _find_method(method, loaded)
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
@@ -151,7 +155,8 @@ def explore(
 
         from tfg_drake.diagrams import run
 
-        meshcat = None if headless else explore_command.start_meshcat()
+        if meshcat is None and not headless:
+            meshcat = explore_command.start_meshcat()
         stack.enter_context(explore_command.remarks_on_screen())
         opened = explore_command.open_robot(robot, loaded, explorer, meshcat, _interrupted, _interrupt)
         driven, loaded = stack.enter_context(opened)

@@ -59,5 +59,5 @@ def wait_for_kernels(show: Callable[[str], object], interrupted: threading.Event
         return
     with contextlib.closing(compilation):
         while not (compilation.ended or interrupted.is_set()):
-            show(f"compiling kernels, {compilation.done} of {compilation.of}")
+            show(compilation.word)
             time.sleep(0.1)

@@ -7,6 +7,7 @@ import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -152,19 +153,39 @@ def start_meshcat() -> Any:
     return picture
 
 
+def show_beginning(
+    meshcat: Any,
+    scenario: Scenario,
+    title: str,
+    compilation: kernels.Compilation,
+    show: Callable[[str], object],
+    interrupted: threading.Event,
+) -> None:
+    """Shows the picture as it is before the mission, until there are the kernels that it begins with."""
+    from tfg_drake.diagrams.scenario import MakeWorld
+    from tfg_drake.systems.visualizer import TfgVisualizer
+
+    world = MakeWorld(scenario.world)
+    picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, title)
+    while not (compilation.ready or interrupted.is_set()):
+        picture.word = compilation.word
+        picture.ShowBeginning()
+        show(compilation.word)
+        time.sleep(0.1)
+
+
 def progress_line(progress: Progress) -> str:
     """How far the mission has come, on one line of a terminal of 80 columns; what is done now where it has ended."""
     if progress.outcome:
         # In a building of thousands of tags the last solve takes half a minute.
         return f"{progress.time:5.0f} s  {progress.outcome}: solving the whole map, writing the run's files"
-    if progress.word and progress.time == 0.0:
-        return progress.word
+    where = f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}"
+    if progress.word:
+        return f"{where} {progress.word}"
     speed = progress.time / max(progress.wall_time, 1e-9)
-    ending = progress.word or f"{speed:4.1f} x real time"
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
     return (
-        f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
-        f" {progress.area:5.0f} m2{error}  {ending}"
+        f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
     )
 
 

@@ -76,10 +76,8 @@ STAGE_FIELDS = (
 # Time between two looks at the mission, s, simulated or real; a stage takes several times as long.
 STEP = 1.0
 REAL_STEP = 0.25
-# While kernels are compiled a mission goes at least so fast, times real time: the picture moves every second. Wall time
-# between two looks at them before it begins, s.
+# While kernels are compiled a mission goes at least so fast, times real time: the picture moves every second.
 SLOWEST = 0.15
-COMPILED_INTERVAL = 0.1
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
 AREA_INTERVAL = 5.0
 # A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
@@ -150,8 +148,7 @@ def explore(
         interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
         record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
             grows; not for what a seed gives again.
-        kernels: those who compile them beside the mission. It begins when there are those of its first look, and takes
-            its time for that until all are there.
+        kernels: those who compile the kernels that come after its first look, which takes its time until all are there.
 
     The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
     the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
@@ -293,12 +290,6 @@ class Mission:
         keep what there is; what these two raise ends the mission. kernels: as for `explore`."""
         wall_start = time.monotonic()
         try:
-            while kernels is not None and not (kernels.ready or interrupted.is_set()):
-                self.say(_compiling(kernels))
-                self.show()
-                if on_progress is not None:
-                    on_progress(self._progress(time.monotonic() - wall_start))
-                time.sleep(COMPILED_INTERVAL)
             self._build()
             self._simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
             self._simulator.Initialize()
@@ -358,7 +349,7 @@ class Mission:
         if not kernels.ended:
             left = self._scenario.explorer.first_look - self.time
             rate = min(max(SLOWEST, left / max(kernels.left, 1e-3)), realtime_rate or math.inf)
-        self.say("" if kernels.ended else _compiling(kernels))
+        self.say(kernels.word)
         self._simulator.set_target_realtime_rate(rate)
         self._simulator.ResetStatistics()  # or it would make up for the time that it went slowly
 
@@ -588,10 +579,6 @@ def MakeMissionDiagram(
     diagram = builder.Build()
     diagram.set_name("mission")
     return diagram, truth_log, pose_log
-
-
-def _compiling(kernels: Compilation) -> str:
-    return f"compiling kernels, {kernels.done} of {kernels.of}"
 
 
 @contextlib.contextmanager

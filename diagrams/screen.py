@@ -9,8 +9,8 @@ import time
 from typing import Any
 
 # Wall time after which a line is written again where there is no terminal, s, and after which it says since when.
-INTERVAL = 2.5
-LONG = 2.0
+INTERVAL = 2.0
+LONG = 1.5
 
 
 class Screen:

@@ -40,7 +40,7 @@ LOOK, MISSION, OTHER = range(3)
 _NEEDS = ("look", "mission", "other")
 # A process keeps what it has compiled for good. Beside a program that does something else it is replaced when it holds
 # so much, MB; likewise, later, where the program only waits.
-BESIDE, ALONE = 270.0, 400.0
+BESIDE, ALONE = 230.0, 400.0
 # What the table's kernels are to the processes that compile, a byte each.
 _WAITING, _TAKEN, _DONE = b".", b"o", b"x"
 # What is known of a cache: what compiled it, of what sources, for what need, and its files.
@@ -72,7 +72,8 @@ def read_table(need: int = OTHER) -> list[Kernel]:
         word, path, types = line.split(maxsplit=2)
         module, _, name = path.rpartition(".")
         kernels.append(Kernel(module, name, types, _NEEDS.index(word)))
-    return sorted((one for one in kernels if one.need <= need), key=lambda kernel: kernel.need)
+    # Of each need those with the most to them before the others, so that nobody begins with a large one at the end.
+    return sorted((one for one in kernels if one.need <= need), key=lambda kernel: (kernel.need, -len(kernel.types)))
 
 
 def write_table(kernels: Iterable[Kernel]) -> None:
@@ -93,7 +94,7 @@ def spelled(kind: Any) -> str:
     if isinstance(kind, types.Omitted):
         return f"omitted({kind.value!r})"
     if isinstance(kind, types.BaseTuple):
-        of = kind.instance_class
+        of = getattr(kind, "instance_class", tuple)
         return f"{'tuple_' if of is tuple else of.__name__}({', '.join(map(spelled, kind))})"
     return "boolean" if kind == types.boolean else str(kind)
 
@@ -271,6 +272,11 @@ class Compilation:
         return self._board.read_bytes().count(_DONE)
 
     @property
+    def word(self) -> str:
+        """What is done, in words; "" where nothing is any more."""
+        return "" if self.ended else f"compiling kernels, {self.done} of {self.of}"
+
+    @property
     def left(self) -> float:
         """How long it will take at the speed so far, s; inf where nothing is known of that."""
         done = self.done
@@ -343,6 +349,7 @@ def take_turns() -> None:
 
     numba reads, changes and writes the list of what is kept of a kernel as if it were alone.
     """
+    folder().mkdir(parents=True, exist_ok=True)
     lock = (folder() / _LOCK).open("ab")
     file: Any = importlib.import_module("numba.core.caching").IndexDataCacheFile
     save = file.save
@@ -373,7 +380,7 @@ def main(arguments: Sequence[str]) -> None:
         return
     with contextlib.closing(Compilation()) as compilation:
         while not compilation.ended:
-            print(f"compiling kernels: {compilation.done} of {compilation.of}", flush=True)
+            print(compilation.word, flush=True)
             time.sleep(2.0)
 
 
