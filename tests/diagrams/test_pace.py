@@ -35,6 +35,6 @@ def test_it_says_so_goes_on_as_ever_and_comes_to_the_same(tmp_path):
     assert one.stages == two.stages
     assert (tmp_path / "one" / "map.npz").read_bytes() == (tmp_path / "two" / "map.npz").read_bytes()
     assert said[0] == (0.125, "compiling")
-    words = [word for _, word in said]
+    words = [word for _, word in said[:-1]]
     assert words == sorted(words, reverse=True)
     assert said[-2] == (30.0, "")
