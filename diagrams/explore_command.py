@@ -184,9 +184,7 @@ def progress_line(progress: Progress) -> str:
         return f"{where} {progress.word}"
     speed = progress.time / max(progress.wall_time, 1e-9)
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
-    return (
-        f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
-    )
+    return f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
 
 
 def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
