@@ -4,7 +4,7 @@ A channel a port, named like it, of protobuf messages: the fields of the message
 names, float64 to the bit, with their schema in the file. log_time is when the port carried the message first (ns since
 the run began), publish_time the message's own stamp. The metadata "run" names the robot.
 
-The file grows by compressed chunks: of a program that is killed all is there but the last seconds.
+The file grows by compressed chunks: of a program that is killed all is there but the last second.
 """
 
 from __future__ import annotations
