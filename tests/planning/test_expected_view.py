@@ -17,7 +17,7 @@ STEEPEST = np.radians(75)
 def view(points, targets, normals, segments, range_max=10.0, incidence=STEEPEST, tolerance=0.1, graze=0.0):
     arguments = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (points, targets, normals))
     offsets, index = visible_targets(*arguments, np.asarray(segments, dtype=float).reshape(-1, 4), range_max, incidence,
-                                     tolerance, graze)  # fmt: skip
+                                     tolerance, graze, 0.0)  # fmt: skip
     return [index[a:b].tolist() for a, b in itertools.pairwise(offsets)]
 
 

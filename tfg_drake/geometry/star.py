@@ -17,6 +17,8 @@ ALONG = 0.5
 RUN = 8
 # How far beyond an edge's ends rounding may place a crossing, m.
 ROUNDING = 1e-9
+# Lines are looked up in the stars at this interval, m.
+STEP = 0.25
 # Points whose cover is counted together.
 _AT_ONCE = 1_000_000
 
@@ -126,6 +128,38 @@ def in_a_star(
         if _may_hold(boxes[j], x, y) and _inside(x, y, j, star_offsets, star_vertices, runs, reach):
             return True
     return False
+
+
+@njit(cache=True)
+def line_in_stars(
+    ax: float,
+    ay: float,
+    bx: float,
+    by: float,
+    star_offsets: IntArray,
+    star_vertices: FloatArray,
+    index: StarIndex,
+    near: IntArray,
+) -> bool:
+    """Whether a line from a to b lies inside star polygons, looked up every STEP; near: see `in_a_star`."""
+    steps = max(1, math.ceil(math.hypot(bx - ax, by - ay) / STEP))
+    for k in range(steps):
+        t = (k + 0.5) / steps
+        x, y = (1 - t) * ax + t * bx, (1 - t) * ay + t * by
+        if not in_a_star(x, y, star_offsets, star_vertices, index, near):
+            return False
+    return True
+
+
+@njit(cache=True)
+def lines_in_stars(lines: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
+    """As line_in_stars, of lines (n, 4), (n,); star polygons as in `inside_any`."""
+    index = star_index(star_offsets, star_vertices)
+    near, inside = np.empty(len(index[1][4]), dtype=np.int64), np.empty(len(lines), dtype=np.bool_)
+    for i in range(len(lines)):
+        ax, ay, bx, by = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
+        inside[i] = line_in_stars(ax, ay, bx, by, star_offsets, star_vertices, index, near)
+    return inside
 
 
 @njit(cache=True)

@@ -89,7 +89,7 @@ def visible_targets(
     max_incidence: float,
     tolerance: float,
     graze: float,
-    close: float = 0.0,
+    close: float,
 ) -> tuple[IntArray, IntArray]:
     """Targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
 
@@ -176,7 +176,15 @@ def expected_tags(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor
     """
     return View(
         *visible_targets(
-            points, estimate.p_ML, tfg.facing, tfg.segments, sensor.range, sensor.max_incidence, SURFACE_TOLERANCE, 0.0
+            points,
+            estimate.p_ML,
+            tfg.facing,
+            tfg.segments,
+            sensor.range,
+            sensor.max_incidence,
+            SURFACE_TOLERANCE,
+            0.0,
+            0.0,
         )
     )
 
@@ -197,6 +205,7 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig,
             sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN,
             0.0,
             GRAZE,
+            0.0,
         )
     )
     if least_range == 0.0:

@@ -13,7 +13,7 @@ from numba import njit
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 from tfg_drake.planning.information_gain import Gains
 from tfg_drake.planning.promises import Promises
-from tfg_drake.planning.shortest_ways import Ways, shortest_ways
+from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
 
 # Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
 TOUR_GOALS = 11
@@ -117,8 +117,8 @@ def _times_to(sources: IntArray, nodes: IntArray, roadmap: Roadmap, speed: float
     """Seconds (k, n) between nodes (k,) of the roadmap and others (n,), by the shortest way."""
     a, b = roadmap.edges.T
     length = np.maximum(np.hypot(*(roadmap.points[a] - roadmap.points[b]).T), 1e-9)
-    at_once, count = np.zeros(1), len(roadmap.points)
-    ways = [Ways(*shortest_ways(roadmap.edges, length, source, at_once, count)) for source in sources[:, None]]
+    joined, at_once = neighbours(roadmap.edges, len(roadmap.points)), np.zeros(1)
+    ways = [Ways(*shortest_ways(*joined, length, source, at_once)) for source in sources[:, None]]
     return np.array([way.cost[nodes] for way in ways]) / speed
 
 

@@ -8,6 +8,7 @@ on relative covariance only. The approximations, by name: `approximate_gain`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -105,6 +106,23 @@ class Turns:
     explorer: ExplorerConfig
     departure_given_map: FloatArray
 
+    @functools.cached_property
+    def _p_ML(self) -> FloatArray:
+        return self.estimate.p_ML[self.estimate.local]
+
+    @functools.cached_property
+    def _noise(self) -> FloatArray:
+        return turn_noise(self.sensor, sightings_of_turn(self.sensor, self.explorer.turn_rate))
+
+    @functools.cached_property
+    def _number(self) -> FloatArray:
+        return self.explorer.density * self.tfg.frontier_length
+
+    def _new(self, frontiers: View) -> New:
+        reach = frontier_reach(self.sensor)
+        index = frontiers.offsets, frontiers.index
+        return New(*index, self.tfg.frontiers, self._number, self.explorer.prior_sigma, reach)
+
     def arrival(self, points: FloatArray, distance: FloatArray, time: FloatArray) -> Arrival:
         """How a robot arrives at each point (c, 2), m in M, after distance (c,) m and time (c,) s: its pose is known
         through odometry since the last departure alone, as in the factor that will join the two goals."""
@@ -122,8 +140,8 @@ class Turns:
         estimate, explorer = self.estimate, self.explorer
         tags = local_view(tags, estimate)
         points = np.ascontiguousarray(points)
-        known = Known(tags.offsets, tags.index, estimate.p_ML[estimate.local], estimate.covariance)
-        new, noise = self._new(frontiers), self._noise()
+        known = Known(tags.offsets, tags.index, self._p_ML, estimate.covariance)
+        new, noise = self._new(frontiers), self._noise
         if explorer.gain == "authors":
             out = authors_gain(points, known, new, self.tfg.frontier_normal)
         elif explorer.gain == "paper":
@@ -138,28 +156,25 @@ class Turns:
         many times cheaper than that, and little more where most of it lies beyond the frontiers."""
         estimate, sensor = self.estimate, self.sensor
         points = np.ascontiguousarray(points)
-        F = to_arrival(arrival.X_MD, points)
+        F, new = to_arrival(arrival.X_MD, points), self._new(frontiers)
         out = most_gain(
             points,
             *arrival_covariance(F, arrival, estimate.covariance),
             F,
-            estimate.p_ML[estimate.local],
+            self._p_ML,
             self.tfg.facing[estimate.local],
             estimate.covariance,
             sensor.range,
             sensor.max_incidence,
-            self._new(frontiers),
-            self._noise(),
+            new.offsets,
+            new.rows,
+            new.p_MU,
+            new.number,
+            new.prior_sigma,
+            new.reach,
+            self._noise,
         )
         return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=np.zeros(len(points)))
-
-    def _new(self, frontiers: View) -> New:
-        tfg, explorer = self.tfg, self.explorer
-        number, reach = explorer.density * tfg.frontier_length, frontier_reach(self.sensor)
-        return New(frontiers.offsets, frontiers.index, tfg.frontiers, number, explorer.prior_sigma, reach)
-
-    def _noise(self) -> FloatArray:
-        return turn_noise(self.sensor, sightings_of_turn(self.sensor, self.explorer.turn_rate))
 
 
 def turns(

@@ -8,9 +8,11 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
-from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance
+from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance, room_beside
 from tfg_drake.geometry.se2 import compose
-from tfg_drake.messages import BoolArray, FloatArray, LaserScan, MapEstimate, TfgMap
+from tfg_drake.geometry.segment_grid import segment_grid
+from tfg_drake.geometry.star import line_in_stars, star_index
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import deviation_along, required_clearance
 from tfg_drake.planning.roadmap import COMFORT, RoadmapParameters, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, routes
@@ -22,6 +24,8 @@ SHORTCUT_STEP = 0.4
 SHORTCUT_REACH = 24
 # A corner is rounded from at most this far before to this far behind it, m.
 ROUNDING = 0.6
+# Points of a rounded corner.
+ARC_POINTS = 8
 # A new path is followed after this time, s.
 REACTION = 1 / 16
 # Interval of a path's points, m.
@@ -58,10 +62,25 @@ def lines_between(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.hstack(np.broadcast_arrays(np.atleast_2d(a), np.atleast_2d(b)))
 
 
+@njit(cache=True)
 def _insert(points: FloatArray, step: float) -> FloatArray:
     """A polyline (n, 2) with extra points on its pieces, at intervals of at most step, m."""
-    parts = [resample(points[i : i + 2], step)[:-1] for i in range(len(points) - 1)]
-    return np.vstack([*parts, points[-1:]])
+    count = np.ones(len(points), dtype=np.int64)
+    for i in range(len(points) - 1):
+        length = math.hypot(points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1])
+        count[i] = max(1, math.ceil(length / step - 1e-9))
+    more, n = np.empty((count.sum(), 2)), 0
+    for i in range(len(points)):
+        for k in range(count[i]):
+            more[n] = points[i]
+            if k > 0:
+                dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+                length = math.hypot(dx, dy)
+                along = k * (length / count[i])
+                more[n, 0] += dx / length * along
+                more[n, 1] += dy / length * along
+            n += 1
+    return more
 
 
 def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float) -> FloatArray:
@@ -71,42 +90,80 @@ def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: floa
     whichever is less, and lies in known free space.
     """
     points = _insert(points, SHORTCUT_STEP)
-    pieces = clearance(lines_between(points[:-1], points[1:]), segments, enough)
-    kept = [0]
-    i = 0
+    return points[_shortest(points, segments, enough, tfg.star_offsets, tfg.star_vertices)]
+
+
+@njit(cache=True)
+def _shortest(
+    points: FloatArray, segments: FloatArray, enough: float, star_offsets: IntArray, star_vertices: FloatArray
+) -> IntArray:
+    """The points (k,) of a polyline (n, 2) that are left when its detours are cut out, see shortcut."""
+    grid, stars = segment_grid(segments), star_index(star_offsets, star_vertices)
+    near, room = np.empty(len(stars[1][4]), dtype=np.int64), np.empty(len(points))
+    for i in range(len(points) - 1):
+        a, b = points[i], points[i + 1]
+        room[i] = room_beside(a[0], a[1], b[0], b[1], segments, grid, enough)
+    kept, count, i = np.zeros(len(points), dtype=np.int64), 1, 0
+    replaced = np.empty(SHORTCUT_REACH)
     while i < len(points) - 1:
-        ends = np.arange(i + 2, min(i + 1 + SHORTCUT_REACH, len(points)))
-        lines = lines_between(points[i], points[ends]) if len(ends) else np.zeros((0, 4))
-        replaced = np.minimum.accumulate(pieces[i : i + 1 + len(ends)])[1:]
-        good = clearance(lines, segments, enough) >= replaced - 1e-9
-        i += 1
-        for j in np.flatnonzero(good)[::-1]:
-            if in_free_space(lines[j : j + 1], tfg)[0]:
-                i = int(ends[j])
+        last = min(i + SHORTCUT_REACH, len(points) - 1)
+        replaced[0] = room[i]
+        for j in range(i + 1, last):
+            replaced[j - i] = min(replaced[j - i - 1], room[j])
+        following = i + 1
+        for j in range(last, i + 1, -1):
+            ax, ay, bx, by = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
+            if room_beside(ax, ay, bx, by, segments, grid, enough) < replaced[j - i - 1] - 1e-9:
+                continue
+            if line_in_stars(ax, ay, bx, by, star_offsets, star_vertices, stars, near):
+                following = j
                 break
-        kept.append(i)
-    return points[kept]
+        i = following
+        kept[count] = i
+        count += 1
+    return kept[:count]
 
 
+@njit(cache=True)
 def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> FloatArray:
     """A polyline (n, 2) with its corners replaced by parabolas, as large as the clearance (see shortcut) allows."""
-    smooth = [points[:1]]
-    t = np.linspace(0.0, 1.0, 8)[:, None]
-    for before, corner, after in zip(points[:-2], points[1:-1], points[2:], strict=True):
-        back, on = before - corner, after - corner
-        reach = [float(np.hypot(*back)), float(np.hypot(*on))]
-        sharp = clearance(lines_between(corner, np.stack([before, after])), segments, enough).min()
-        cut = min(ROUNDING, 0.5 * min(reach))
-        arc = corner[None]
-        while cut > 0.05:
-            a, b = corner + back / reach[0] * cut, corner + on / reach[1] * cut
-            proposal = (1 - t) ** 2 * a + 2 * t * (1 - t) * corner + t**2 * b
-            if clearance(lines_between(proposal[:-1], proposal[1:]), segments, enough).min() >= sharp - 1e-9:
-                arc = proposal
-                break
+    grid, arc = segment_grid(segments), np.empty((ARC_POINTS, 2))
+    smooth, count = np.empty((ARC_POINTS * len(points), 2)), 1
+    smooth[0] = points[0]
+    for i in range(1, len(points) - 1):
+        cx, cy = points[i, 0], points[i, 1]
+        back_x, back_y, on_x, on_y = (
+            points[i - 1, 0] - cx,
+            points[i - 1, 1] - cy,
+            points[i + 1, 0] - cx,
+            points[i + 1, 1] - cy,
+        )
+        back, on = math.hypot(back_x, back_y), math.hypot(on_x, on_y)
+        sharp = room_beside(cx, cy, points[i - 1, 0], points[i - 1, 1], segments, grid, enough)
+        sharp = min(sharp, room_beside(cx, cy, points[i + 1, 0], points[i + 1, 1], segments, grid, enough))
+        cut, rounded = min(ROUNDING, 0.5 * min(back, on)), False
+        while cut > 0.05 and not rounded:
+            ax, ay = cx + back_x / back * cut, cy + back_y / back * cut
+            bx, by = cx + on_x / on * cut, cy + on_y / on * cut
+            rounded = True
+            for k in range(ARC_POINTS):
+                t = k * (1.0 / (ARC_POINTS - 1))
+                arc[k, 0] = (1 - t) ** 2 * ax + 2 * t * (1 - t) * cx + t**2 * bx
+                arc[k, 1] = (1 - t) ** 2 * ay + 2 * t * (1 - t) * cy + t**2 * by
+                if k > 0:
+                    x, y = arc[k - 1, 0], arc[k - 1, 1]
+                    if room_beside(x, y, arc[k, 0], arc[k, 1], segments, grid, enough) < sharp - 1e-9:
+                        rounded = False
+                        break
             cut *= 0.6
-        smooth.append(arc)
-    return np.vstack([*smooth, points[-1:]])
+        if rounded:
+            smooth[count : count + ARC_POINTS] = arc
+            count += ARC_POINTS
+        else:
+            smooth[count] = points[i]
+            count += 1
+    smooth[count] = points[-1]
+    return smooth[: count + 1]
 
 
 def plan_path(
@@ -145,7 +202,8 @@ def plan_path(
         for points in (smooth, np.vstack([before, way])):
             paths.append(resample(points, PATH_STEP))
             narrow = too_narrow(paths[-1], estimate, tfg, parameters)
-            narrow &= ~without_choice(paths[-1], narrow, state, parameters)
+            if narrow.any():
+                narrow &= ~without_choice(paths[-1], narrow, state, parameters)
             if not narrow.any():
                 return paths[-1]
         places = paths[-1][narrow]
@@ -199,7 +257,9 @@ def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, 
         # Where a shortcut passes, it should add nothing to the risk of the whole.
         probability = np.minimum(planner.collision_probability, NO_RISK)
         return float(required_clearance(robot.radius, state.sigma[nodes].max(initial=0.0), probability))
-    on_way = np.isin(state.edges.nodes, nodes).all(axis=1) & state.edges.usable
+    on = np.zeros(len(state.points), dtype=np.bool_)
+    on[nodes] = True
+    on_way = on[state.edges.nodes[:, 0]] & on[state.edges.nodes[:, 1]] & state.edges.usable
     return float(state.edges.required[on_way].max(initial=0.0))
 
 

@@ -27,7 +27,7 @@ from tfg_drake.config import (
 from tfg_drake.geometry.connected import connect, settle
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
-from tfg_drake.geometry.star import in_a_star, star_index
+from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
 
@@ -56,8 +56,6 @@ SAME_NODE = 0.15
 # thrown and as near to each other, and the probability of a collision that is accepted, if that is more than
 # planner.collision_probability. The scan watches every path anyway.
 EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.2))
-# Edges are looked up in the free space at this interval, m.
-FREE_STEP = 0.25
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
 # Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
@@ -282,25 +280,8 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
-    """Which edges (e, 4), m in M, lie in the free space seen from past goals, looked up every FREE_STEP, (e,)."""
-    return np.asarray(_in_stars(edges, tfg.star_offsets, tfg.star_vertices))
-
-
-@njit(cache=True)
-def _in_stars(edges: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
-    """As in_free_space, with star polygons as in `tfg_drake.geometry.star.inside_any`."""
-    index = star_index(star_offsets, star_vertices)
-    near, free = np.empty(len(index[1][4]), dtype=np.int64), np.ones(len(edges), dtype=np.bool_)
-    for i in range(len(edges)):
-        ax, ay, bx, by = edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3]
-        steps = max(1, math.ceil(math.hypot(bx - ax, by - ay) / FREE_STEP))
-        for k in range(steps):
-            t = (k + 0.5) / steps
-            x, y = (1 - t) * ax + t * bx, (1 - t) * ay + t * by
-            if not in_a_star(x, y, star_offsets, star_vertices, index, near):
-                free[i] = False
-                break
-    return free
+    """Which edges (e, 4), m in M, lie in the free space seen from past goals, (e,)."""
+    return np.asarray(lines_in_stars(edges, tfg.star_offsets, tfg.star_vertices))
 
 
 def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int, count: int) -> FloatArray:

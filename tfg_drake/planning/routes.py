@@ -24,7 +24,7 @@ from tfg_drake.planning.roadmap import (
     in_free_space,
     room_needed,
 )
-from tfg_drake.planning.shortest_ways import Ways, shortest_ways
+from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
 
 # The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
 # the building that is too narrow.
@@ -87,7 +87,7 @@ def routes(
         risk[forced] = 0.0
         ways = _cheapest_within(planner.collision_probability, risk, edges.nodes, weight, links, links_weight, n)
     else:
-        ways = Ways(*shortest_ways(edges.nodes, weight, links, links_weight, n))
+        ways = Ways(*shortest_ways(*neighbours(edges.nodes, n), weight, links, links_weight))
     stop = robot.max_speed / robot.max_acceleration
     speed = robot.max_speed, robot.max_turn_rate
     length, time = _travel(state.points, X_MB, ways.predecessor, ways.order, *speed, stop)
@@ -130,7 +130,8 @@ def _cheapest_within(
     most = -1
     for detour in RISK_LENGTHS:
         costs = detour * risk / probability
-        ways = Ways(*shortest_ways(edges, weight + costs[: len(edges)], links, links_weight + costs[len(edges) :], n))
+        weights = weight + costs[: len(edges)], links, links_weight + costs[len(edges) :]
+        ways = Ways(*shortest_ways(*neighbours(edges, n), *weights))
         kept = _risk_to(ways, risk) <= probability
         if kept.sum() > most:
             cost, predecessor = np.where(kept, ways.cost, np.inf), np.where(kept, ways.predecessor, -1)
@@ -243,7 +244,7 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
         nodes = state.edges.nodes[fits & beyond[state.edges.nodes].any(axis=1)]
         doors = np.unique(nodes[reachable[nodes]])
         length = np.hypot(*(state.points[nodes[:, 0]] - state.points[nodes[:, 1]]).T)
-        from_doors = Ways(*shortest_ways(nodes, length, doors, np.zeros(len(doors)), len(entry)))
+        from_doors = Ways(*shortest_ways(*neighbours(nodes, len(entry)), length, doors, np.zeros(len(doors))))
         for i in from_doors.order:
             if beyond[i]:
                 entry[i] = entry[from_doors.predecessor[i]]

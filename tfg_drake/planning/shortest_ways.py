@@ -25,44 +25,54 @@ class Ways(NamedTuple):
 
 
 @njit(cache=True)
-def shortest_ways(
-    edges: IntArray, weight: FloatArray, sources: IntArray, start: FloatArray, count: int
-) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-    """The Ways to count nodes along edges (e, 2), either way, of positive weight (e,), inf for those that are closed,
-    from sources (s,), each of which it costs start (s,) to begin at."""
+def neighbours(edges: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+    """What edges (e, 2) join each of count nodes to: (offsets (count + 1,), nodes (2e,), edges (2e,)), node i by the
+    edges[offsets[i]:offsets[i + 1]] to the nodes row for row."""
     offsets = np.zeros(count + 1, dtype=np.int64)
     for e in range(len(edges)):
-        for end in range(2):
-            offsets[edges[e, end] + 1] += 1
+        offsets[edges[e, 0] + 1] += 1
+        offsets[edges[e, 1] + 1] += 1
     offsets = np.cumsum(offsets)
-    filled, beside = offsets[:-1].copy(), np.empty(offsets[-1], dtype=np.int64)
+    filled, nodes, by = (
+        offsets[:-1].copy(),
+        np.empty(offsets[-1], dtype=np.int64),
+        np.empty(offsets[-1], dtype=np.int64),
+    )
     for e in range(len(edges)):
         for end in range(2):
-            beside[filled[edges[e, end]]] = e
-            filled[edges[e, end]] += 1
+            at = filled[edges[e, end]]
+            nodes[at], by[at] = edges[e, 1 - end], e
+            filled[edges[e, end]] = at + 1
+    return offsets, nodes, by
 
+
+@njit(cache=True)
+def shortest_ways(
+    offsets: IntArray, beside: IntArray, by: IntArray, weight: FloatArray, sources: IntArray, start: FloatArray
+) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
+    """The Ways to all nodes along edges, either way, of positive weight (e,), inf for those that are closed, from
+    sources (s,), each of which it costs start (s,) to begin at. offsets, beside, by: the `neighbours`."""
+    count = len(offsets) - 1
     cost, predecessor, step = np.full(count, np.inf), np.full(count, -1), np.full(count, -1)
     order, reached = np.empty(count, dtype=np.int64), 0
-    done = np.zeros(count, dtype=np.bool_)
     # A heap: every node once for each time that its cost fell.
     heap, due, size = np.empty(len(beside) + len(sources), dtype=np.int64), np.empty(len(beside) + len(sources)), 0
     for s in range(len(sources)):
         if start[s] < cost[sources[s]]:
-            cost[sources[s]], predecessor[sources[s]], step[sources[s]] = start[s], count, len(edges) + s
+            cost[sources[s]], predecessor[sources[s]], step[sources[s]] = start[s], count, len(weight) + s
             size = _pushed(heap, due, size, sources[s], start[s])
     while size > 0:
-        node = heap[0]
+        node, here = heap[0], due[0]
         size = _popped(heap, due, size)
-        if done[node]:
+        if here > cost[node]:
             continue
-        done[node], order[reached] = True, node
+        order[reached] = node
         reached += 1
         for k in range(offsets[node], offsets[node + 1]):
-            e = beside[k]
-            other = edges[e, 0] + edges[e, 1] - node
-            if cost[node] + weight[e] < cost[other]:
-                cost[other], predecessor[other], step[other] = cost[node] + weight[e], node, e
-                size = _pushed(heap, due, size, other, cost[other])
+            other, there = beside[k], here + weight[by[k]]
+            if there < cost[other]:
+                cost[other], predecessor[other], step[other] = there, node, by[k]
+                size = _pushed(heap, due, size, other, there)
     return cost, predecessor, step, order[:reached]
 
 
