@@ -81,7 +81,8 @@ STEP = 1.0
 REAL_STEP = 0.25
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
 AREA_INTERVAL = 5.0
-# The map is kept no more often than takes this share of the time.
+# A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
+QUICKLY_KEPT = 0.02
 KEPT_SHARE = 0.01
 # A robot that observes this near to its goal was there, m.
 AT_GOAL = 0.3
@@ -202,7 +203,9 @@ class _Keeper:
         elif found is not None:
             self._folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
         self._stage = newest.stage
-        self._again = time.monotonic() + (time.thread_time() - start) / KEPT_SHARE
+        spent = time.thread_time() - start
+        if spent > QUICKLY_KEPT:
+            self._again = time.monotonic() + spent / KEPT_SHARE
 
 
 @dataclasses.dataclass(frozen=True)

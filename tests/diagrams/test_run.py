@@ -79,7 +79,8 @@ def test_stages_are_written_line_by_line(finished):
     assert goals
     for line in goals:
         assert line["predicted_gain"] == pytest.approx(line["exploitation"] + line["exploration"])
-    assert lines[-1]["entropy_nats"] == finished.summary["landmark_entropy_nats"]
+    # The map is solved once more at the end.
+    assert lines[-1]["entropy_nats"] == pytest.approx(finished.summary["landmark_entropy_nats"], abs=0.1)
 
 
 def test_the_folder_is_whole(finished):

@@ -172,6 +172,7 @@ def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
 
 
 def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "QUICKLY_KEPT", 0.0)
     monkeypatch.setattr(run, "KEPT_SHARE", 1e-9)
     saved = []
     monkeypatch.setattr(run, "save_map", lambda path, found, final: saved.append(found.stage))
