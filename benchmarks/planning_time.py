@@ -4,8 +4,8 @@
 
 CPU milliseconds a stage: the TFG's update, the roadmap's, the choice of a goal, the path there with every replanning;
 the latter three together (planning) and all four; median, 99th percentile and largest over all stages of the missions.
-Then the share of stages at which
-judging every place for a second look by all its tags, not only the best of those screened, leads to the same goal. Alone on the machine, or it measures the neighbours too.
+Then the share of stages at which judging every place for a second look by all its tags, not only the best of those
+screened, leads to the same goal. Alone on the machine, or it measures the neighbours too.
 """
 
 from __future__ import annotations
