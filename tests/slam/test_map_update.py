@@ -66,7 +66,7 @@ def test_a_tag_hardly_seen_is_left_out_sooner():
     goal = observations[4]
     known = np.flatnonzero(np.isin(goal.ids, graph.ids))
     limit = np.full(len(goal.ids), map_update.REJECTED)
-    limit[known[0]] = 0.0
+    limit[known[0]] = 1e-9
     assert len(updated(graph, estimate, goal)[2]) == 0
     np.testing.assert_array_equal(updated(graph, estimate, goal, limit)[2], goal.ids[known[:1]])
 
