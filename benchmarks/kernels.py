@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray
@@ -117,7 +118,16 @@ def seen_with(
 def kernel_seen(points: FloatArray, targets: FloatArray, normals: FloatArray, walls: FloatArray) -> FloatArray:
     """visible_targets, as seen_with gives it."""
     offsets, index = visible_targets(
-        points, targets, normals, walls, SENSOR.range, SENSOR.max_incidence, SURFACE_TOLERANCE, 0.0, 0.0
+        points,
+        targets,
+        normals,
+        walls,
+        segment_grid(walls),
+        SENSOR.range,
+        SENSOR.max_incidence,
+        SURFACE_TOLERANCE,
+        0.0,
+        0.0,
     )
     return np.stack([np.repeat(np.arange(len(points)), np.diff(offsets)), index], axis=1)
 
@@ -181,7 +191,16 @@ def gain_problem(rng: np.random.Generator, p_ML: FloatArray, normals: FloatArray
     """Arguments of exact_gain: candidates that see what they would, landmarks and pose known jointly to centimetres."""
     points = rng.uniform([15.0, 1.0], [33.0, 21.0], (CANDIDATES, 2))
     offsets, rows = visible_targets(
-        points, p_ML, normals, walls, SENSOR.range, SENSOR.max_incidence, SURFACE_TOLERANCE, 0.0, 0.0
+        points,
+        p_ML,
+        normals,
+        walls,
+        segment_grid(walls),
+        SENSOR.range,
+        SENSOR.max_incidence,
+        SURFACE_TOLERANCE,
+        0.0,
+        0.0,
     )
     n = 2 * len(p_ML)
     root = rng.normal(0.0, 0.05 / np.sqrt(n), (n + 3, n + 3))

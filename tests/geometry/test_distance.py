@@ -4,7 +4,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tfg_drake.geometry.distance import clearance, enter, point_distance
+from tfg_drake.geometry.distance import clearance, crossed, enter, point_distance, segments_cross
+from tfg_drake.geometry.segment_grid import segment_grid
 
 
 def random_segments(rng, n):
@@ -66,3 +67,18 @@ def test_nothing_is_infinitely_far():
     assert clearance(np.zeros((1, 4)), none, np.inf).tolist() == [np.inf]
     assert clearance(np.zeros((1, 4)), none, 2.0).tolist() == [2.0]
     assert len(clearance(none, np.zeros((1, 4)), np.inf)) == 0
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_a_line_crosses_is_found_in_its_cells(seed):
+    rng = np.random.default_rng(seed)
+    # Some of them whole numbers, on the borders of cells; some lines hardly a column wide.
+    segments = np.vstack([rng.integers(-4, 5, (15, 4)).astype(float), rng.uniform(-4.0, 4.0, (15, 4))])
+    edges = np.vstack([rng.integers(-5, 6, (20, 4)).astype(float), rng.uniform(-5.0, 5.0, (20, 4))])
+    edges[::5, 2] = edges[::5, 0] + rng.choice([0.0, 1e-15, 1e-9, 1e-4, 2e-3], 8)
+    grid = segment_grid(segments)
+    for edge in edges:
+        crossing = [j for j, s in enumerate(segments) if segments_cross(*edge, *s)]
+        for first in (-1, 3, *crossing[-1:]):
+            found = crossed(*edge, segments, grid, first)
+            assert found == first if first in crossing else (found in crossing if crossing else found == -1)

@@ -5,6 +5,7 @@ import pytest
 import shapely
 
 from tfg_drake.config import TagSensorConfig
+from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import replace
 from tfg_drake.planning.expected_view import View, expected_frontiers, local_view, visible_targets
@@ -16,8 +17,9 @@ STEEPEST = np.radians(75)
 
 def view(points, targets, normals, segments, range_max=10.0, incidence=STEEPEST, tolerance=0.1, graze=0.0):
     arguments = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (points, targets, normals))
-    offsets, index = visible_targets(*arguments, np.asarray(segments, dtype=float).reshape(-1, 4), range_max, incidence,
-                                     tolerance, graze, 0.0)  # fmt: skip
+    walls = np.asarray(segments, dtype=float).reshape(-1, 4)
+    within = range_max, incidence, tolerance, graze, 0.0
+    offsets, index = visible_targets(*arguments, walls, segment_grid(walls), *within)
     return [index[a:b].tolist() for a, b in itertools.pairwise(offsets)]
 
 

@@ -10,11 +10,14 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.geometry.segment_grid import cell_range, rows_in_box, segment_grid
-from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.geometry.segment_grid import SegmentGrid, cell_range, rows_in_box, segment_grid
+from tfg_drake.messages import BoolArray, FloatArray
 
 # Rounding of a distance, generously, as a share of it.
 ROUNDING = 1e-9
+# A line lies in the cells that it comes this near to, m; one that is narrower than this, m, in those it is as high as.
+BORDER = 1e-6
+STEEP = 1e-3
 
 
 @njit(cache=True)
@@ -92,7 +95,7 @@ def room_beside(
     bx: float,
     by: float,
     segments: FloatArray,
-    grid: tuple[FloatArray, int, int, IntArray, IntArray],
+    grid: SegmentGrid,
     reach: float,
 ) -> float:
     """Distance (m) from the edge a-b to the nearest of segments (m, 4), 0 where it crosses one, and no more than reach
@@ -135,6 +138,43 @@ def clearance(edges: FloatArray, segments: FloatArray, reach: float) -> FloatArr
     for i in range(len(edges)):
         distance[i] = room_beside(edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3], segments, grid, reach)
     return distance
+
+
+@njit(cache=True)
+def crossed(
+    ax: float,
+    ay: float,
+    bx: float,
+    by: float,
+    segments: FloatArray,
+    grid: SegmentGrid,
+    first: int,
+) -> int:
+    """A row of segments (m, 4) that the line a-b crosses, the first one if it does and is no less than 0; -1 if it
+    crosses none. grid: the segment_grid of the segments; of that only the cells on the line are looked at."""
+    if first >= 0:
+        cx, cy, dx, dy = segments[first, 0], segments[first, 1], segments[first, 2], segments[first, 3]
+        if segments_cross(ax, ay, bx, by, cx, cy, dx, dy):
+            return first
+    frame, columns, rows, offsets, index = grid
+    left, right, low, high = min(ax, bx), max(ax, bx), min(ay, by), max(ay, by)
+    a0, a1 = cell_range(left - BORDER, right + BORDER, frame[0], frame[2], columns)
+    is_steep = right - left < STEEP
+    slope = 0.0 if is_steep else (by - ay) / (bx - ax)
+    for a in range(a0, a1):
+        lower, upper = low, high
+        if not is_steep:
+            # What of the line lies in this column.
+            x0, x1 = max(left, frame[0] + a * frame[2]), min(right, frame[0] + (a + 1) * frame[2])
+            y0, y1 = ay + (x0 - ax) * slope, ay + (x1 - ax) * slope
+            lower, upper = max(low, min(y0, y1)), min(high, max(y0, y1))
+        b0, b1 = cell_range(lower - BORDER, upper + BORDER, frame[1], frame[2], rows)
+        for k in range(offsets[a * rows + b0], offsets[a * rows + b1]):
+            j = index[k]
+            cx, cy, dx, dy = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
+            if segments_cross(ax, ay, bx, by, cx, cy, dx, dy):
+                return int(j)
+    return -1
 
 
 @njit(cache=True)

@@ -11,6 +11,9 @@ from tfg_drake.messages import FloatArray, IntArray
 CELL = 1.0
 MOST_CELLS = 1_000_000
 
+# See `segment_grid`.
+SegmentGrid = tuple[FloatArray, int, int, IntArray, IntArray]
+
 
 @njit(cache=True)
 def cell_range(low: float, high: float, origin: float, cell: float, count: int) -> tuple[int, int]:
@@ -21,7 +24,7 @@ def cell_range(low: float, high: float, origin: float, cell: float, count: int) 
 
 
 @njit(cache=True)
-def segment_grid(segments: FloatArray) -> tuple[FloatArray, int, int, IntArray, IntArray]:
+def segment_grid(segments: FloatArray) -> SegmentGrid:
     """(frame (3,): origin x, y and side of a cell, m; columns; rows; offsets; index) of segments (m, 4), m.
 
     The cell in column a and row b holds the segments index[offsets[c]:offsets[c + 1]], c = a * rows + b: all whose
@@ -61,7 +64,7 @@ def segment_grid(segments: FloatArray) -> tuple[FloatArray, int, int, IntArray, 
 
 @njit(cache=True)
 def rows_in_box(
-    grid: tuple[FloatArray, int, int, IntArray, IntArray],
+    grid: SegmentGrid,
     left: float,
     right: float,
     low: float,

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry.distance import segment_segment_distance, side_of
-from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
+from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # The sine of the angle below which one looks along a surface and not at its front.
@@ -23,7 +23,7 @@ STEP = 0.25
 _AT_ONCE = 1_000_000
 
 # See `star_index`.
-StarIndex = tuple[FloatArray, tuple[FloatArray, int, int, IntArray, IntArray], IntArray, FloatArray]
+StarIndex = tuple[FloatArray, SegmentGrid, IntArray, FloatArray]
 
 
 @njit(cache=True)

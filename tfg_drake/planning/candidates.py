@@ -74,11 +74,12 @@ class Candidates:
         """Which (c,) see enough live frontier to be worth a visit, whatever their gain."""
         return np.asarray(self.open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
 
-    def worth(self, stop_gain: float) -> BoolArray:
-        """Which (c,) are worth a visit: they see enough live frontier, or promise more than stop_gain, nats."""
+    def worth(self, stop_gain: float, asked: BoolArray) -> BoolArray:
+        """Which (c,) are worth a visit: they see enough live frontier, or promise more than stop_gain, nats, as far as
+        that is asked (c,)."""
         enough = self.sees_enough
-        self.promises.ask(np.flatnonzero(~enough & (self.promises.gains.gain > stop_gain)))
-        return np.asarray(enough | (self.promises.gains.gain > stop_gain))
+        self.promises.ask(np.flatnonzero(asked & ~enough & (self.promises.gains.gain > stop_gain)))
+        return np.asarray(enough | (asked & (self.promises.gains.gain > stop_gain)))
 
 
 def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
@@ -114,9 +115,10 @@ def judged(now: Situation, previous: GoalChoice) -> Candidates:
     open_ahead = frontier_seen(points, frontiers_seen, tfg, sensor)
     judge = turns(estimate, tfg, sensor, now.parameters.odometry, explorer)
     arrival = judge.arrival(points, roadmap.travel_length[candidates], time)
+    grid = segment_grid(tfg.segments)
 
     def expected(rows: IntArray) -> Gains:
-        tags, frontiers = expected_tags(points[rows], estimate, tfg, sensor), frontiers_seen.of(rows)
+        tags, frontiers = expected_tags(points[rows], estimate, tfg, sensor, grid), frontiers_seen.of(rows)
         arriving = arrival._replace(odometry=arrival.odometry[rows])
         return _found_again(judge.gains(points[rows], arriving, tags, frontiers), here[rows])
 
@@ -127,7 +129,7 @@ def judged(now: Situation, previous: GoalChoice) -> Candidates:
     promises = Promises(gains, ~ask | all_at_once, expected, pay=explorer.pose_price)
     in_view = np.full(len(candidates), -1)
     if explorer.least_tags:
-        in_view[ask] = expected_tags(points[ask], estimate, tfg, sensor).count
+        in_view[ask] = expected_tags(points[ask], estimate, tfg, sensor, grid).count
     return Candidates(candidates, names, points, time, promises, in_view, open_ahead)
 
 

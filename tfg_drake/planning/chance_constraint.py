@@ -22,6 +22,7 @@ from scipy.special import ndtr, ndtri
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, local_entries, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
@@ -219,6 +220,7 @@ def predicted_deviation(
         estimate.p_ML,
         tfg.facing,
         tfg.segments,
+        segment_grid(tfg.segments),
         max(reach, SURFACE_REACH),
         sensor.max_incidence,
         SURFACE_TOLERANCE,

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.geometry.distance import segments_cross
+from tfg_drake.geometry.distance import crossed, segments_cross
 from tfg_drake.geometry.sectors import sector_of, segments_by_sector
-from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
+from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.tfg.frontier import GRAZE
 
@@ -19,6 +19,8 @@ from tfg_drake.tfg.frontier import GRAZE
 SURFACE_TOLERANCE = 0.1
 # A frontier point lies a little inside the unknown: count it only well within range.
 FRONTIER_RANGE_SHARE = 0.9
+# So many entries of a grid are few.
+FEW = 100
 # A frontier must be looked at this much less slantwise than the sensor could, rad.
 FRONTIER_INCIDENCE_MARGIN = math.radians(5.0)
 
@@ -68,23 +70,12 @@ class View:
 
 
 @njit(cache=True)
-def _hiding(
-    x: float, y: float, ex: float, ey: float, segments: FloatArray, rows: IntArray, start: int, stop: int
-) -> int:
-    """The first entry of rows, in start:stop, whose segment crosses the line from (x, y) to (ex, ey), -1 if none."""
-    for h in range(start, stop):
-        x0, y0, x1, y1 = segments[rows[h], 0], segments[rows[h], 1], segments[rows[h], 2], segments[rows[h], 3]
-        if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
-            return h
-    return -1
-
-
-@njit(cache=True)
 def visible_targets(
     points: FloatArray,
     targets: FloatArray,
     normals: FloatArray,
     segments: FloatArray,
+    grid: SegmentGrid,
     range_max: float,
     max_incidence: float,
     tolerance: float,
@@ -94,18 +85,17 @@ def visible_targets(
     """Targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
 
     points: (c, 2), targets: (n, 2) and segments: (m, 4) in one frame, m. normals: (n, 2) unit vectors, the side from
-    which each target can be seen. tolerance: length, m, by which lines of sight are shortened at the target. graze: m:
-    what would be hidden were it so far to the one side, but not to the other, does not count. close: m, from as near as
-    this a target is seen from anywhere in front of it, however aslant.
+    which each target can be seen. grid: the segment_grid of the segments. tolerance: length, m, by which lines of sight
+    are shortened at the target. graze: m: what would be hidden were it so far to the one side, but not to the other,
+    does not count. close: m, from as near as this a target is seen from anywhere in front of it, however aslant.
     """
     cos_max = math.cos(max_incidence)
     offsets = np.zeros(len(points) + 1, dtype=np.int64)
     index = np.empty(256, dtype=np.int64)
-    count = 0
-    target_grid, grid = segment_grid(np.hstack((targets, targets))), segment_grid(segments)
+    count, before = 0, -1
+    target_grid, rows = segment_grid(np.hstack((targets, targets))), np.empty(len(grid[4]), dtype=np.int64)
     asked, ends = np.empty(len(targets), dtype=np.int64), np.empty((len(targets), 2))
-    rows, noted = np.empty(len(grid[4]), dtype=np.int64), np.full(len(segments), -1)
-    near = np.empty_like(segments)
+    near, noted = np.empty((FEW, 4)), np.full(len(segments), -1)
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         left, right, low, high = x, x, y, y
@@ -125,10 +115,11 @@ def visible_targets(
             left, right = min(left, ex - graze), max(right, ex + graze)
             low, high = min(low, ey - graze), max(high, ey + graze)
             lines += 1
-
+        # Most places see nothing of the few frontiers that are left. A few surfaces are sorted by direction; of many
+        # those that may hide a target are looked for on the line of sight: sorting them would take longer.
+        in_box = rows_in_box(grid, left, right, low, high, rows) if lines > 0 else 0
         found = 0
-        # Most places see nothing of the few frontiers that are left; sorting what might hide it takes longest.
-        for k in range(rows_in_box(grid, left, right, low, high, rows) if lines > 0 else 0):
+        for k in range(in_box if in_box <= FEW else 0):
             j = rows[k]
             if noted[j] == i:
                 continue
@@ -140,53 +131,67 @@ def visible_targets(
         sector, hiding = segments_by_sector(near[:found], x, y)
         first = count
         for k in range(lines):
-            ex, ey = ends[k, 0], ends[k, 1]
-            dx, dy = targets[asked[k], 0] - x, targets[asked[k], 1] - y
-            s = sector_of(dx, dy)
-            h = _hiding(x, y, ex, ey, near, hiding, sector[s], sector[s + 1])
+            t, ex, ey = asked[k], ends[k, 0], ends[k, 1]
+            dx, dy = targets[t, 0] - x, targets[t, 1] - y
+            if in_box <= FEW:
+                s = sector_of(dx, dy)
+                h = _hiding(x, y, ex, ey, near, hiding, sector[s], sector[s + 1])
+                if h >= 0:
+                    # What hid one target often hides the next: look there first.
+                    hiding[sector[s]], hiding[h] = hiding[h], hiding[sector[s]]
+            else:
+                h = crossed(x, y, ex, ey, segments, grid, before)
+                before = h if h >= 0 else before
             clear = h < 0
-            if not clear:
-                # What hid one target often hides the next: look there first.
-                hiding[sector[s]], hiding[h] = hiding[h], hiding[sector[s]]
-            elif graze > 0.0:
+            if clear and graze > 0.0:
                 r = math.sqrt(dx * dx + dy * dy)
                 gx, gy = -graze * dy / r, graze * dx / r
-                a, b = sector_of(dx + gx, dy + gy), sector_of(dx - gx, dy - gy)
-                one = _hiding(x, y, ex + gx, ey + gy, near, hiding, sector[a], sector[a + 1]) < 0
-                clear = one == (_hiding(x, y, ex - gx, ey - gy, near, hiding, sector[b], sector[b + 1]) < 0)
+                if in_box <= FEW:
+                    a, b = sector_of(dx + gx, dy + gy), sector_of(dx - gx, dy - gy)
+                    one = _hiding(x, y, ex + gx, ey + gy, near, hiding, sector[a], sector[a + 1])
+                    other = _hiding(x, y, ex - gx, ey - gy, near, hiding, sector[b], sector[b + 1])
+                else:
+                    one = crossed(x, y, ex + gx, ey + gy, segments, grid, before)
+                    other = crossed(x, y, ex - gx, ey - gy, segments, grid, before)
+                clear = (one < 0) == (other < 0)
             if clear:
                 if count == len(index):
                     grown = np.empty(2 * count, dtype=np.int64)
                     grown[:count] = index
                     index = grown
                 place = count
-                while place > first and index[place - 1] > asked[k]:
+                while place > first and index[place - 1] > t:
                     index[place] = index[place - 1]
                     place -= 1
-                index[place] = asked[k]
+                index[place] = t
                 count += 1
         offsets[i + 1] = count
     return offsets, index[:count].copy()
 
 
-def expected_tags(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> View:
+@njit(cache=True)
+def _hiding(
+    x: float, y: float, ex: float, ey: float, segments: FloatArray, rows: IntArray, start: int, stop: int
+) -> int:
+    """The first entry of rows, in start:stop, whose segment crosses the line from (x, y) to (ex, ey), -1 if none."""
+    for h in range(start, stop):
+        x0, y0, x1, y1 = segments[rows[h], 0], segments[rows[h], 1], segments[rows[h], 2], segments[rows[h], 3]
+        if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
+            return h
+    return -1
+
+
+def expected_tags(
+    points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, grid: SegmentGrid | None = None
+) -> View:
     """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.ids.
 
     A landmark is seen from the side it was seen from before, so those on the far face of a thin wall do not count.
+    grid: the segment_grid of tfg.segments, if it is there.
     """
-    return View(
-        *visible_targets(
-            points,
-            estimate.p_ML,
-            tfg.facing,
-            tfg.segments,
-            sensor.range,
-            sensor.max_incidence,
-            SURFACE_TOLERANCE,
-            0.0,
-            0.0,
-        )
-    )
+    surfaces = tfg.segments, grid or segment_grid(tfg.segments)
+    within = sensor.range, sensor.max_incidence, SURFACE_TOLERANCE
+    return View(*visible_targets(points, estimate.p_ML, tfg.facing, *surfaces, *within, 0.0, 0.0))
 
 
 def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0) -> View:
@@ -195,19 +200,9 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig,
     Past one end of a surface it must look by more than GRAZE (see `tfg_drake.geometry.visibility.surely_visible`).
     least_range: m, nearer the scanner sees nothing.
     """
-    view = View(
-        *visible_targets(
-            points,
-            tfg.frontiers,
-            tfg.frontier_normal,
-            tfg.segments,
-            FRONTIER_RANGE_SHARE * sensor.range,
-            sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN,
-            0.0,
-            GRAZE,
-            0.0,
-        )
-    )
+    surfaces = tfg.segments, segment_grid(tfg.segments)
+    within = FRONTIER_RANGE_SHARE * sensor.range, sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN, 0.0
+    view = View(*visible_targets(points, tfg.frontiers, tfg.frontier_normal, *surfaces, *within, GRAZE, 0.0))
     if least_range == 0.0:
         return view
     ways = tfg.frontiers[view.index] - np.repeat(points, view.count, axis=0)

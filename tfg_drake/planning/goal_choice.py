@@ -23,7 +23,7 @@ from tfg_drake.planning.candidates import (
     time_at_goal,
 )
 from tfg_drake.planning.expected_view import expected_tags
-from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, tour
+from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
 from tfg_drake.planning.revisit import worth_revisiting
 
@@ -88,7 +88,7 @@ def choose(
     candidates = judged(now, previous)
     promises = candidates.promises
     affordable = budget.affords(roadmap, candidates.nodes)
-    worth = candidates.worth(explorer.stop_gain)
+    worth = candidates.worth(explorer.stop_gain, _in_question(candidates, affordable, explorer))
     # As long as any place is worth going to, every place will do for a goal drawn at random.
     anywhere = explorer.goal == "random" and bool(worth.any())
     open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
@@ -268,6 +268,17 @@ def _seen(open_ahead: FloatArray, look: BoolArray) -> IntArray:
 def _directions(d: FloatArray) -> FloatArray:
     """Headings (n,), rad, of displacements (n, 2), m."""
     return np.arctan2(d[:, 1], d[:, 0])
+
+
+def _in_question(candidates: Candidates, affordable: BoolArray, explorer: ExplorerConfig) -> BoolArray:
+    """Of which of the candidates (c,) it matters whether their gain alone makes them worth going to.
+
+    As long as a tour has places to go to (c,) that see enough live frontier, it visits these, or others that see nearly
+    as much of what they do.
+    """
+    if explorer.goal != "tour" or explorer.least_tags or not (candidates.sees_enough & affordable).any():
+        return np.ones(len(candidates.nodes), dtype=np.bool_)
+    return np.asarray(candidates.open_ahead.sum(axis=1) >= AS_GOOD_AS_ALL * ENOUGH_FRONTIER)
 
 
 def _values(

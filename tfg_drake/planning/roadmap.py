@@ -217,7 +217,11 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
     count = 0
     grid = segment_grid(segments)
     rows, noted = np.empty(len(grid[4]), dtype=np.int64), np.full(len(segments), -1)
-    near = np.empty(len(segments), dtype=np.int64)
+    near, to, order = (
+        np.empty(len(segments), dtype=np.int64),
+        np.empty((len(segments), 3)),
+        np.empty(64, dtype=np.int64),
+    )
     for i in range(len(ends)):
         x, y = ends[i, 0], ends[i, 1]
         stop = 0
@@ -226,26 +230,37 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
             if noted[j] == i:
                 continue
             noted[j] = i
-            if point_segment_distance(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]) <= widest:
-                near[stop] = j
-                stop += 1
-        near[:stop].sort()
-        between = 0
-        for k in range(stop):
-            j = near[k]
             qx, qy = nearest_on_segment(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3])
-            width = math.hypot(qx - x, qy - y)
-            if not narrowest <= width <= widest:
+            square = (qx - x) ** 2 + (qy - y) ** 2
+            if square <= widest * widest:
+                # Its own surface first: it stands in most of its gaps.
+                place = stop
+                if square == 0.0:
+                    near[stop], to[stop] = near[0], to[0]
+                    place = 0
+                near[place], to[place, 0], to[place, 1], to[place, 2] = j, qx, qy, square
+                stop += 1
+        between, first = 0, count
+        for k in range(stop):
+            if to[k, 2] < narrowest * narrowest:
                 continue
+            qx, qy = to[k, 0], to[k, 1]
+            width = math.hypot(qx - x, qy - y)
             # What stands in one gap stands in the next: look there first.
             between = _nearer(0.5 * (x + qx), 0.5 * (y + qy), HALF_GAP * width, segments, near[:stop], between)
             if between < stop:
                 continue
             if count == len(found):
-                grown = np.empty((2 * count, 4))
-                grown[:count] = found
-                found = grown
-            found[count, 0], found[count, 1], found[count, 2], found[count, 3] = x, y, qx, qy
+                more, order_more = np.empty((2 * count, 4)), np.empty(2 * count, dtype=np.int64)
+                more[:count], order_more[:count] = found, order
+                found, order = more, order_more
+            # In the order of the segments.
+            place = count
+            while place > first and order[place - 1] > near[k]:
+                found[place], order[place] = found[place - 1], order[place - 1]
+                place -= 1
+            found[place, 0], found[place, 1], found[place, 2], found[place, 3] = x, y, qx, qy
+            order[place] = near[k]
             count += 1
     return found[:count].copy()
 
@@ -254,11 +269,12 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
 def _nearer(x: float, y: float, distance: float, segments: FloatArray, rows: IntArray, first: int) -> int:
     """An entry of rows, looked for from the first on and round, whose segment is nearer to (x, y) than distance, m;
     their number if there is none."""
-    for k in range(len(rows)):
-        at = (first + k) % len(rows)
-        x0, y0, x1, y1 = segments[rows[at], 0], segments[rows[at], 1], segments[rows[at], 2], segments[rows[at], 3]
-        if point_segment_distance(x, y, x0, y0, x1, y1) < distance:
+    at = first if first < len(rows) else 0
+    for _ in range(len(rows)):
+        j = rows[at]
+        if point_segment_distance(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]) < distance:
             return at
+        at = at + 1 if at + 1 < len(rows) else 0
     return len(rows)
 
 
