@@ -16,9 +16,9 @@ import numpy as np
 
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, TfgMap, message, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.slam.estimator_state import EstimatorState
-from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph
+from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.range_scale import RangeScale
 from tfg_drake.tfg.frontier import FrontierPoints
@@ -199,14 +199,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
 def restored_estimate(saved: SavedMap) -> MapEstimate:
     """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
     round the last goal. Its observation is empty: what the newest goal saw is in the keyframes."""
-    nothing = GoalObservation(
-        ids=np.empty(0, dtype=np.int64),
-        p_AL=np.empty((0, 2)),
-        X_AD=np.zeros(3),
-        covariance=np.zeros((3, 3)),
-        stamps=np.empty(0),
-        X_AB=np.empty((0, 3)),
-    )
+    nothing = empty_map().observation
     return solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
 
 

@@ -14,8 +14,9 @@ from tfg_drake.messages import (
     Odometry,
     TagDetections,
     message,
+    replace,
 )
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
 from tfg_drake.slam.range_scale import RangeScale, unknown_scale
@@ -123,11 +124,4 @@ def opened(state: EstimatorState) -> OpenTurn:
 
 def unknown_way(X_DA: FloatArray) -> GoalObservation:
     """A way of which nothing is known, as the robot was carried; it seems to have led to X_DA (3,)."""
-    return GoalObservation(
-        ids=np.empty(0, dtype=np.int64),
-        p_AL=np.empty((0, 2)),
-        X_AD=X_DA,
-        covariance=np.diag(CARRIED) ** 2,
-        stamps=np.empty(0),
-        X_AB=np.empty((0, 3)),
-    )
+    return replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(CARRIED) ** 2)

@@ -7,6 +7,7 @@ bias and scale of the gyro), which a graph without odometry leaves alone.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import ClassVar, Self
@@ -56,7 +57,7 @@ class Motions(_Factors):
 
 
 @dataclass(frozen=True)
-class Sightings(_Factors):
+class Sightings(_Factors, ABC):
     """Landmarks seen from poses.
 
     pose, landmark: (s,) their rows. p_BL: (s, 2) m, where the landmark seems to be in the body. huber: the whitened
@@ -68,9 +69,9 @@ class Sightings(_Factors):
     p_BL: FloatArray
     huber: ClassVar[float] = math.inf
 
+    @abstractmethod
     def error(self, p_BL: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The whitened error (s, 2) if the landmarks are at p_BL (s, 2) in the body, and its Jacobian (s, 2, 2)."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
