@@ -10,7 +10,7 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test test-slow lint format types check clean
+.PHONY: help demo test test-slow lint format types check kernels clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
@@ -46,6 +46,9 @@ types: $(VENV)/.test  ## mypy: strict for the core, relaxed for the Drake layers
 check: test lint types  ## what continuous integration runs
 	$(BIN)/ruff format --check
 
+kernels: $(VENV)/.test  ## write anew which kernels the installation compiles, and for what types
+	$(BIN)/python tests/rehearsal.py --write
+
 clean:  ## remove the environments and every cache
 	rm -rf .venv* build dist *.egg-info .*_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
@@ -54,10 +57,15 @@ clean:  ## remove the environments and every cache
 install = $(require_python)@echo "installing into $(VENV), a minute or two the first time"; \
   $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip --disable-pip-version-check install -q -c constraints.txt -e
 
+# A program that finds its kernels compiled starts within seconds.
+compile = @$(BIN)/python -m tfg_drake.kernels
+
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(install) .
+	$(compile)
 	@touch $@
 
 $(VENV)/.test: pyproject.toml constraints.txt
 	$(install) ".[test]"
+	$(compile)
 	@touch $@ $(VENV)/.demo

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -15,12 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tfg_drake import kernels
 from tfg_drake.diagrams import explore_command, run_folder
-from tfg_drake.diagrams.command_line import BadInput, wait_for_enter
+from tfg_drake.diagrams.command_line import BadInput, compile_kernels, wait_for_enter, wait_for_kernels
 from tfg_drake.diagrams.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.kobuki_command import kobuki_app
 from tfg_drake.diagrams.map_command import map_app
 from tfg_drake.diagrams.ros_command import ros2_app
+from tfg_drake.diagrams.screen import Screen
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
@@ -117,27 +120,46 @@ def explore(
     explore_command.check_robot(
         robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate
     )
-    loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
-    if robot != "sim" and replayed is None:
-        loaded.hardware.robot = robot
-        for link, value in links.items():
-            if value is not None:
-                setattr(loaded.hardware, link, value)
-    if out is not None:
-        read = [Path(file) for file in (scenario, world) if file is not None and Path(file).is_file()]
-        explore_command.check_kept(out, replayed, read)
-        _make_writable(out)
-    explorer = _find_method(method, loaded)
-    if robot == "sim" and not loaded.world.tags:
-        print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
-    meshcat = None if headless else explore_command.start_meshcat()
-    _announce_compilation()
+    with contextlib.ExitStack() as stack:
+        show = stack.enter_context(Screen())
+        show("loading")
+        # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
+        placed = [world, tag_spacing, start]
+        need = explore_command.kernels_needed(scenario, method, robot, [*placed, settings])
+        compilation = None
+        if need == kernels.MISSION and not headless:
+            compilation = compile_kernels(need, kernels.BESIDE)
+            stack.enter_context(contextlib.closing(compilation) if compilation else contextlib.nullcontext())
+        elif need == kernels.MISSION or (any(placed) and (world is None or world.exists())):
+            wait_for_kernels(show, _interrupted, need)
+        loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
+        if robot != "sim" and replayed is None:
+            loaded.hardware.robot = robot
+            for link, value in links.items():
+                if value is not None:
+                    setattr(loaded.hardware, link, value)
+        if out is not None:
+            read = [Path(file) for file in (scenario, world) if file is not None and Path(file).is_file()]
+            explore_command.check_kept(out, replayed, read)
+            _make_writable(out)
+        meshcat = None
+        if compilation is not None:
+            meshcat = explore_command.start_meshcat()
+            name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
+            explore_command.show_beginning(meshcat, loaded, name, compilation, show, _interrupted)
+        explorer = _find_method(method, loaded)
+        if robot == "sim" and not loaded.world.tags:
+            print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
+        if compilation is None:
+            wait_for_kernels(show, _interrupted, need)
 
-    from tfg_drake.diagrams import run
+        from tfg_drake.diagrams import run
 
-    opened = explore_command.open_robot(robot, loaded, explorer, meshcat, _interrupted, _interrupt)
-    shown = explore_command.remarks_on_screen()
-    with shown, opened as (driven, loaded), explore_command.ProgressDisplay() as show:
+        if meshcat is None and not headless:
+            meshcat = explore_command.start_meshcat()
+        stack.enter_context(explore_command.remarks_on_screen())
+        opened = explore_command.open_robot(robot, loaded, explorer, meshcat, _interrupted, _interrupt)
+        driven, loaded = stack.enter_context(opened)
         try:
             result = run.explore(
                 loaded,
@@ -149,8 +171,9 @@ def explore(
                 realtime_rate=realtime_rate,
                 max_time=max_time,
                 out_dir=out,
-                on_progress=show,
+                on_progress=lambda progress: show(explore_command.progress_line(progress)),
                 interrupted=_interrupted,
+                kernels=compilation,
             )
         except OSError as error:
             _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
@@ -201,33 +224,42 @@ def compare(
     if jobs is not None and ray is not None:
         _bad_input("--jobs and --ray exclude each other; a cluster knows how many missions it can run")
 
-    from tfg_drake.diagrams import compare_command, comparison_report
-    from tfg_drake.diagrams.sweep import SweepError, Task, parse_methods
+    with Screen() as show:
+        show("loading")
+        # Placing tags calls kernels, too.
+        if any([world, tag_spacing, start]) and (world is None or world.exists()):
+            wait_for_kernels(show, _interrupted)
 
-    name = explore_command.run_name(scenario, world)
-    try:
-        place = _parse_start(start)
-        of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
-        sources = parse_methods(methods, of_seed[0])
-        names = list(sources)
-        # All methods of a seed before the next seed, so that a partial report compares like with like.
-        world_name = scenario if world is None else str(world)
-        tasks = [Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names]
-        if out is not None:
-            _make_writable(out)
-        folder = run_folder.make_run_folder(out, f"compare-{name}")
-        _announce_compilation()
-        given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", methods)]
-        given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
-        words = [str(word) for option, value in given if value is not None for word in (option, value)]
-        command = shlex.join(["tfg-drake", "compare", scenario, *words])
-        with run_folder.claimed(folder):
-            runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted)
-            comparison_report.write_comparison(runs, tasks, folder, command)
-    except SweepError as error:
-        _bad_input(str(error))
-    except OSError as error:
-        _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
+        from tfg_drake.diagrams import compare_command, comparison_report
+        from tfg_drake.diagrams.sweep import SweepError, Task, parse_methods
+
+        name = explore_command.run_name(scenario, world)
+        try:
+            place = _parse_start(start)
+            of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
+            sources = parse_methods(methods, of_seed[0])
+            names = list(sources)
+            # All methods of a seed before the next seed, so that a partial report compares like with like.
+            world_name = scenario if world is None else str(world)
+            tasks = [
+                Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names
+            ]
+            if out is not None:
+                _make_writable(out)
+            folder = run_folder.make_run_folder(out, f"compare-{name}")
+            wait_for_kernels(show, _interrupted)
+            given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", methods)]
+            given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
+            words = [str(word) for option, value in given if value is not None for word in (option, value)]
+            command = shlex.join(["tfg-drake", "compare", scenario, *words])
+            with run_folder.claimed(folder):
+                runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted, show)
+                show("drawing and writing the comparison")
+                comparison_report.write_comparison(runs, tasks, folder, command)
+        except SweepError as error:
+            _bad_input(str(error))
+        except OSError as error:
+            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
     for line in compare_command.closing_lines(runs, names):
         print(line)
     print(f"report: {folder / 'report.html'}")
@@ -249,20 +281,22 @@ def slam(
     if out is not None:
         explore_command.check_kept(out)
         _make_writable(out)
-    _announce_compilation()
+    with Screen() as show:
+        show("loading")
+        if dataset.exists():
+            wait_for_kernels(show, _interrupted)
 
-    from tfg_drake.datasets.recording import DatasetError
-    from tfg_drake.diagrams import slam_command
+        from tfg_drake.datasets.recording import DatasetError
+        from tfg_drake.diagrams import slam_command
 
-    try:
-        with slam_command.ProgressBars(_interrupted) as show:
-            result = slam_command.run_slam(dataset, robot, out, show)
-    except DatasetError as error:
-        _bad_input(str(error))
-    except slam_command.Interrupted:
-        raise typer.Exit(EXIT_CODES["interrupted"]) from None
-    except OSError as error:
-        _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
+        try:
+            result = slam_command.run_slam(dataset, robot, out, slam_command.Progress(show, _interrupted))
+        except DatasetError as error:
+            _bad_input(str(error))
+        except slam_command.Interrupted:
+            raise typer.Exit(EXIT_CODES["interrupted"]) from None
+        except OSError as error:
+            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
     for name, value in [*slam_command.table_rows(result.summary), ("files", str(result.folder))]:
         print(f"{name:<14}{value}")
     if as_json:
@@ -275,24 +309,26 @@ def figures(
 ) -> None:
     """The paper's figures and tables from missions of our own: gains, priors, the TFG, its growth, Tables I and II."""
     _make_writable(out)
-    _announce_compilation()
+    with Screen() as show:
+        show("loading")
+        wait_for_kernels(show, _interrupted)
 
-    from tfg_drake.diagrams.figures import write_figures, write_tables
-    from tfg_drake.diagrams.sweep import SweepError
+        from tfg_drake.diagrams.figures import write_figures, write_tables
+        from tfg_drake.diagrams.sweep import SweepError
 
-    def on_stage(stage: int, time: float) -> bool:
-        print(f"stage {stage}, {time:.0f} s", flush=True)
-        return _interrupted.is_set()
+        def on_stage(stage: int, time: float) -> bool:
+            show(f"the mission to draw: stage {stage}, {time:.0f} s")
+            return _interrupted.is_set()
 
-    try:
-        with run_folder.claimed(out):
-            files = write_figures(out, on_stage)
-            if not _interrupted.is_set():
-                files.append(write_tables(out, _interrupted))
-    except SweepError as error:
-        _bad_input(str(error))
-    except OSError as error:
-        _bad_input(f"{error.filename or out}: cannot be written: {error.strerror or error}")
+        try:
+            with run_folder.claimed(out):
+                files = write_figures(out, on_stage)
+                if not _interrupted.is_set():
+                    files.append(write_tables(out, _interrupted, show))
+        except SweepError as error:
+            _bad_input(str(error))
+        except OSError as error:
+            _bad_input(f"{error.filename or out}: cannot be written: {error.strerror or error}")
     for file in files:
         print(file)
     if _interrupted.is_set():
@@ -414,14 +450,6 @@ def _find_method(name: str, scenario: Scenario) -> Method:
         return method
     except MethodError as error:
         _bad_input(f"--method {error}")
-
-
-def _announce_compilation() -> None:
-    import tfg_drake
-
-    cache = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(tfg_drake.__file__).parent)
-    if next(cache.rglob("*.nbi"), None) is None:
-        print("compiling kernels (first run only)", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,17 @@
-"""What the commands share: how bad input ends one, and how one waits for the user."""
+"""What the commands share: how bad input ends one, how one waits for the user, and for the kernels."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import sys
 import threading
+import time
+from collections.abc import Callable
 from typing import NoReturn
+
+from tfg_drake import kernels
 
 
 class BadInput(Exception):
@@ -28,3 +34,30 @@ def wait_for_enter() -> None:
             threading.Event().wait()
     except (EOFError, KeyboardInterrupt):
         print()
+
+
+def compile_kernels(need: int, most: float) -> kernels.Compilation | None:
+    """Those who compile what is missing for a need, None where nothing is; the caller closes it. See Compilation.
+
+    To be called before numba is imported. Raises BadInput where there is no folder to keep kernels in.
+    """
+    try:
+        kernels.choose_folder()
+        if kernels.are_compiled(need):
+            return None
+        print(f"compiling kernels, for a minute or so; from now on they are in {kernels.folder()}", flush=True)
+        return kernels.Compilation(need, most)
+    except OSError as error:
+        given = "NUMBA_CACHE_DIR=" if os.environ.get("NUMBA_CACHE_DIR") else ""
+        bad_input(f"{given}{error.filename}: cannot be written; name a folder that can be in NUMBA_CACHE_DIR")
+
+
+def wait_for_kernels(show: Callable[[str], object], interrupted: threading.Event, need: int = kernels.OTHER) -> None:
+    """Until all is compiled that something needs, or somebody interrupts it."""
+    compilation = compile_kernels(need, kernels.ALONE)
+    if compilation is None:
+        return
+    with contextlib.closing(compilation):
+        while not (compilation.ended or interrupted.is_set()):
+            show(compilation.word)
+            time.sleep(0.1)

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from tfg_drake.comparison.measures import POSITION, TIME
@@ -17,36 +17,21 @@ from tfg_drake.diagrams.sweep import Task, open_sweep, run_local
 
 
 class Progress:
-    """How far a sweep has come: a live line on a terminal, otherwise a line a run."""
+    """How far a sweep has come: shown, and without a terminal a line a run."""
 
-    def __init__(self, planned: int, there: int) -> None:
+    def __init__(self, planned: int, there: int, show: Callable[[str], object]) -> None:
         """planned: runs in all; there: of an earlier sweep."""
         self._planned, self._there, self._done, self._since = planned, there, 0, time.monotonic()
-        self._status = None
-        if sys.stdout.isatty():
-            from rich.console import Console
-
-            self._status = Console().status(self.line(), refresh_per_second=4.0)
-
-    def __enter__(self) -> Progress:
-        """Begin to show."""
-        if self._status is not None:
-            self._status.start()
-        elif self._there:
-            print(f"{self._there} of {self._planned} runs are there already", flush=True)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Clear the line."""
-        if self._status is not None:
-            self._status.stop()
+        self._show = show
+        if there:
+            print(f"{there} of {planned} runs are there already", flush=True)
+        show(self.line())
 
     def __call__(self, run: Run) -> None:
         """Take note of a run that has ended."""
         self._done += 1
-        if self._status is not None:
-            self._status.update(self.line())
-        else:
+        self._show(self.line())
+        if not sys.stdout.isatty():
             print(f"{run.method}, seed {run.seed}: {run.outcome}; {self.line()}", flush=True)
 
     def line(self) -> str:
@@ -60,9 +45,14 @@ class Progress:
 
 
 def run_sweep(
-    tasks: Sequence[Task], out: Path, jobs: int, address: str | None, interrupted: threading.Event
+    tasks: Sequence[Task],
+    out: Path,
+    jobs: int,
+    address: str | None,
+    interrupted: threading.Event,
+    show: Callable[[str], object],
 ) -> list[Run]:
-    """Run what is missing of a sweep, on this machine or on the Ray cluster at `address`.
+    """Run what is missing of a sweep, on this machine or on the Ray cluster at `address`; `show` says how far it is.
 
     Returns all runs there are, in the order of the tasks.
 
@@ -72,10 +62,10 @@ def run_sweep(
     """
     runs = {(run.method, run.seed): run for run in open_sweep(tasks, out)}
     missing = [task for task in tasks if (task.method, task.seed) not in runs]
-    with Progress(len(tasks), len(runs)) as show:
-        for run in _run(missing, out, jobs, address, interrupted) if missing else ():
-            runs[run.method, run.seed] = run
-            show(run)
+    note = Progress(len(tasks), len(runs), show)
+    for run in _run(missing, out, jobs, address, interrupted) if missing else ():
+        runs[run.method, run.seed] = run
+        note(run)
     keys = [(task.method, task.seed) for task in tasks]
     return [runs[key] for key in keys if key in runs]
 

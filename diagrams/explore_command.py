@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tfg_drake import kernels
 from tfg_drake.diagrams.command_line import bad_input
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
 REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording")
-# Wall time between two lines of progress where there is no terminal, s.
-LINE_INTERVAL = 10.0
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
@@ -33,6 +32,13 @@ def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
     if robot != "sim":
         return robot.partition(":")[0]
     return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
+
+
+def kernels_needed(scenario: str, method: str, robot: str, changes: Sequence[Any]) -> int:
+    """What kernels a mission may call: few in a shipped scenario as it is, by the usual method."""
+    shipped = (Path(__file__).parent / "scenarios" / f"{scenario}.yaml").is_file()
+    plain = shipped and method == "tfg" and robot == "sim" and not any(changes)
+    return kernels.MISSION if plain else kernels.OTHER
 
 
 def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:
@@ -147,38 +153,25 @@ def start_meshcat() -> Any:
     return picture
 
 
-class ProgressDisplay:
-    """Shows how far a mission is: a live line on a terminal, otherwise a plain one every LINE_INTERVAL."""
+def show_beginning(
+    meshcat: Any,
+    scenario: Scenario,
+    title: str,
+    compilation: kernels.Compilation,
+    show: Callable[[str], object],
+    interrupted: threading.Event,
+) -> None:
+    """Shows the picture as it is before the mission, until there are the kernels that it begins with."""
+    from tfg_drake.diagrams.scenario import MakeWorld
+    from tfg_drake.systems.visualizer import TfgVisualizer
 
-    def __init__(self) -> None:
-        self._live: Any = None
-        self._next_line = 0.0
-
-    def __enter__(self) -> ProgressDisplay:
-        if sys.stdout.isatty():
-            from rich.live import Live
-
-            self._live = Live(refresh_per_second=5, transient=True)
-            self._live.start()
-        else:
-            self._next_line = time.monotonic() + LINE_INTERVAL
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def __call__(self, progress: Progress) -> None:
-        if self._live is not None:
-            from rich.text import Text
-
-            self._live.update(Text(progress_line(progress), no_wrap=True, overflow="ellipsis"))
-        elif time.monotonic() >= self._next_line or progress.outcome:
-            self._next_line = time.monotonic() + LINE_INTERVAL
-            try:
-                print(progress_line(progress), flush=True)
-            except OSError:
-                self._next_line = math.inf  # Nobody reads on, or the disk is full; the mission's map is still wanted.
+    world = MakeWorld(scenario.world)
+    picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, title)
+    while not (compilation.ready or interrupted.is_set()):
+        picture.word = compilation.word
+        picture.ShowBeginning()
+        show(compilation.word)
+        time.sleep(0.1)
 
 
 def progress_line(progress: Progress) -> str:
@@ -186,12 +179,12 @@ def progress_line(progress: Progress) -> str:
     if progress.outcome:
         # In a building of thousands of tags the last solve takes half a minute.
         return f"{progress.time:5.0f} s  {progress.outcome}: solving the whole map, writing the run's files"
+    where = f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}"
+    if progress.word:
+        return f"{where} {progress.word}"
     speed = progress.time / max(progress.wall_time, 1e-9)
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
-    return (
-        f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}{progress.landmarks:4d} tags"
-        f" {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
-    )
+    return f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
 
 
 def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:

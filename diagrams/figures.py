@@ -37,7 +37,7 @@ def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tup
 
     Until the mission's end or until on_stage, called with stage and time (s) of each, says that it is enough.
     """
-    diagram, _, pose_log = MakeMissionDiagram(scenario, MakeWorld(scenario.world), None, "")
+    diagram, _, pose_log = MakeMissionDiagram(scenario, MakeWorld(scenario.world))
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     diagram.SetRandomContext(context, RandomGenerator(scenario.seed))
@@ -80,8 +80,10 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
     return [path for name, figure in figures.items() for path in write_figure(figure, folder, name)]
 
 
-def write_tables(folder: Path, interrupted: threading.Event) -> Path:
+def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str], object]) -> Path:
     """Run RUNS missions of each method of Table II in `paper`, less those that are in the folder, and write the tables.
+
+    show: is told how far they are.
 
     Raises:
         SweepError: the folder holds other missions.
@@ -93,7 +95,7 @@ def write_tables(folder: Path, interrupted: threading.Event) -> Path:
     tasks = [Task(method, scenario, "paper", "paper", LONGEST) for scenario in scenarios for method in METHODS]
     sweep = folder / "table-2"
     sweep.mkdir(parents=True, exist_ok=True)
-    runs = run_sweep(tasks, sweep, 1, None, interrupted)
+    runs = run_sweep(tasks, sweep, 1, None, interrupted, show)
     scenario, world = scenarios[0], MakeWorld(scenarios[0].world)
     width, height = np.ptp(world.walls.reshape(-1, 2), axis=0)
     parameters = parameter_table((width, height), len(world.tag_ids), scenario.tags, scenario.scan, scenario.grid)

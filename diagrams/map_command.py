@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.command_line import bad_input, wait_for_enter
+from tfg_drake.diagrams.command_line import bad_input, wait_for_enter, wait_for_kernels
+from tfg_drake.diagrams.screen import Screen
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
@@ -79,6 +81,15 @@ def export(
 
 
 def _load(path: Path) -> SavedMap:
+    # Its free space is measured by a kernel.
+    with Screen() as show:
+        show(f"reading {path}")
+        if path.is_file():
+            wait_for_kernels(show, threading.Event())
+        return _read(path)
+
+
+def _read(path: Path) -> SavedMap:
     from tfg_drake.mapfile.saved_map import MapFileError, load_map
 
     try:

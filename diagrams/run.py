@@ -32,7 +32,6 @@ from threadpoolctl import threadpool_limits
 from tfg_drake import __version__
 from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
 from tfg_drake.diagrams.methods import METHODS, Method
-from tfg_drake.diagrams.report import write_report
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
@@ -42,6 +41,7 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.grid.saved_grid import save_grid
+from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import SavedMap, save_map
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.port_recording import FILE_NAME, PortWriter
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.systems.picture import Picture
+    from tfg_drake.systems.visualizer import TfgVisualizer
 
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
 ESTIMATOR = ("slam_estimator", "grid_mapper")
@@ -79,6 +80,10 @@ STAGE_FIELDS = (
 # Time between two looks at the mission, s, simulated or real; a stage takes several times as long.
 STEP = 1.0
 REAL_STEP = 0.25
+# While kernels are compiled a mission goes at least so fast, times real time, and so far, s, from one look at them to
+# the next: the picture moves every second.
+SLOWEST = 0.15
+SLOW_STEP = 0.125
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
 AREA_INTERVAL = 5.0
 # A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
@@ -93,7 +98,8 @@ _log = logging.getLogger("tfg_drake.run")
 @dataclasses.dataclass(frozen=True)
 class Progress:
     """How far a mission has come: simulated and wall time (s), phase, goals visited, landmarks in the map, area seen
-    (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended."""
+    (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended; word:
+    what else is done meanwhile."""
 
     time: float
     wall_time: float
@@ -103,6 +109,7 @@ class Progress:
     area: float
     position_error: float
     outcome: str = ""
+    word: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,6 +138,7 @@ def explore(
     on_progress: Callable[[Progress], None] | None = None,
     interrupted: threading.Event | None = None,
     record: bool = True,
+    kernels: Compilation | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 
@@ -147,6 +155,7 @@ def explore(
         interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
         record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
             grows; not for what a seed gives again.
+        kernels: those who compile the kernels that come after its first look, which takes its time until all are there.
 
     The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
     the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
@@ -173,10 +182,21 @@ def explore(
             folder.append("stages.jsonl", "")
             keep = _Keeper(mission, folder) if record else None
             mission.run(
-                realtime_rate, max_time, stop, lambda line: folder.append("stages.jsonl", line), on_progress, keep
+                realtime_rate,
+                max_time,
+                stop,
+                lambda line: folder.append("stages.jsonl", line),
+                on_progress,
+                keep,
+                kernels,
             )
             folder.give_up_reserve()
+            # Not before: what draws figures takes a while to be imported, and nothing moves meanwhile.
+            from tfg_drake.diagrams.report import write_report
+
             summary = write_report(mission, scenario, folder, name, world_name or name)
+            mission.say(mission.outcome.replace("_", " "))
+            mission.show()
         if writer is not None and writer.failure is not None:
             folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
         folder.append("stages.jsonl", "")  # What could not be written before.
@@ -244,7 +264,14 @@ class Mission:
         self.X_WM: FloatArray = self.world.start if self.world is not None else np.zeros(3)
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
-        self._scenario, self._meshcat, self._title, self._writer = scenario, meshcat, title, writer
+        self._scenario, self._writer = scenario, writer
+        self._visualizer: TfgVisualizer | None = None
+        if meshcat is not None:
+            # Only a picture needs what this imports.
+            from tfg_drake.systems.visualizer import TfgVisualizer
+
+            self._visualizer = TfgVisualizer(meshcat, self.world, self.X_WM, scenario.robot.radius, title)
+        self._word = ""  # what else is done
         self._context: Context | None = None  # until the diagram is built
 
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
@@ -268,9 +295,10 @@ class Mission:
         write: Callable[[str], object],
         on_progress: Callable[[Progress], None] | None,
         keep: Callable[[], None] | None = None,
+        kernels: Compilation | None = None,
     ) -> None:
         """Simulate until the mission ends, for a reason. write: takes a line a stage. keep: called now and then, to
-        keep what there is; what these two raise ends the mission."""
+        keep what there is; what these two raise ends the mission. kernels: as for `explore`."""
         wall_start = time.monotonic()
         try:
             self._build()
@@ -282,6 +310,10 @@ class Mission:
             terminated = False
             while not self._ended(interrupted, max_time):
                 step = REAL_STEP if self.robot.real else STEP
+                if kernels is not None and self._pace(kernels, realtime_rate):
+                    kernels = None
+                elif kernels is not None:
+                    step = SLOW_STEP
                 boundary = step * (math.floor(self.time / step) + 1.0)
                 status = self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
                 terminated = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
@@ -295,6 +327,8 @@ class Mission:
                 # gives the same once more, whatever ended it then and ends it now, so does every other.
                 self._simulator.AdvancePendingEvents()
                 self._observe(write)
+            self.say(f"{self.outcome.replace('_', ' ')}: solving the whole map")
+            self.show()
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             self.outcome = "fault"
             first_line = next(iter(str(error).strip().splitlines()), "no message")
@@ -308,6 +342,32 @@ class Mission:
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
         if on_progress is not None and self._context is not None:
             on_progress(self._progress(self.wall_time))
+
+    def say(self, word: str) -> None:
+        """From now on picture and progress say what else is done, "" for nothing."""
+        self._word = word
+        if self._visualizer is not None:
+            self._visualizer.word = word
+
+    def show(self) -> None:
+        """Draws the picture as everything is now, what is said included."""
+        if self._visualizer is None:
+            return
+        if self._context is None or self.outcome == "fault":
+            self._visualizer.ShowBeginning()
+        else:
+            self._visualizer.ForcedPublish(self._visualizer.GetMyContextFromRoot(self._context))
+
+    def _pace(self, kernels: Compilation, realtime_rate: float) -> bool:
+        """Goes as slowly as it takes that all kernels are there before the first look is over; whether they are."""
+        ended, rate = kernels.ended, realtime_rate
+        if not ended:
+            left = self._scenario.explorer.first_look - self.time
+            rate = min(max(SLOWEST, left / max(kernels.left, 1e-3)), realtime_rate or math.inf)
+        self.say("" if ended else kernels.word)
+        self._simulator.set_target_realtime_rate(rate)
+        self._simulator.ResetStatistics()  # or it would make up for the time that it went slowly
+        return ended
 
     @property
     def time(self) -> float:
@@ -358,8 +418,7 @@ class Mission:
         diagram, truth_log, self._pose_log = MakeMissionDiagram(
             self._scenario,
             self.world,
-            self._meshcat,
-            self._title,
+            self._visualizer,
             self.method.MakeExplorer,
             self.robot,
             self._writer,
@@ -455,7 +514,9 @@ class Mission:
         if self.outcome or wall_time >= self._next_area:
             self._area, self._next_area = self._seen_area(), wall_time + AREA_INTERVAL
         status = self.status
-        return Progress(self.time, wall_time, status.phase, status.stage, landmarks, self._area, error, self.outcome)
+        return Progress(
+            self.time, wall_time, status.phase, status.stage, landmarks, self._area, error, self.outcome, self._word
+        )
 
     def _seen_area(self) -> float:
         """How much of the floor is known to be free, m^2."""
@@ -479,13 +540,12 @@ class Mission:
 def MakeMissionDiagram(
     scenario: Scenario,
     world: World | None,
-    meshcat: Meshcat | Picture | None,
-    title: str,
+    visualizer: TfgVisualizer | None = None,
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
     robot: Robot = SIMULATED,
     writer: PortWriter | None = None,
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
-    """Station and explorer connected by port name, with the picture if there is a meshcat, recorded if there is a
+    """Station and explorer connected by port name, with the picture if there is one, recorded if there is a
     writer, and under an operator if the robot is real.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
@@ -529,11 +589,8 @@ def MakeMissionDiagram(
 
     if writer is not None:
         PortRecorder.AddToBuilder(builder, station, explorer, writer)
-    if meshcat is not None:
-        # Only a picture needs what this imports.
-        from tfg_drake.systems.visualizer import TfgVisualizer
-
-        TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius, title)
+    if visualizer is not None:
+        visualizer.Connect(builder, station, explorer)
 
     diagram = builder.Build()
     diagram.set_name("mission")

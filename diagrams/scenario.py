@@ -33,7 +33,6 @@ from tfg_drake.config import (
     ScanConfig,
     TagSensorConfig,
 )
-from tfg_drake.world.load import furnish, load_map
 from tfg_drake.world.world import World, WorldError, check_world
 from tfg_drake.yaml_text import parse_yaml
 
@@ -286,6 +285,9 @@ def ApplyWorldFile(
     the tags by tags along every reachable surface. start: (x, y, yaw) in m and rad; without it a scenario's own start
     is kept and a map's is drawn from the seed. Raises ScenarioError.
     """
+    # What few missions need, and what takes a while to be imported.
+    from tfg_drake.world.load import furnish, load_map
+
     result = copy.deepcopy(scenario)
     source = "world" if path is None else str(path)
     try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rich.progress
 from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
@@ -49,38 +47,20 @@ class Interrupted(Exception):
     """Ctrl-C came before the end; there is no result."""
 
 
-class ProgressBars:
-    """A bar for each part of the work on a terminal; call it with the part and the share done.
+class Progress:
+    """What is shown of the work: call it with the part and the share done.
 
     Raises:
         Interrupted: by the call, once the event is set.
     """
 
-    def __init__(self, interrupted: threading.Event) -> None:
-        self._interrupted = interrupted
-        self._bars = rich.progress.Progress(
-            rich.progress.TextColumn("{task.description:<8}"),
-            rich.progress.BarColumn(),
-            rich.progress.TaskProgressColumn(),
-            rich.progress.TimeElapsedColumn(),
-            transient=True,
-            disable=not sys.stdout.isatty(),
-        )
-        self._tasks: dict[str, rich.progress.TaskID] = {}
-
-    def __enter__(self) -> ProgressBars:
-        self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bars.stop()
+    def __init__(self, show: Callable[[str], object], interrupted: threading.Event) -> None:
+        self._show, self._interrupted = show, interrupted
 
     def __call__(self, part: str, share: float) -> None:
         if self._interrupted.is_set():
             raise Interrupted
-        if part not in self._tasks:
-            self._tasks[part] = self._bars.add_task(part, total=1.0)
-        self._bars.update(self._tasks[part], completed=share)
+        self._show(f"{part} {100.0 * share:3.0f} %")
 
 
 def run_slam(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any, TypeVar
 
 import numpy as np
@@ -44,6 +45,9 @@ T = TypeVar("T")
 
 # Pictures a simulated second.
 RATE = 8.0
+# Wall time between two captions, s, and how many of them the browser can still ask for.
+CAPTION_INTERVAL = 0.5
+CAPTIONS = 8
 # Width over height of the narrowest window that shows the whole first view.
 ASPECT = 1.5
 
@@ -148,6 +152,8 @@ class TfgVisualizer(LeafSystem):
         self._X_WM = np.array(X_WM, dtype=float)
         self._radius = radius
         self._title = title
+        self.word = ""  # in the caption instead of the mission's phase, if it is not ""
+        self._captions, self._next_caption, self._grid = 0, 0.0, False
         self._inputs = {name: declare_message_input(self, name) for name in (*_SLOW_INPUTS, "pose", "mission", "scan")}
         self._truth = self.DeclareVectorInputPort("truth", 5).get_index()
         self._drawn = self.DeclareAbstractState(AbstractValue.Make(object()))
@@ -176,15 +182,24 @@ class TfgVisualizer(LeafSystem):
         """
         X_WM = world.start if world is not None else np.zeros(3)
         visualizer = TfgVisualizer(meshcat, world, X_WM, radius, title)
-        builder.AddNamedSystem("visualizer", visualizer)
+        visualizer.Connect(builder, station, explorer)
+        return visualizer
+
+    def Connect(self, builder: DiagramBuilder, station: System, explorer: System) -> None:
+        """Adds it to a builder and connects it to a mission's station and explorer, by port name."""
+        builder.AddNamedSystem("visualizer", self)
         for name in (*_SLOW_INPUTS, "pose", "mission"):
             if not explorer.HasOutputPort(name):
                 continue
-            builder.Connect(explorer.GetOutputPort(name), visualizer.GetInputPort(name))
-        builder.Connect(station.GetOutputPort("scan.ranges"), visualizer.GetInputPort("scan"))
+            builder.Connect(explorer.GetOutputPort(name), self.GetInputPort(name))
+        builder.Connect(station.GetOutputPort("scan.ranges"), self.GetInputPort("scan"))
         if station.HasOutputPort("truth.pose"):
-            builder.Connect(station.GetOutputPort("truth.pose"), visualizer.GetInputPort("truth"))
-        return visualizer
+            builder.Connect(station.GetOutputPort("truth.pose"), self.GetInputPort("truth"))
+
+    def ShowBeginning(self) -> None:
+        """Shows what there is before there is a context: the caption with `word`, no more often than any other."""
+        if time.monotonic() >= self._next_caption:
+            self._picture.attempt(lambda: self._ShowCaption(f"{self._title}, {self.word}", []), None)
 
     # Events
 
@@ -214,6 +229,9 @@ class TfgVisualizer(LeafSystem):
         self._opened = self._picture.opened
         self._meshcat.Delete("/tfg")
         self._meshcat.SetTransform("/tfg/map", _planar(self._X_WM))
+        self._meshcat.SetTransform("/tfg/truth", _planar(self._X_WM))
+        self._meshcat.SetProperty("/tfg/truth", "visible", self._world is not None)
+        self._meshcat.SetProperty("/tfg/captions", "visible", False)
         self._ShowWalls(self._world)
         self._ShowRobots()
         self._ShowCamera()
@@ -233,7 +251,7 @@ class TfgVisualizer(LeafSystem):
         drawn = context.get_abstract_state(int(self._drawn)).get_value()
         self._DrawSlow(context, drawn if isinstance(drawn, tuple) else None)
         self._DrawFast(context)
-        if round(context.get_time() * RATE) % RATE == 0:
+        if time.monotonic() >= self._next_caption:
             self._DrawCaption(context)
 
     # What changes with the stage
@@ -319,9 +337,10 @@ class TfgVisualizer(LeafSystem):
     def _DrawCaption(self, context: Context) -> None:
         estimate, mission = self._Get(context, "map", MapEstimate), self._Get(context, "mission", MissionStatus)
         pose, truth = self._Get(context, "pose", PoseEstimate), self._Truth(context)
+        self._grid = self._inputs["grid"].HasValue(context)
         title, figures = self._title, [("time", f"{context.get_time():.0f} s")]
         if mission is not None:
-            title = f"{self._title}, {mission.outcome or mission.phase}"
+            title = f"{self._title}, {self.word or mission.outcome or mission.phase}"
             figures.insert(0, ("stage", str(mission.stage)))
         if estimate is not None:
             figures.append(("landmarks", str(len(estimate.ids))))
@@ -333,11 +352,18 @@ class TfgVisualizer(LeafSystem):
             X_MB = pose_at(pose, context.get_time())
             error = np.linalg.norm(transform(self._X_WM, X_MB[:2]) - truth[:2])
             figures.append(("error", f"{100.0 * error:.1f} cm"))
-        entries = GRID_LEGEND if self._inputs["grid"].HasValue(context) else LEGEND
+        self._ShowCaption(title, figures)
+
+    def _ShowCaption(self, title: str, figures: list[tuple[str, str]]) -> None:
+        entries = GRID_LEGEND if self._grid else LEGEND
         legend = [entry for entry in entries if self._world is not None or entry[1] != WALL]
         document = caption_gltf(render_caption(title, figures, legend), self._view[2] - self._view[0])
-        file = MemoryFile(document.encode(), ".gltf", "caption")
-        self._meshcat.SetObject("/tfg/caption", Mesh(mesh_data=InMemoryMesh(mesh_file=file)))
+        mesh = Mesh(mesh_data=InMemoryMesh(mesh_file=MemoryFile(document.encode(), ".gltf", "caption")))
+        self._meshcat.SetObject("/tfg/caption", mesh)
+        # A browser asks for the text as a file of its own, some time later. Meshcat keeps what any of these shows.
+        self._meshcat.SetObject(f"/tfg/captions/{self._captions % CAPTIONS}", mesh)
+        self._captions += 1
+        self._next_caption = time.monotonic() + CAPTION_INTERVAL
 
     # Meshcat
 

@@ -1,16 +1,23 @@
 """What every test shares."""
 
+import contextlib
 import dataclasses
+import fcntl
 import os
-from pathlib import Path
+import time
 
 import hypothesis
 import numpy as np
 import pytest
 
-# Numba's cache of compiled kernels is not made for two writers at once: each xdist worker keeps its own.
-if worker := os.environ.get("PYTEST_XDIST_WORKER"):
-    os.environ["NUMBA_CACHE_DIR"] = str(Path(__file__).parents[1] / ".pytest_cache" / "numba" / worker)
+from tfg_drake import kernels
+
+# All xdist workers share the kernels that the installation has compiled. Whoever starts them sees to it that none is of
+# sources of another day.
+kernels.choose_folder()
+if "PYTEST_XDIST_WORKER" not in os.environ and not kernels.are_compiled():
+    kernels.drop_stale()
+kernels.take_turns()
 
 # The same examples in every run, and no limit on an example's time: the first call of a kernel compiles it.
 hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=True)
@@ -18,9 +25,20 @@ hypothesis.settings.load_profile("tfg_drake")
 
 
 @pytest.fixture(scope="session")
+def compiled():
+    """All kernels are compiled, by one of the workers: no command has to, or to say that it does."""
+    with (kernels.folder() / "tests.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not kernels.are_compiled():
+            with contextlib.closing(kernels.Compilation()) as compilation:
+                while not compilation.ended:
+                    time.sleep(0.1)
+
+
+@pytest.fixture(scope="session")
 def small_map():
     """Two goals, four landmarks, an edge, a wall end, a loose surface, a frontier; X_WM = (5, 3, pi/2)."""
-    # Not before NUMBA_CACHE_DIR is set.
+    # Not before it is known where the kernels are kept.
     from tfg_drake.config import OdometryConfig
     from tfg_drake.mapfile.saved_map import saved_map
     from tfg_drake.messages import GoalObservation, TfgMap

@@ -7,6 +7,11 @@ import pytest
 from tfg_drake.diagrams import cli
 
 
+@pytest.fixture(autouse=True)
+def _compiled(compiled):
+    """No command waits for kernels."""
+
+
 @pytest.fixture
 def call(capsys):
     """tfg-drake with some arguments: its exit code, standard output and standard error."""

@@ -221,7 +221,7 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
     def fail(*_arguments):
         raise ValueError("no way\nmore")
 
-    monkeypatch.setattr("tfg_drake.diagrams.run.write_report", fail)
+    monkeypatch.setattr("tfg_drake.diagrams.report.write_report", fail)
     code, _, err = call("explore", room, "--headless", "--max-time", "1", "--out", str(tmp_path))
     assert code == 3
     assert err.startswith("tfg-drake: internal error: ValueError: no way more (test_cli.py, line ")
@@ -238,17 +238,5 @@ def test_the_progress_line():
     assert untold == "  120 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
     over = explore_command.progress_line(dataclasses.replace(progress, outcome="complete"))
     assert over == "  120 s  complete: solving the whole map, writing the run's files"
-
-
-def test_plain_progress_lines_come_now_and_then(capsys, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(explore_command.time, "monotonic", lambda: now[0])
-    with explore_command.ProgressDisplay() as show:
-        for second in range(31):
-            now[0] = float(second)
-            show(Progress(now[0], now[0], "observe", 1, 0, 0.0, 0.0))
-        for second in (65.0, 66.0):
-            now[0] = second
-            show(Progress(second, second, "observe", 1, 0, 0.0, 0.0))
-        show(Progress(67.0, 67.0, "done", 1, 0, 0.0, 0.0, "complete"))
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["10", "20", "30", "65", "67"]
+    busy = explore_command.progress_line(dataclasses.replace(progress, word="compiling kernels, 12 of 74"))
+    assert busy == "  120 s  stage   7 follow   compiling kernels, 12 of 74"

@@ -112,10 +112,10 @@ def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
 def test_ctrl_c_ends_it(mrclam, tmp_path):
     import threading
 
-    from tfg_drake.diagrams.slam_command import Interrupted, ProgressBars, run_slam
+    from tfg_drake.diagrams.slam_command import Interrupted, Progress, run_slam
 
     event = threading.Event()
     event.set()
-    with ProgressBars(event) as show, pytest.raises(Interrupted):
-        run_slam(mrclam, None, tmp_path / "run", show)
+    with pytest.raises(Interrupted):
+        run_slam(mrclam, None, tmp_path / "run", Progress(lambda _text: None, event))
     assert not (tmp_path / "run" / "summary.json").exists()

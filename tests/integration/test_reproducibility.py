@@ -42,7 +42,7 @@ def test_two_processes_give_the_same_run(tmp_path):
 @pytest.mark.parametrize("time", [24.7, 44.3])
 def test_a_copy_of_the_context_goes_on_as_the_original_does(time):
     scenario = ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
-    diagram, truth_log, pose_log = MakeMissionDiagram(scenario, MakeWorld(scenario.world), None, "")
+    diagram, truth_log, pose_log = MakeMissionDiagram(scenario, MakeWorld(scenario.world))
     original = Simulator(diagram)
     diagram.SetRandomContext(original.get_mutable_context(), RandomGenerator(scenario.seed))
     original.Initialize()

@@ -159,6 +159,46 @@ def test_works_with_nothing_connected(meshcat):
     assert meshcat.HasPath("/tfg/caption")
 
 
+def test_before_there_is_anything_the_true_robot_stands_at_the_start(meshcat):
+    visualizer = TfgVisualizer(meshcat, make_world(), np.array([2.0, 2.0, 0.5]), 0.18, "test")
+    meshcat.Delete("/tfg/caption")
+    visualizer.word = "compiling"
+    visualizer.ShowBeginning()
+    assert meshcat.HasPath("/tfg/caption")
+    assert meshcat._GetPackedProperty("/tfg/truth", "visible").endswith(b"\xc3")
+    start = np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0, -np.sin(0.5), np.cos(0.5), 0, 0, 0, 0, 1, 0, 2.0, 2.0, 0, 1])
+    assert start.astype(">f8").tobytes()[:8] in meshcat._GetPackedTransform("/tfg/truth")
+
+
+def test_a_caption_is_kept_for_browsers_that_are_late(meshcat, monkeypatch):
+    shown = []
+    monkeypatch.setattr("tfg_drake.systems.visualizer.render_caption", lambda *words: shown.append(words) or b"")
+    now = [0.0]
+    monkeypatch.setattr("tfg_drake.systems.visualizer.time.monotonic", lambda: now[0])
+    visualizer = TfgVisualizer(meshcat, None, np.zeros(3), 0.18, "test")
+    for _ in range(3):  # two in CAPTION_INTERVAL
+        visualizer.ShowBeginning()
+        now[0] += 0.3
+    assert len(shown) == 2
+    assert meshcat.HasPath("/tfg/captions/0")
+    assert meshcat.HasPath("/tfg/captions/1")
+    assert meshcat._GetPackedProperty("/tfg/captions", "visible").endswith(b"\xc2")
+
+
+def test_the_end_is_drawn_whenever_it_comes(meshcat, monkeypatch):
+    shown = []
+    monkeypatch.setattr(
+        TfgVisualizer, "_ShowCaption", lambda self, title, figures: shown.append((title, dict(figures)))
+    )
+    mission = MissionStatus(phase="done", stage=1, since=0.4, outcome="complete")
+    diagram = make_diagram(meshcat, make_messages() | {"mission": mission})
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(0.4)
+    diagram.ForcedPublish(simulator.get_context())
+    assert shown[-1][0] == "test, complete"
+    assert shown[-1][1]["stage"] == "1"
+
+
 @pytest.mark.parametrize(
     ("phase", "moving", "shown"),
     [("follow", True, True), ("glance", True, True), ("map", True, True), ("map", False, False)],

@@ -1,0 +1,79 @@
+"""What a command says of itself while it works."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from typing import Any
+
+# Wall time after which a line is written again where there is no terminal, s, and after which it says since when.
+INTERVAL = 2.0
+LONG = 1.5
+
+
+class Screen:
+    """Shows what is done now: as a live line on a terminal, elsewhere as a line every INTERVAL.
+
+    A thread does so, and says how long the same has been done: who looks on can tell what takes long from what hangs.
+    """
+
+    def __init__(self) -> None:
+        self._text = ""
+        self._since = self._written = time.monotonic()
+        self._live: Any = None
+        self._over = threading.Event()
+        self._one = threading.Lock()
+        self._thread = threading.Thread(target=self._repeat, daemon=True)
+
+    def __enter__(self) -> Screen:
+        """Begin to show."""
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self._live = Live(get_renderable=self._renderable, refresh_per_second=5, transient=True)
+            self._live.start()
+        else:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Show no more."""
+        if self._live is not None:
+            self._live.stop()
+        else:
+            self._over.set()
+            self._thread.join()
+
+    def __call__(self, text: str) -> None:
+        """Show another text, a line of a terminal of 80 columns."""
+        if text != self._text:
+            self._text, self._since = text, time.monotonic()
+        if self._live is None:
+            self._write()
+
+    def line(self) -> str:
+        """What is shown now."""
+        spent = time.monotonic() - self._since
+        return f"{self._text} ({spent:.0f} s)" if spent >= LONG else self._text
+
+    def _renderable(self) -> Any:
+        from rich.text import Text
+
+        return Text(self.line(), no_wrap=True, overflow="ellipsis")
+
+    def _repeat(self) -> None:
+        while not self._over.wait(INTERVAL / 10.0):
+            self._write()
+
+    def _write(self) -> None:
+        with self._one:
+            now = time.monotonic()
+            if not self._text or now < self._written + INTERVAL:
+                return
+            self._written = now
+            try:
+                print(self.line(), flush=True)
+            except OSError:
+                self._written = math.inf  # Nobody reads on, or the disk is full; what is done is still wanted.
