@@ -86,11 +86,12 @@ def missions(folder: Path) -> Iterator[int]:
         *(["map", "export", run / "map.npz", folder / f"map.{suffix}"] for suffix in ("g2o", "csv", "png", "html")),
     )
     write_figures(folder, lambda stage, _time: stage == 3)
-    # A scanner that says the same wherever the robot is.
+    # A scanner that says the same wherever the robot is, and then that nothing is there.
     scan = LaserScan(0.1, np.linspace(-1.0, 1.0, 9), np.full(9, 2.0), 10.0, 0.01)
     watch = no_watch(dataclasses.replace(scan, stamp=-np.inf))
     for k in range(3):
         watch = watched(watch, dataclasses.replace(scan, stamp=0.1 * k), np.array([0.5 * k, 0.0, 0.0]), False, 0.2, 0.1)
+    watched(watch, dataclasses.replace(scan, stamp=0.3, ranges=np.full(9, np.inf)), np.zeros(3), False, 0.2, 0.1)
     yield OTHER
 
 
