@@ -98,11 +98,11 @@ def _landmarks(
     rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
     p_ML_true = transform(inverse(world.start), world.p_WT[rows])
     p_ML = estimate.p_ML[known]
-    jointly = known[np.isin(known, estimate.local)]
-    entry = np.searchsorted(estimate.local, jointly)
+    entry = estimate.local_entry[known]
+    of_joint = entry >= 0
+    entry = entry[of_joint]
     entries = np.stack([2 * entry, 2 * entry + 1], axis=1).ravel()
     covariance = estimate.covariance[np.ix_(entries, entries)]
-    of_joint = np.isin(known, jointly)
     return figures | {
         "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
         "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),

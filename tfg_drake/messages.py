@@ -183,6 +183,28 @@ class MapEstimate:
     observation: GoalObservation
     entropy: float
 
+    @property
+    def is_joint(self) -> bool:
+        """Whether all landmarks are known jointly."""
+        return len(self.local) == len(self.ids)
+
+    @property
+    def is_local(self) -> BoolArray:
+        """Which landmarks (n,) are known jointly."""
+        return self.local_entry >= 0
+
+    @property
+    def local_entry(self) -> IntArray:
+        """The place of each landmark (n,) among those known jointly, -1 for the others."""
+        entry = np.full(len(self.ids), -1)
+        entry[self.local] = np.arange(len(self.local))
+        return entry
+
+    @property
+    def local_p_ML(self) -> FloatArray:
+        """Those of the landmarks known jointly, (m, 2)."""
+        return self.p_ML[self.local]
+
 
 @message
 class TfgMap:

@@ -1,5 +1,6 @@
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -138,9 +139,9 @@ def test_on_a_terminal_the_view_stays_until_enter(path):
         while b"close it. " not in said:
             assert select.select([ours], [], [], 60.0)[0], said
             said += os.read(ours, 1000)
-        first = said.decode().splitlines()[0]
-        assert first.startswith("Meshcat: http://localhost:")
-        page = urllib.request.urlopen(first.removeprefix("Meshcat: "), timeout=10).read().decode()
+        address = re.search(r"Meshcat: (http://localhost:\d+)", said.decode())
+        assert address, said
+        page = urllib.request.urlopen(address[1], timeout=10).read().decode()
         assert "<title>map.npz</title>" in page
         os.write(ours, b"\n")
         assert process.wait(timeout=30) == 0

@@ -156,7 +156,7 @@ def test_the_map_is_on_the_disk_while_it_grows(tmp_path, monkeypatch, method, fi
     def end(*_arguments):
         raise Ends
 
-    monkeypatch.setattr(run, "write_report", end)
+    monkeypatch.setattr(report, "write_report", end)
     monkeypatch.setattr(run, "KEPT_SHARE", np.inf)
     with pytest.raises(Ends):
         run.explore(room(), method=FindMethod(method), max_time=100.0, out_dir=tmp_path, on_progress=look)

@@ -123,7 +123,7 @@ def judged(now: Situation, previous: GoalChoice) -> Candidates:
         return _found_again(judge.gains(points[rows], arriving, tags, frontiers), here[rows])
 
     # What is remembered has to be known, and the most that a place can bring is known of the exact gain alone.
-    all_at_once = len(estimate.local) < len(estimate.ids) or explorer.gain != "exact" or not explorer.pose_price
+    all_at_once = not estimate.is_joint or explorer.gain != "exact" or not explorer.pose_price
     promised = expected(np.flatnonzero(ask)) if all_at_once else judge.most(points, arrival, frontiers_seen)
     gains = _filled(previous, names, ask, promised, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
     promises = Promises(gains, ~ask | all_at_once, expected, pay=explorer.pose_price)

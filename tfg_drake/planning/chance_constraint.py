@@ -24,7 +24,7 @@ from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
-from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, local_entries, visible_targets
+from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
@@ -238,7 +238,7 @@ def predicted_deviation(
         reach,
         sensor.max_incidence,
         noise,
-        local_entries(estimate),
+        estimate.local_entry,
         estimate.covariance,
     )
     joint = (knows >= 2) & (knows >= np.minimum(sees, LOCALISATION_TAGS))

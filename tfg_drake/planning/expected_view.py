@@ -209,16 +209,9 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig,
     return view.kept(np.hypot(ways[:, 0], ways[:, 1]) >= least_range)
 
 
-def local_entries(estimate: MapEstimate) -> IntArray:
-    """The place of each landmark (n,) among those known jointly, -1 for the others."""
-    entry = np.full(len(estimate.ids), -1)
-    entry[estimate.local] = np.arange(len(estimate.local))
-    return entry
-
-
 def local_view(tags: View, estimate: MapEstimate) -> View:
-    """A view of rows of estimate.ids as one of the entries of estimate.local, those that are not in it left out."""
-    if len(estimate.local) == len(estimate.ids):
+    """A view of rows of estimate.ids as one of the landmarks known jointly, the others left out."""
+    if estimate.is_joint:
         return tags
-    index = local_entries(estimate)[tags.index]
+    index = estimate.local_entry[tags.index]
     return View(tags.offsets, index).kept(index >= 0)

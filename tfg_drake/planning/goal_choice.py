@@ -98,7 +98,7 @@ def choose(
         # It goes all the way there: what it comes to is no candidate any more.
         value[candidates.names == previous.node] = 1.0
     best = pick(value, open_to, candidates.time)
-    if explorer.goal == "tour" and best >= 0 and len(estimate.local) < len(estimate.ids):
+    if explorer.goal == "tour" and best >= 0 and not estimate.is_joint:
         # Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour,
         # must not turn the robot round before it is done with what is nearer.
         before = np.flatnonzero((candidates.names == previous.node) & open_to & candidates.sees_enough)

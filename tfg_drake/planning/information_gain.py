@@ -84,8 +84,8 @@ def turn_noise(sensor: TagSensorConfig, sightings: float) -> FloatArray:
 
 def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
     """Covariance (3, 3) of the departure pose X_MD given all landmarks that are known jointly with it."""
-    n = 2 * len(estimate.local)
     S = estimate.covariance
+    n = len(S) - 3
     S_DD = np.array(S[n:, n:])
     if n == 0:
         return S_DD
@@ -108,7 +108,7 @@ class Turns:
 
     @functools.cached_property
     def _p_ML(self) -> FloatArray:
-        return self.estimate.p_ML[self.estimate.local]
+        return self.estimate.local_p_ML
 
     @functools.cached_property
     def _noise(self) -> FloatArray:
@@ -162,7 +162,7 @@ class Turns:
             *arrival_covariance(F, arrival, estimate.covariance),
             F,
             self._p_ML,
-            self.tfg.facing[estimate.local],
+            self.tfg.facing[estimate.is_local],
             estimate.covariance,
             sensor.range,
             sensor.max_incidence,

@@ -83,7 +83,7 @@ def _pose_errors(
     heading = np.arctan2(*np.vstack([ahead, ahead[-1:]]).T[::-1])
     step = np.append(0.0, np.hypot(*ahead.T))
     views = local_view(expected_tags(path, estimate, tfg, sensor), estimate)
-    p_ML = estimate.p_ML[estimate.local]
+    p_ML = estimate.local_p_ML
     S = estimate.covariance
     n = 2 * len(p_ML)
     P, P_xL = S[n:, n:].copy(), S[n:, :n].copy()
@@ -162,8 +162,7 @@ class _Ends:
 def _moved_ends(segments: FloatArray, ids: IntArray, estimate: MapEstimate) -> _Ends:
     """What carries the ends of surface pieces (g, 4), anchored to landmarks of ids (g, 2), -1 for none; a piece without
     a landmark goes with the nearest one."""
-    known = estimate.ids[estimate.local]
-    p_ML = estimate.p_ML[estimate.local]
+    known, p_ML = estimate.ids[estimate.is_local], estimate.local_p_ML
     row = np.minimum(np.searchsorted(known, ids), len(known) - 1)
     found = known[row] == ids
     ends = segments.reshape(-1, 2, 2)

@@ -32,7 +32,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     """
     estimate, roadmap, parameters = now.estimate, now.roadmap, now.parameters
     value = np.zeros(len(nodes))
-    if len(estimate.local) < len(estimate.ids) or not len(estimate.ids):
+    if not estimate.is_joint or not len(estimate.ids):
         return value
     # Mostly the same places at every stage: names are given once and for all.
     asked = np.flatnonzero(roadmap.names(nodes) % (1 + len(nodes) // PLACES) == 0)

@@ -19,9 +19,9 @@ from tfg_drake.messages import FloatArray, IntArray, MapEstimate
 def in_departure_frame(estimate: MapEstimate, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     """p_DL (m, 2) of the landmarks in some rows (m,) of the estimate, and the covariance of (p_DL row by row, X_MD).
 
-    That is (2m + 3, 2m + 3). The rows must be among estimate.local.
+    That is (2m + 3, 2m + 3). They must be among the landmarks known jointly.
     """
-    entries, heading = np.searchsorted(estimate.local, rows), float(estimate.X_MD[2])
+    entries, heading = estimate.local_entry[rows], float(estimate.X_MD[2])
     p_DL = local_positions(estimate)
     P = np.empty((2 * len(rows) + 3, 2 * len(rows) + 3))
     P[:-3, :-3] = covariance_in_departure_frame(estimate.covariance, heading, p_DL, entries, entries)
@@ -31,8 +31,8 @@ def in_departure_frame(estimate: MapEstimate, rows: IntArray) -> tuple[FloatArra
 
 
 def local_positions(estimate: MapEstimate) -> FloatArray:
-    """p_DL (m, 2) of the landmarks known jointly, estimate.local."""
-    return (estimate.p_ML[estimate.local] - estimate.X_MD[:2]) @ se2.rotation(float(estimate.X_MD[2]))
+    """p_DL (m, 2) of the landmarks known jointly."""
+    return (estimate.local_p_ML - estimate.X_MD[:2]) @ se2.rotation(float(estimate.X_MD[2]))
 
 
 # p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D.

@@ -223,7 +223,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     elif piece is not None:
         piece = replace(piece, frames=(*piece.frames, TurnFrame(stamp, clock, X_OB, frame)))
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
-    if state.map is not None and len(state.map.local) < len(state.map.ids):
+    if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, seen)
         known, ignored = known + elsewhere, ignored + elsewhere
     contradictions = state.contradictions

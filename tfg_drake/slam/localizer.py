@@ -56,9 +56,11 @@ def restart_localizer(
 
 def _around(model: OdometryModel, map_estimate: MapEstimate) -> Localizer:
     """A localiser at the departure pose that considers the landmarks known jointly."""
-    local, X_MD = map_estimate.local, map_estimate.X_MD
+    X_MD = map_estimate.X_MD
     p_DL = local_positions(map_estimate)
-    filter_ = pose_filter.start(model, map_estimate.ids[local], p_DL, float(X_MD[2]), map_estimate.covariance)
+    filter_ = pose_filter.start(
+        model, map_estimate.ids[map_estimate.is_local], p_DL, float(X_MD[2]), map_estimate.covariance
+    )
     return Localizer(X_MD, filter_)
 
 

@@ -62,7 +62,7 @@ def updated(
     """
     limit = np.full(len(observation.ids), REJECTED) if limit is None else limit
     row, known = rows_of(observation.ids, estimate.ids)
-    local_row, seen = np.searchsorted(estimate.local, row[known]), np.flatnonzero(known)
+    local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
     while True:
         update = _iterated(estimate, local_row[kept], observation, seen[kept])
@@ -88,10 +88,10 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
     moved = estimate.p_ML[np.searchsorted(estimate.ids, solved.ids)] - solved.p_ML
     if np.max(np.abs(moved), initial=0.0) > FAR_MOVED:
         return True
-    if len(estimate.local) == len(estimate.ids):
+    if estimate.is_joint:
         return False
     distance = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T)
-    return not np.isin(np.argpartition(distance, NEAREST)[:NEAREST], estimate.local).all()
+    return not estimate.is_local[np.argpartition(distance, NEAREST)[:NEAREST]].all()
 
 
 def finished(
@@ -119,7 +119,7 @@ def _iterated(estimate: MapEstimate, local_row: IntArray, observation: GoalObser
     P = estimate.covariance[np.ix_(at, at)]
     of_seen = (2 * seen[:, None] + [0, 1]).ravel()
     noise = observation.covariance[np.ix_(of_seen, of_seen)]
-    x_0 = x = np.append(estimate.p_ML[estimate.local[local_row]], estimate.X_MD)
+    x_0 = x = np.append(estimate.local_p_ML[local_row], estimate.X_MD)
     H = np.zeros((2 * m, 2 * m + 3))
     i = np.arange(m)
     for _ in range(ITERATIONS):
@@ -161,9 +161,7 @@ def _joined(
     size, more, old = len(estimate.covariance), int(np.count_nonzero(beyond)), len(estimate.covariance) - 3
     P = np.zeros((size + more, size + more))
     P[:size, :size], P[size:, size:] = estimate.covariance, R[np.ix_(beyond, beyond)]
-    x = np.concatenate(
-        [estimate.p_ML[estimate.local].ravel(), estimate.X_MD, observation.p_AL[~known].ravel(), observation.X_AD]
-    )
+    x = np.concatenate([estimate.local_p_ML.ravel(), estimate.X_MD, observation.p_AL[~known].ravel(), observation.X_AD])
     if len(local_row):
         with_tags = estimate.covariance[:, _entries(size, local_row)] @ update.H.T
         gain = np.vstack([with_tags, -R[np.ix_(beyond, ~beyond)]]).T

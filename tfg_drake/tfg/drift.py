@@ -29,10 +29,9 @@ def drift_from_robot(estimate: MapEstimate, rows: IntArray) -> FloatArray:
     with it may have drifted by MOST_DRIFT.
     """
     drift = np.tile(MOST_DRIFT**2 * np.eye(2), (len(rows), 1, 1))
-    entry = np.full(len(estimate.ids), -1)
-    entry[estimate.local] = np.arange(len(estimate.local))
-    known = entry[rows] >= 0
-    rows, entry = rows[known], entry[rows[known]]
+    entry = estimate.local_entry[rows]
+    known = entry >= 0
+    rows, entry = rows[known], entry[known]
     P, both = estimate.covariance, np.stack([2 * entry, 2 * entry + 1], axis=1)
     lever = estimate.p_ML[rows] - estimate.X_MD[:2]
     # Relative error: that of the landmark, less the robot's, less what the robot's heading adds over the distance.
@@ -48,8 +47,7 @@ def drift_from_robot(estimate: MapEstimate, rows: IntArray) -> FloatArray:
 def known_jointly(points: FloatArray, estimate: MapEstimate, reach: float = NEIGHBOURHOOD) -> BoolArray:
     """Whether all landmarks within reach (m) of each of the points (n, 2), in M, are known jointly with the departure
     pose, (n,)."""
-    others = np.ones(len(estimate.ids), dtype=np.bool_)
-    others[estimate.local] = False
+    others = ~estimate.is_local
     if not others.any() or not len(points):
         return np.ones(len(points), dtype=np.bool_)
     distance, _ = cKDTree(estimate.p_ML[others]).query(points)
@@ -62,7 +60,7 @@ def drift_between(points: FloatArray, normals: FloatArray, estimate: MapEstimate
     points: (n, 2) and unit normals (n, 2) in M. Zero where fewer than two landmarks are near that are known jointly,
     MOST_DRIFT at most.
     """
-    variance = _worst_pair(points, normals, estimate.p_ML[estimate.local], estimate.covariance)
+    variance = _worst_pair(points, normals, estimate.local_p_ML, estimate.covariance)
     return np.asarray(np.minimum(np.sqrt(variance), MOST_DRIFT))
 
 

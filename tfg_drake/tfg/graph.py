@@ -239,7 +239,7 @@ def update(
 
     def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
         """What is found now, where that can be told; elsewhere what was found then stands."""
-        if math.isinf(reach) and len(estimate.local) == len(estimate.ids):
+        if math.isinf(reach) and estimate.is_joint:
             return now
         return join(select(then, ~which(then)), select(now, which(now)))
 

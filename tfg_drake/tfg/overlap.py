@@ -78,8 +78,7 @@ def mapped_otherwise(
     landmarks = _known_badly(estimate)
     if not landmarks.any():
         return nothing_otherwise(surfaces, estimate)
-    known = np.zeros(len(landmarks), dtype=np.bool_)
-    known[estimate.local] = True
+    known = estimate.is_local
     goal, ids = _saw(surfaces, tag_ids, tag_goal)
     row = np.searchsorted(estimate.ids, ids)
     these, others = (
@@ -100,11 +99,12 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
     """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it: none of those
     that the newest goal saw. What all of them are known worse by is the robot's own."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
-    if len(estimate.local):
-        (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
+    known = estimate.is_local
+    if known.any():
+        (xx, xy), (_, yy) = drift_from_robot(estimate, np.flatnonzero(known)).transpose(1, 2, 0)
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-        distance = np.hypot(*(estimate.p_ML[estimate.local] - estimate.X_MD[:2]).T)
-        badly[estimate.local] = largest - largest.min() > (MOST_DRIFT + SWING * distance) ** 2
+        distance = np.hypot(*(estimate.local_p_ML - estimate.X_MD[:2]).T)
+        badly[known] = largest - largest.min() > (MOST_DRIFT + SWING * distance) ** 2
         badly &= ~np.isin(estimate.ids, estimate.observation.ids)
     return badly
 

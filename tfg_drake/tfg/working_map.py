@@ -38,11 +38,6 @@ def empty_graphs() -> Parted[TfgGraph]:
     return undivided(empty_graph())
 
 
-def is_small(estimate: MapEstimate) -> bool:
-    """Whether all of the map is known jointly: then nothing of it rests."""
-    return len(estimate.local) == len(estimate.ids)
-
-
 def may_rest(explorer: ExplorerConfig) -> bool:
     """Whether the next goal can be chosen without all of the map: not by every rule, and not where the robot must know
     how long the way home is."""
@@ -65,7 +60,7 @@ def update(
     Raises ValueError where the estimate is of another stage than the next.
     """
     seen = reach_of(panorama)
-    is_large = bool(graphs.resting) or not is_small(estimate)
+    is_large = bool(graphs.resting) or not estimate.is_joint
     if is_large and may_rest(explorer):
         if not graphs.resting:
             # While all was known jointly, the newest goal looked for unseen faces everywhere.
@@ -155,13 +150,13 @@ def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
 
 def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
     """The map with some of its landmarks (n,) only, and with all its goals."""
-    local = keep[estimate.local]
+    local = keep[estimate.is_local]
     rows = np.append(np.repeat(local, 2), np.ones(3, dtype=np.bool_))
     return replace(
         estimate,
         ids=estimate.ids[keep],
         p_ML=estimate.p_ML[keep],
-        local=np.cumsum(keep)[estimate.local[local]] - 1,
+        local=np.flatnonzero(estimate.is_local[keep]),
         covariance=estimate.covariance[np.ix_(rows, rows)],
         landmark_covariance=estimate.landmark_covariance[keep],
     )
