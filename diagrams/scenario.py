@@ -10,6 +10,7 @@ import difflib
 import importlib.resources
 import math
 import sys
+import types
 import typing
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from tfg_drake.config import (
     HardwareConfig,
     OdometryConfig,
     PlannerConfig,
+    RealityConfig,
     RobotConfig,
     SafetyConfig,
     ScanConfig,
@@ -76,6 +78,8 @@ class Scenario:
     odometry: OdometryConfig = dataclasses.field(default_factory=OdometryConfig)
     tags: TagSensorConfig = dataclasses.field(default_factory=TagSensorConfig)
     scan: ScanConfig = dataclasses.field(default_factory=ScanConfig)
+    # What a simulated world does otherwise than the three sections above say; a real one goes by itself.
+    reality: RealityConfig = dataclasses.field(default_factory=RealityConfig)
     safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
     # What moves the base besides its wheels.
     disturbances: list[DisturbanceConfig] = dataclasses.field(default_factory=list)
@@ -108,6 +112,10 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "tags.bearing_noise": (0.0, math.inf),
     "tags.detection_probability": (0.0, 1.0),
     "tags.range_scale": (0.0, math.inf),
+    "reality.tags.range": (0.0, math.inf),
+    "reality.tags.max_incidence": (0.0, 0.5 * math.pi),
+    "reality.tags.detection_probability": (0.0, 1.0),
+    "reality.tags.range_scale": (0.0, math.inf),
     "scan.range": (0.0, math.inf),
     "scan.field_of_view": (0.0, 2.0 * math.pi),
     "scan.resolution": (1e-4, math.pi),
@@ -143,6 +151,12 @@ _SIGNED = (
     "world.tags",
     "world.start",
     "drive",
+    "reality.tags.clock_offset",
+    "reality.tags.yaw",
+    "reality.tags.ahead",
+    "reality.tags.left",
+    "reality.scan.clock_offset",
+    "reality.scan.yaw",
     "disturbances[].ahead",
     "disturbances[].left",
     "disturbances[].turn",
@@ -250,7 +264,7 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
         _CheckTree(value, schema, key, source)
         if dataclasses.is_dataclass(schema) or typing.get_origin(schema) is list:
             raise ScenarioError(f"{source}: {key} is a section; set one of its keys, or write a scenario file")
-        setattr(owner, names[-1], schema(value))
+        setattr(owner, names[-1], None if value is None else _Given(schema)(value))
     _CheckWorld(result, "--set")
     return result
 
@@ -340,6 +354,11 @@ def _Types(schema: typing.Any) -> dict[str, typing.Any]:
     return {field.name: field.type for field in dataclasses.fields(schema)}
 
 
+def _Given(schema: typing.Any) -> typing.Any:
+    """The type of a value that is given, where it may be left out."""
+    return typing.get_args(schema)[0] if isinstance(schema, types.UnionType) else schema
+
+
 def _Keys(schema: typing.Any) -> list[str]:
     return [field.name for field in dataclasses.fields(schema)]
 
@@ -366,14 +385,17 @@ def _Describe(value: object) -> str:
 
 def _CheckTree(value: object, schema: typing.Any, place: str, source: str) -> None:
     """Refuses a parsed YAML value that does not fit the schema, naming its place."""
+    if value is None and schema is not _Given(schema):
+        return
+    schema = _Given(schema)
     if dataclasses.is_dataclass(schema):
         if not isinstance(value, dict):
             raise ScenarioError(f"{source}: {place}: expected a section of keys, found {_Describe(value)}")
-        types = _Types(schema)
+        known = _Types(schema)
         for key, item in value.items():
-            if key not in types:
-                raise ScenarioError(f"{source}: {_UnknownKey(key, list(types), place)}")
-            _CheckTree(item, types[key], f"{place}.{key}" if place else key, source)
+            if key not in known:
+                raise ScenarioError(f"{source}: {_UnknownKey(key, list(known), place)}")
+            _CheckTree(item, known[key], f"{place}.{key}" if place else key, source)
     elif typing.get_origin(schema) is list:
         if not isinstance(value, list):
             raise ScenarioError(f"{source}: {place}: expected a list, found {_Describe(value)}")
@@ -415,7 +437,8 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
     general = _General(place)
     if general.startswith(_SIGNED):
         return
-    least, greatest = _BOUNDS.get(general, (-math.inf, math.inf))
+    unbounded = 1.0 if general.endswith("_probability") else math.inf
+    least, greatest = _BOUNDS.get(general, (-math.inf, unbounded))
     if general not in _BOUNDS and number < 0:
         raise ScenarioError(f"{source}: {place}: must not be negative, is {number:g}")
     if number < least or (number == least == 0.0):

@@ -8,6 +8,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
 from pydrake.systems.primitives import RandomSource
 
+from tfg_drake.config import as_it_is
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.systems import odometry
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
@@ -65,7 +66,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         from tfg_drake.hardware.robot_devices import open_devices
 
         return MakeHardwareStation(scenario, open_devices(scenario.hardware, scenario.robot))
-    world, disturbances = MakeWorld(scenario.world), scenario.disturbances
+    world, reality, disturbances = MakeWorld(scenario.world), scenario.reality, scenario.disturbances
     builder = DiagramBuilder()
 
     filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan)
@@ -73,9 +74,11 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     plant = builder.AddNamedSystem(
         "differential_drive_plant", DifferentialDrivePlant(world, scenario.robot, disturbances)
     )
-    wheels = builder.AddNamedSystem("odometry", Odometry(world.start, scenario.odometry, disturbances))
-    tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags))
-    scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan))
+    wheels = builder.AddNamedSystem(
+        "odometry", Odometry(world.start, as_it_is(scenario.odometry, reality.odometry), disturbances)
+    )
+    tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
+    scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
 
     builder.Connect(safety_filter.GetOutputPort("velocity"), plant.GetInputPort("velocity_commanded"))
     builder.Connect(plant.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
@@ -88,6 +91,15 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
     _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
     _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
+
+    # After those that every simulation has: what reality does besides leaves their numbers as they are.
+    if tag_sensor.has_tag_errors:
+        _AddNoise(builder, "tag_errors", tag_sensor.GetInputPort("tag_errors"), _ONCE)
+    if tag_sensor.has_frame_noise:
+        _AddNoise(builder, "frame_noise", tag_sensor.GetInputPort("frame_noise"), 1.0 / scenario.tags.rate)
+    if scanner.has_ray_faults:
+        port = scanner.GetInputPort("ray_faults")
+        _AddNoise(builder, "ray_faults", port, 1.0 / scenario.scan.rate, RandomDistribution.kUniform)
 
     if meshcat is not None:
         # Only a picture needs what this imports.
@@ -115,7 +127,13 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     return station
 
 
-def _AddNoise(builder: DiagramBuilder, name: str, port: InputPort, period: float) -> None:
-    """Connects standard normal numbers, redrawn every period (s), to a port."""
-    source = RandomSource(RandomDistribution.kGaussian, port.size(), period)
+def _AddNoise(
+    builder: DiagramBuilder,
+    name: str,
+    port: InputPort,
+    period: float,
+    distribution: RandomDistribution = RandomDistribution.kGaussian,
+) -> None:
+    """Connects numbers of a distribution, redrawn every period (s), to a port."""
+    source = RandomSource(distribution, port.size(), period)
     builder.Connect(builder.AddNamedSystem(name, source).get_output_port(), port)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from tfg_drake.config import ScanConfig
+from tfg_drake.config import ScanConfig, ScanRealityConfig, as_it_is
+from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import replace
-from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan
+from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import set_state_message
 from tfg_drake.world.world import World
@@ -23,20 +25,27 @@ class LaserScanner(LeafSystem):
         input_ports:
         - pose
         - noise
+        - ray_faults
         output_ports:
         - ranges
 
-    pose: x, y, theta, v, w of the plant. noise: one standard normal number a ray, fresh every scan. ranges: a LaserScan
-    message; stamped -inf and empty before the first scan.
+    pose: x, y, theta, v, w of the plant. noise: one standard normal number a ray, fresh every scan; ray_faults: one
+    uniform number a ray, likewise, left unconnected where in reality no ray fails. ranges: a LaserScan message; stamped
+    -inf and empty before the first scan.
     """
 
-    def __init__(self, world: World, config: ScanConfig):
+    def __init__(self, world: World, config: ScanConfig, reality: ScanRealityConfig | None = None):
+        """config: the data sheet. reality: what the scanner does otherwise."""
         super().__init__()
-        self._walls, self._config = world.walls, config
+        reality = reality or ScanRealityConfig()
+        self._walls, self._stated, self._reality = world.walls, config, reality
+        self._config, self._X_BS = as_it_is(config, reality), np.array([0.0, 0.0, reality.yaw])
+        self.has_ray_faults = reality.dropout_probability > 0.0 or reality.mixed_probability > 0.0
         # A message's own, which every other shares.
         self._angles = replace(no_scan(config), angles=ray_angles(config)).angles
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
+        self._ray_faults = self.DeclareVectorInputPort("ray_faults", len(self._angles), RandomDistribution.kUniform)
         self._message = self.DeclareAbstractState(AbstractValue.Make(no_scan(config)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Scan)
         self.DeclareStateOutputPort("ranges", self._message)
@@ -44,6 +53,9 @@ class LaserScanner(LeafSystem):
     @metered("laser_scanner")
     def _Scan(self, context: Context, state: State) -> None:
         X_WB = self._pose.Eval(context)[:3]
-        noise = self._noise.Eval(context)
-        message = scan(self._walls, X_WB, context.get_time(), self._angles, noise, self._config)
+        X_WS = compose(X_WB, self._X_BS) if self._X_BS.any() else X_WB
+        noise, stamp = self._noise.Eval(context), context.get_time() + self._reality.clock_offset
+        message = scan(self._walls, X_WS, stamp, self._angles, noise, self._config, self._stated)
+        if self.has_ray_faults:
+            message = spoilt(message, self._ray_faults.Eval(context), self._reality)
         set_state_message(state, self._message, message)

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from scipy.special import ndtr
 
-from tfg_drake.config import TagSensorConfig
-from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect, no_detections
+from tfg_drake.config import TagRealityConfig, TagSensorConfig, as_it_is
+from tfg_drake.geometry.se2 import compose
+from tfg_drake.messages import FloatArray, TagDetections, message
+from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, no_detections
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import set_state_message
+from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
 from tfg_drake.world.world import World
+
+
+@message
+class _SensorState:
+    """The newest frame, and the noise (n, 2) that the next one's is correlated with, none where it is white."""
+
+    frame: TagDetections
+    noise: FloatArray
 
 
 class TagSensor(LeafSystem):
@@ -22,27 +34,68 @@ class TagSensor(LeafSystem):
         input_ports:
         - pose
         - noise
+        - tag_errors
+        - frame_noise
         output_ports:
         - detections
 
     pose: x, y, theta, v, w of the plant. noise: NOISE_PER_TAG standard normal numbers for each of the world's tags,
-    fresh every frame. detections: a TagDetections message; stamped -inf and empty before the first frame.
+    fresh every frame; tag_errors: 2 for each, the same all along; frame_noise: 2, fresh every frame. Where reality has
+    no use for the last two they may be left unconnected. detections: a TagDetections message; stamped -inf and empty
+    before the first frame.
     """
 
-    def __init__(self, world: World, config: TagSensorConfig):
+    def __init__(self, world: World, config: TagSensorConfig, reality: TagRealityConfig | None = None):
+        """config: the data sheet. reality: what the sensor does otherwise."""
         super().__init__()
-        self._world, self._config = world, config
+        reality = reality or TagRealityConfig()
+        self._world, self._stated, self._reality = world, config, reality
+        self._config = as_it_is(config, reality)
+        self._X_BS = np.array([reality.ahead, reality.left, reality.yaw])
         self._pose = self.DeclareVectorInputPort("pose", 5)
-        self._noise = self.DeclareVectorInputPort(
-            "noise", NOISE_PER_TAG * len(world.tag_ids), RandomDistribution.kGaussian
-        )
-        self._message = self.DeclareAbstractState(AbstractValue.Make(no_detections()))
+        n, gaussian = len(world.tag_ids), RandomDistribution.kGaussian
+        self._noise = self.DeclareVectorInputPort("noise", NOISE_PER_TAG * n, gaussian)
+        self._tag_errors = self.DeclareVectorInputPort("tag_errors", 2 * n, gaussian)
+        self._frame_noise = self.DeclareVectorInputPort("frame_noise", 2, gaussian)
+        self.has_tag_errors = reality.tag_range_error > 0.0 or reality.tag_bearing_error > 0.0
+        self.has_frame_noise = reality.clock_jitter > 0.0 or reality.frame_loss_probability > 0.0
+        is_white = reality.correlation_time == 0.0
+        initial = _SensorState(no_detections(), np.zeros((0, 2)) if is_white else np.zeros((n, 2)))
+        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Detect)
-        self.DeclareStateOutputPort("detections", self._message)
+        declare_message_output(
+            self, "detections", lambda context: self._State(context).frame, {self.abstract_state_ticket(self._state)}
+        )
+
+    def _State(self, context: Context) -> _SensorState:
+        return state_message(context, self._state, _SensorState)
 
     @metered("tag_sensor")
-    def _Detect(self, context: Context, state: State) -> None:
-        X_WB = self._pose.Eval(context)[:3]
-        noise = self._noise.Eval(context).reshape(-1, NOISE_PER_TAG)
-        message = detect(self._world, X_WB, context.get_time(), noise, self._config)
-        set_state_message(state, self._message, message)
+    def _Detect(self, context: Context, state: State) -> EventStatus:
+        reality, now = self._reality, self._State(context)
+        pose = self._pose.Eval(context)
+        fresh = self._noise.Eval(context).reshape(-1, NOISE_PER_TAG)
+        noise = now.noise
+        if len(noise):
+            first = not np.isfinite(now.frame.stamp)
+            interval = np.inf if first else 1.0 / self._config.rate
+            noise = correlated(noise, fresh[:, :2], interval, reality.correlation_time)
+            fresh = np.column_stack([noise, fresh[:, 2]])
+        stamp = context.get_time() + reality.clock_offset
+        if self.has_frame_noise:
+            lost, late = self._frame_noise.Eval(context)
+            if ndtr(lost) < reality.frame_loss_probability:
+                return EventStatus.DidNothing()
+            stamp += reality.clock_jitter * late
+        blurred = 0.0 < reality.blurring_turn_rate < abs(pose[4])
+        errors = None
+        if self.has_tag_errors:
+            errors = self._tag_errors.Eval(context).reshape(-1, 2)
+            errors = errors * np.array([reality.tag_range_error, reality.tag_bearing_error])
+        X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
+        frame = detect(self._world, X_WS, stamp, fresh, self._config, self._stated, errors)
+        if blurred:
+            none = np.zeros(0)
+            frame = TagDetections(stamp, np.zeros(0, dtype=np.int64), none, none, none, none)
+        set_state_message(state, self._state, _SensorState(frame, noise))
+        return EventStatus.Succeeded()

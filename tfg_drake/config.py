@@ -4,6 +4,9 @@ Plain mutable dataclasses of plain types, so that a scenario file can be read st
 """
 
 import dataclasses
+from typing import Any, TypeVar
+
+S = TypeVar("S")
 
 # A place for the robot to stand has this much more room to every side than its radius, m.
 NODE_MARGIN = 0.05
@@ -145,6 +148,83 @@ class DisturbanceConfig:
     turn: float = 0.0
     # Whether the gyro feels that turn.
     gyro_feels: bool = True
+
+
+@dataclasses.dataclass
+class TagRealityConfig:
+    """What the simulated tag sensor does where its data sheet, TagSensorConfig, says otherwise; None: as that says."""
+
+    range: float | None = None
+    max_incidence: float | None = None
+    range_noise: float | None = None
+    range_noise_per_metre: float | None = None
+    bearing_noise: float | None = None
+    detection_probability: float | None = None
+    outlier_probability: float | None = None
+    wrong_id_probability: float | None = None
+    range_scale: float | None = None
+    # Range and bearing noise of a tag from one frame to the next fall to 1/e of their correlation in this time, s; 0:
+    # white.
+    correlation_time: float = 0.0
+    # Standard deviations of each tag's constant error in range, m, and bearing, rad: it is printed, measured or hung
+    # otherwise than believed.
+    tag_range_error: float = 0.0
+    tag_bearing_error: float = 0.0
+    # The camera's clock less the base's, s: a frame's stamp is so much too late.
+    clock_offset: float = 0.0
+    # Standard deviation of a stamp's own error, s, and probability that a frame is lost.
+    clock_jitter: float = 0.0
+    frame_loss_probability: float = 0.0
+    # The camera's heading in the body frame, rad, and where it sits, ahead and to the left of the body's origin, m; it
+    # is believed to sit there and to look ahead.
+    yaw: float = 0.0
+    ahead: float = 0.0
+    left: float = 0.0
+    # No tag is detected while the robot turns faster than this, rad/s: the image is blurred; 0: never.
+    blurring_turn_rate: float = 0.0
+
+
+@dataclasses.dataclass
+class OdometryRealityConfig:
+    """What wheels and gyro of the simulated base do where OdometryConfig says otherwise; None: as that says."""
+
+    distance_noise: float | None = None
+    distance_scale: float | None = None
+    gyro_noise: float | None = None
+    gyro_bias: float | None = None
+    gyro_scale: float | None = None
+
+
+@dataclasses.dataclass
+class ScanRealityConfig:
+    """What the simulated scanner does where its data sheet, ScanConfig, says otherwise; None: as that says."""
+
+    noise: float | None = None
+    # Probability that a ray meets nothing (glass, black walls), and that it tells a range between the surface that it
+    # passes the edge of and the one behind.
+    dropout_probability: float = 0.0
+    mixed_probability: float = 0.0
+    # The scanner's heading in the body frame, rad; it is believed to look ahead.
+    yaw: float = 0.0
+    # The scanner's clock less the base's, s.
+    clock_offset: float = 0.0
+
+
+@dataclasses.dataclass
+class RealityConfig:
+    """What the simulated world does otherwise than the sections `tags`, `odometry` and `scan` say, which are what the
+    explorer believes. None of it is told."""
+
+    tags: TagRealityConfig = dataclasses.field(default_factory=TagRealityConfig)
+    odometry: OdometryRealityConfig = dataclasses.field(default_factory=OdometryRealityConfig)
+    scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
+
+
+def as_it_is(belief: S, reality: Any) -> S:
+    """A sensor's data sheet with what a section of RealityConfig says instead."""
+    names = {field.name for field in dataclasses.fields(belief)}  # type: ignore[arg-type]
+    given = {name: value for name, value in vars(reality).items() if name in names and value is not None}
+    return dataclasses.replace(belief, **given)  # type: ignore[type-var]
 
 
 @dataclasses.dataclass

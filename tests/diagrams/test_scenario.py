@@ -1,10 +1,12 @@
 """Scenarios: what the shipped ones hold, how files and settings merge, and every complaint word for word."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tfg_drake.config import as_it_is
 from tfg_drake.diagrams.scenario import (
     ApplySettings,
     ApplyWorldFile,
@@ -109,8 +111,8 @@ def test_world_and_config_are_inverse():
         ("robot: {radios: 1}", "robot.radios: unknown key; did you mean radius?"),
         (
             "wheels: {}",
-            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, safety, disturbances,"
-            " explorer, planner, drive, grid, hardware",
+            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, reality, safety,"
+            " disturbances, explorer, planner, drive, grid, hardware",
         ),
         ("disturbances: [{duration: 0}]", "disturbances[0].duration: must be greater than 0, is 0"),
         ("drive: [[1, 2, 3]]", "drive[0]: expected 2 numbers [x, y], found 3"),
@@ -267,3 +269,20 @@ def test_bad_world_files_are_refused_in_one_line(tmp_path):
     grid = tmp_path / "map.yaml"
     grid.write_text("image: map.pgm\nresolution: 0.1\n")
     assert complaint(ApplyWorldFile, Scenario(), grid) == f"{grid}: image: {tmp_path / 'map.pgm'} does not exist"
+
+
+def test_what_reality_leaves_out_is_as_the_data_sheet_says():
+    scenario = LoadScenario(data="reality: {tags: {range_noise: 0, yaw: -0.01}, scan: {noise: null}}")
+    assert (scenario.reality.tags.range_noise, scenario.reality.tags.yaw, scenario.reality.scan.noise) == (
+        0,
+        -0.01,
+        None,
+    )
+    sensor = as_it_is(scenario.tags, scenario.reality.tags)
+    assert sensor == dataclasses.replace(scenario.tags, range_noise=0.0)
+    changed = ApplySettings(scenario, ["reality.tags.range_noise=null", "reality.odometry.gyro_bias=0.01"])
+    assert changed.reality.tags.range_noise is None
+    assert as_it_is(changed.odometry, changed.reality.odometry).gyro_bias == 0.01
+    assert complaint(ApplySettings, scenario, ["reality.scan.dropout_probability=1.5"]) == (
+        "--set reality.scan.dropout_probability=1.5: reality.scan.dropout_probability: must be at most 1, is 1.5"
+    )

@@ -121,6 +121,31 @@ def test_without_noise_the_sensors_agree_with_the_truth_at_their_stamps(noiseles
     assert seen == {3, 5}
 
 
+def test_the_world_may_be_otherwise_than_believed():
+    scenario = make_scenario(noise=False)
+    tags, scan = scenario.reality.tags, scenario.reality.scan
+    tags.clock_offset, tags.yaw, tags.tag_range_error, tags.frame_loss_probability = 0.02, 0.1, 0.05, 0.5
+    scan.clock_offset, scan.yaw, scan.dropout_probability = -0.03, -0.1, 0.3
+    real, believed = MakeTurtlebotStation(scenario), MakeTurtlebotStation(make_scenario(noise=False))
+    shown, stamps = [], set()
+    for station in (believed, real):
+        simulator = start(station, command=(0.0, 0.0))
+        for k in range(1, 20):
+            simulator.AdvanceTo(0.1 * k)
+            stamps.add(read(station, simulator.get_context(), "tags.detections").stamp)
+        shown.append([read(station, simulator.get_context(), name) for name in ("tags.detections", "scan.ranges")])
+    (frame, ranges), (other_frame, other_ranges) = shown
+    assert other_frame.ids.tolist() == frame.ids.tolist()
+    assert other_frame.bearing == pytest.approx(frame.bearing - 0.1)
+    errors = other_frame.range - frame.range
+    assert (errors != 0.0).all()
+    assert np.abs(errors).max() < 0.25
+    late = [stamp for stamp in stamps if round(1e3 * stamp) % 100 == 20]
+    assert 3 < len(late) < 16
+    assert other_ranges.stamp == pytest.approx(ranges.stamp - 0.03)
+    assert np.isinf(other_ranges.ranges).mean() == pytest.approx(0.3, abs=0.1)
+
+
 def test_the_seed_decides_the_run(station):
     runs = {}
     for key, seed in (("first", 1), ("again", 1), ("other", 2)):

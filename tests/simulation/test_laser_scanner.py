@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tfg_drake.config import ScanConfig
-from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan
+from tfg_drake.config import ScanConfig, ScanRealityConfig
+from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt
 
 CONFIG = ScanConfig()
 WALL = np.array([[4.0, -100.0, 4.0, 100.0]])
@@ -47,3 +47,18 @@ def test_returns_stay_within_range():
 def test_before_the_first_scan():
     assert no_scan(CONFIG).stamp == -np.inf
     assert no_scan(CONFIG).ranges.shape == (0,)
+
+
+def test_rays_that_fail():
+    walls = np.array([[4.0, -100.0, 4.0, 0.0], [6.0, -100.0, 6.0, 100.0]])
+    angles = np.linspace(-0.3, 0.3, 60)
+    whole = scan(walls, np.zeros(3), 1.0, angles, np.zeros(60), CONFIG)
+    edge = int(np.flatnonzero(np.diff(whole.ranges) > 1.0)[0])
+    uniform = np.full(60, 0.9)
+    uniform[3], uniform[edge] = 0.04, 0.05 + 0.5 * 0.2
+    found = spoilt(whole, uniform, ScanRealityConfig(dropout_probability=0.05, mixed_probability=0.2))
+    assert np.isinf(found.ranges[3])
+    assert found.ranges[edge] == pytest.approx(0.5 * (whole.ranges[edge] + whole.ranges[edge + 1]))
+    others = np.setdiff1d(np.arange(60), [3, edge])
+    assert (found.ranges[others] == whole.ranges[others]).all()
+    assert found.stamp == 1.0

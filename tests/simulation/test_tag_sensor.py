@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect, no_detections, visible_tags
+from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, no_detections, visible_tags
 from tfg_drake.world.world import World
 
 CONFIG = TagSensorConfig()
@@ -123,3 +123,25 @@ def test_gross_errors_and_misread_ids_come_as_often_as_asked():
     assert spoilt.range[moved].std() == pytest.approx(10.0 / np.sqrt(12.0), rel=0.1)
     assert np.isin(spoilt.ids, world.tag_ids).all()
     assert len(np.unique(spoilt.ids[misread])) > 0.8 * misread.sum()
+
+
+def test_what_is_told_of_the_noise_is_the_data_sheet_at_the_measured_range():
+    world = make_world([[1, 6, 0, np.pi]])
+    real = TagSensorConfig(range_noise=0.5, bearing_noise=0.2)
+    noise, errors = np.array([[2.0, -1.0, 0.0]]), np.array([[0.3, 0.01]])
+    found = detect(world, np.zeros(3), 0.0, noise, real, CONFIG, errors)
+    assert found.range == pytest.approx([6.0 + 2.0 * (0.5 + 0.06) + 0.3])
+    assert found.bearing == pytest.approx([-0.2 + 0.01])
+    assert found.sigma_range == pytest.approx(0.02 + 0.01 * found.range)
+    assert found.sigma_bearing == pytest.approx([CONFIG.bearing_noise])
+
+
+def test_noise_that_is_correlated_in_time():
+    rng = np.random.default_rng(0)
+    noise = [correlated(np.zeros(2000), rng.normal(size=2000), np.inf, 1.0)]
+    for _ in range(10):
+        noise.append(correlated(noise[-1], rng.normal(size=2000), 0.1, 1.0))
+    assert np.std(noise[-1]) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(noise[0] * noise[-1]) == pytest.approx(np.exp(-1.0), abs=0.07)
+    fresh = rng.normal(size=5)
+    assert correlated(np.ones(5), fresh, 0.1, 0.0) == pytest.approx(fresh)

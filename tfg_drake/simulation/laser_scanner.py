@@ -7,9 +7,12 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.config import ScanConfig
+from tfg_drake.config import ScanConfig, ScanRealityConfig
 from tfg_drake.geometry.visibility import cast_rays
-from tfg_drake.messages import FloatArray, LaserScan
+from tfg_drake.messages import FloatArray, LaserScan, replace
+
+# Two neighbouring rays that differ by more than this met surfaces one behind the other, m.
+EDGE = 0.1
 
 
 def ray_angles(config: ScanConfig) -> FloatArray:
@@ -20,19 +23,35 @@ def ray_angles(config: ScanConfig) -> FloatArray:
 
 def scan(
     walls: FloatArray,
-    X_WB: FloatArray,
+    X_WS: FloatArray,
     stamp: float,
     angles: FloatArray,
     standard_normal: FloatArray,
     config: ScanConfig,
+    stated: ScanConfig | None = None,
 ) -> LaserScan:
-    """One scan of the walls (n, 4) from the true pose X_WB (3,).
+    """One scan of the walls (n, 4) from the scanner's true pose X_WS (3,).
 
-    angles: (m,) rad in B. standard_normal: (m,) numbers. A return that noise carries beyond the range is inf, one
-    nearer than the least range nan.
+    angles: (m,) rad from straight ahead. standard_normal: (m,) numbers. config: what the scanner does; `stated`: its
+    data sheet, config where there is none. A return that noise carries beyond the range is inf, one nearer than the
+    least range nan.
     """
-    ranges = _measured(walls, X_WB, angles, standard_normal, config.range, config.noise, config.least_range)
-    return LaserScan(stamp, angles, ranges, config.range, config.noise)
+    ranges = _measured(walls, X_WS, angles, standard_normal, config.range, config.noise, config.least_range)
+    return LaserScan(stamp, angles, ranges, config.range, (stated or config).noise)
+
+
+def spoilt(scan: LaserScan, uniform: FloatArray, reality: ScanRealityConfig) -> LaserScan:
+    """The scan with what glass, black walls and edges make of its rays, by one number (m,) between 0 and 1 for each:
+    rays that meet nothing, and ranges between two surfaces one behind the other (mixed pixels)."""
+    ranges, dropout, mixed = scan.ranges.copy(), reality.dropout_probability, reality.mixed_probability
+    ahead, behind = scan.ranges[:-1], scan.ranges[1:]
+    # Both must have met something.
+    edge = np.append(np.abs(np.where(np.isfinite(ahead + behind), behind - ahead, 0.0)) > EDGE, False)
+    share = (uniform - dropout) / mixed if mixed > 0.0 else np.full(len(ranges), -1.0)
+    between = np.flatnonzero(edge & (share >= 0.0) & (share < 1.0))
+    ranges[between] += share[between] * (scan.ranges[between + 1] - scan.ranges[between])
+    ranges[uniform < dropout] = np.inf
+    return replace(scan, ranges=ranges)
 
 
 @njit(cache=True)

@@ -91,10 +91,9 @@ def _sighted(
     range_scale: float,
     range_noise: float,
     noise_per_metre: float,
-    bearing_noise: float,
 ) -> tuple[IntArray, FloatArray]:
-    """Rows (k,) of the tags that a frame shows, their ids ascending; column for column (5, k) where they are from the
-    sensor, m along W's axes, the measured range and its standard deviation, m, and that of the bearing, rad.
+    """Rows (k,) of the tags that a frame shows, their ids ascending; column for column (3, k) where they are from the
+    sensor, m along W's axes, and the measured range, m, which may be negative.
 
     threshold: a tag is shown where its third number of normal (n, NOISE_PER_TAG) is less than this.
     """
@@ -110,30 +109,36 @@ def _sighted(
             rows[k] = row
             shown += 1
     rows = rows[:shown]
-    told = np.empty((5, shown))
+    told = np.empty((3, shown))
     for k in range(shown):
         told[0, k], told[1, k] = p_WT[rows[k], 0] - X_WB[0], p_WT[rows[k], 1] - X_WB[1]
         distance = math.hypot(told[0, k], told[1, k])
-        told[3, k], told[4, k] = range_noise + noise_per_metre * distance, bearing_noise
-        told[2, k] = max(0.0, range_scale * distance + told[3, k] * normal[rows[k], 0])
+        told[2, k] = range_scale * distance + (range_noise + noise_per_metre * distance) * normal[rows[k], 0]
     return rows, told
 
 
 def detect(
-    world: World, X_WB: FloatArray, stamp: float, standard_normal: FloatArray, config: TagSensorConfig
+    world: World,
+    X_WS: FloatArray,
+    stamp: float,
+    standard_normal: FloatArray,
+    config: TagSensorConfig,
+    stated: TagSensorConfig | None = None,
+    tag_errors: FloatArray | None = None,
 ) -> TagDetections:
-    """One frame of the sensor at the true pose X_WB (3,), the true ids ascending.
+    """One frame of the sensor at its true pose X_WS (3,), the true ids ascending.
 
-    standard_normal: (n, NOISE_PER_TAG) numbers, row for row with world.tag_ids. The stated standard deviations are
-    those of the noise: range_noise + range_noise_per_metre * r at the true range r, and bearing_noise; gross errors and
-    misread ids come on top.
+    standard_normal: (n, NOISE_PER_TAG) numbers, row for row with world.tag_ids. config: what the sensor does. The
+    standard deviations told are those of the data sheet `stated`, config's where there is none: range_noise +
+    range_noise_per_metre * r at the measured range r, and bearing_noise; gross errors and misread ids come on top.
+    tag_errors: (n, 2) constant errors of each tag's range, m, and bearing, rad.
     """
-    rows, (east, north, measured, sigma_range, sigma_bearing) = _sighted(
+    rows, (east, north, measured) = _sighted(
         world.p_WT,
         world.tag_facing,
         world.tag_ids,
         world.walls,
-        X_WB,
+        X_WS,
         config.range,
         config.field_of_view,
         config.max_incidence,
@@ -142,9 +147,11 @@ def detect(
         config.range_scale,
         config.range_noise,
         config.range_noise_per_metre,
-        config.bearing_noise,
     )
-    bearing = np.arctan2(north, east) - X_WB[2] + sigma_bearing * standard_normal[rows, 1]
+    bearing = np.arctan2(north, east) - X_WS[2] + config.bearing_noise * standard_normal[rows, 1]
+    if tag_errors is not None:
+        measured += tag_errors[rows, 0]
+        bearing += tag_errors[rows, 1]
     ids = world.tag_ids[rows]
     # The number that let the tag be detected is uniform below the detection probability: its lowest part makes gross
     # errors, the next misread ids, and the place within its part says which.
@@ -158,14 +165,22 @@ def detect(
         share = (chance - config.outlier_probability) / config.wrong_id_probability
         wrong = (share >= 0.0) & (share < 1.0)
         ids[wrong] = world.tag_ids[(share[wrong] * len(world.tag_ids)).astype(np.int64)]
+    stated, measured = stated or config, np.maximum(measured, 0.0)
     return TagDetections(
         stamp=stamp,
         ids=ids,
         range=measured,
         bearing=wrap_angle(bearing),
-        sigma_range=sigma_range,
-        sigma_bearing=sigma_bearing,
+        sigma_range=stated.range_noise + stated.range_noise_per_metre * measured,
+        sigma_bearing=np.full(len(ids), stated.bearing_noise),
     )
+
+
+def correlated(before: FloatArray, fresh: FloatArray, interval: float, correlation_time: float) -> FloatArray:
+    """Standard normal numbers whose correlation with those `interval` (s) before falls to 1/e in correlation_time (s):
+    a first-order Gauss-Markov process, driven by fresh ones of the same shape."""
+    kept = math.exp(-interval / correlation_time) if correlation_time > 0.0 else 0.0
+    return np.asarray(kept * before + math.sqrt(1.0 - kept * kept) * fresh)
 
 
 def no_detections() -> TagDetections:
