@@ -44,9 +44,9 @@ class KnownWorld:
 
     def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
         """How far a map is from the world: landmarks and surfaces."""
-        segments = _mapped_surfaces(self._world, tfg, mission.grid)
+        segments = _mapped_surfaces(mission.X_WM, tfg, mission.grid)
         return {
-            **_landmarks(self._world, self.reachable, estimate, mission.grid is None),
+            **_landmarks(self._world, self.reachable, estimate, mission),
             **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
         }
 
@@ -59,7 +59,7 @@ class KnownWorld:
         area = _area(self._scenario, self._world, self._grid, self._cells, mission, true_stamps, X_WB_true)
         return {
             "distance_m": path_length(X_WB_true),
-            **_consistency(mission.departures, compose(inverse(self._world.start), X_WD_true)),
+            **_consistency(mission, compose(inverse(mission.X_WM), X_WD_true)),
             **pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
             **area,
         }
@@ -76,9 +76,8 @@ def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
     return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
 
 
-def _landmarks(
-    world: World, reachable: BoolArray, estimate: MapEstimate | None, maps_landmarks: bool
-) -> dict[str, Any]:
+def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None, mission: Mission) -> dict[str, Any]:
+    maps_landmarks = mission.grid is None
     mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
     counted = np.isin(mapped, world.tag_ids[reachable])
     figures: dict[str, Any] = {
@@ -96,28 +95,32 @@ def _landmarks(
     row_of_tag = {tag: row for row, tag in enumerate(world.tag_ids.tolist())}
     known = np.array([i for i, tag in enumerate(mapped.tolist()) if tag in row_of_tag], dtype=np.int64)
     rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
-    p_ML_true = transform(inverse(world.start), world.p_WT[rows])
+    p_ML_true = transform(inverse(mission.X_WM), world.p_WT[rows])
     p_ML = estimate.p_ML[known]
+    # What is not known of the camera's yaw turns all of the map in the world.
+    turned = mission.camera.sigma[0] * np.stack([-p_ML[:, 1], p_ML[:, 0]], axis=1)
+    each = estimate.landmark_covariance[known] + turned[:, :, None] * turned[:, None, :]
     entry = estimate.local_entry[known]
     of_joint = entry >= 0
     entry = entry[of_joint]
     entries = np.stack([2 * entry, 2 * entry + 1], axis=1).ravel()
-    covariance = estimate.covariance[np.ix_(entries, entries)]
+    covariance = estimate.covariance[np.ix_(entries, entries)] + np.outer(turned[of_joint], turned[of_joint])
     return figures | {
         "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
         "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),
-        "landmark_anees": metrics.anees(p_ML - p_ML_true, estimate.landmark_covariance[known]),
+        "landmark_anees": metrics.anees(p_ML - p_ML_true, each),
         "landmark_nees": metrics.landmark_nees(p_ML[of_joint], p_ML_true[of_joint], covariance),
     }
 
 
-def _consistency(departures: list[Departure], X_MD_true: FloatArray) -> dict[str, Any]:
-    X_MD = np.array([one.X_MD for one in departures]).reshape(-1, 3)
-    covariance = np.array([one.covariance for one in departures]).reshape(-1, 3, 3)
+def _consistency(mission: Mission, X_MD_true: FloatArray) -> dict[str, Any]:
+    # The estimator knows the robot by the camera's heading.
+    X_MD = np.array([one.X_MD for one in mission.departures]).reshape(-1, 3) - [0.0, 0.0, mission.camera.yaw]
+    covariance = np.array([one.covariance for one in mission.departures]).reshape(-1, 3, 3)
     return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
 
 
-def _mapped_surfaces(world: World, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
+def _mapped_surfaces(X_WM: FloatArray, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
     """Segments (n, 4) in W of what a map takes for obstacle surfaces; of a grid, a side of every occupied cell."""
     if tfg is not None:
         p_MS = tfg.segments
@@ -125,7 +128,7 @@ def _mapped_surfaces(world: World, tfg: TfgMap | None, grid: GridMap | None) -> 
         p_MS = cell_sides(grid, classify(grid) == OCCUPIED)
     else:
         p_MS = np.zeros((0, 4))
-    return transform(world.start, p_MS.reshape(-1, 2)).reshape(-1, 4)
+    return transform(X_WM, p_MS.reshape(-1, 2)).reshape(-1, 4)
 
 
 def _surfaces(scenario: Scenario, world: World, grid: Grid, cells: BoolArray, segments: FloatArray) -> dict[str, float]:

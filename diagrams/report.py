@@ -82,6 +82,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "min_clearance_m": None,
         "map_variables": _variables(mission, estimate),
         "map_bytes": map_bytes,
+        "calibration": _calibration(mission),
         "estimator_cpu_s": mission.estimator_cpu,
         "planner_cpu_s": mission.planner_cpu,
         "simulator_cpu_s": mission.cpu_time - mission.estimator_cpu - mission.planner_cpu,  # all the rest
@@ -107,6 +108,16 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     seen = (mission.world, estimate, tfg, grid, X_WB, X_WB_true, reachable)
     folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
     return summary
+
+
+def _calibration(mission: Mission) -> dict[str, Any]:
+    """What the estimator has learnt of the camera."""
+    camera = mission.camera
+    yaw, offset = camera.sigma.tolist()
+    return {
+        "camera_yaw_rad": {"value": camera.yaw, "deviation": yaw},
+        "camera_clock_offset_s": {"value": camera.offset, "deviation": offset},
+    }
 
 
 def _draw(*arguments: Any) -> None:

@@ -46,6 +46,7 @@ from tfg_drake.mapfile.saved_map import SavedMap, save_map
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.port_recording import FILE_NAME, PortWriter
 from tfg_drake.pose_prediction import pose_at
+from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.systems.cpu_meter import CpuMeter
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
@@ -244,7 +245,7 @@ class Departure:
 class Mission:
     """One mission and what is observed of it from outside.
 
-    world: None where it is not known. X_WM: (3,) pose of the map frame in the world, zeros where that is not known.
+    world: None where it is not known.
     truth: what only a simulation knows, None for any other robot and until the diagram is built. meter: the CPU time of
     the explorer's components.
     """
@@ -261,7 +262,7 @@ class Mission:
         """writer: where the station's ports are recorded; see `explore` for the others."""
         self._cpu_start, self.meter = time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
-        self.X_WM: FloatArray = self.world.start if self.world is not None else np.zeros(3)
+        self._X_WS: FloatArray = self.world.start if self.world is not None else np.zeros(3)
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
         self._scenario, self._writer = scenario, writer
@@ -270,7 +271,7 @@ class Mission:
             # Only a picture needs what this imports.
             from tfg_drake.systems.visualizer import TfgVisualizer
 
-            self._visualizer = TfgVisualizer(meshcat, self.world, self.X_WM, scenario.robot.radius, title)
+            self._visualizer = TfgVisualizer(meshcat, self.world, self._X_WS, scenario.robot.radius, title)
         self._word = ""  # what else is done
         self._context: Context | None = None  # until the diagram is built
 
@@ -385,6 +386,22 @@ class Mission:
         if self._choice is not None and self._choice.explored <= self.end_time:
             return self._choice.explored
         return self.end_time if self.outcome == "complete" else math.nan
+
+    @property
+    def camera(self) -> CameraModel:
+        """What the estimator knows of the camera; of a method without one it looks ahead."""
+        if self._context is None or not self._explorer.HasSubsystemNamed("slam_estimator"):
+            return exact_camera()
+        estimator = self._explorer.GetSubsystemByName("slam_estimator")
+        known: CameraModel = estimator.estimator(estimator.GetMyContextFromRoot(self._context)).camera
+        return known
+
+    @property
+    def X_WM(self) -> FloatArray:
+        """(3,) pose of the map frame in the world, as far as is known: where the robot started, its x axis where the
+        camera looked; zeros where the world is not known."""
+        turned = compose(self._X_WS, np.array([0.0, 0.0, self.camera.yaw]))
+        return turned if self.world is not None else self._X_WS
 
     def true_poses(self) -> tuple[FloatArray, FloatArray] | None:
         """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, to the end; None where not known."""

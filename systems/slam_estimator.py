@@ -7,6 +7,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
+from tfg_drake.slam.camera_model import unknown_camera
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
@@ -62,7 +63,7 @@ class SlamEstimator(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         self._state = self.DeclareAbstractState(
-            AbstractValue.Make(initial_state(odometry_config, path_keyframe_period))
+            AbstractValue.Make(initial_state(odometry_config, path_keyframe_period, unknown_camera()))
         )
         self._detections_stamp = self.DeclareAbstractState(AbstractValue.Make(-float("inf")))
         depends = {self.abstract_state_ticket(self._state)}

@@ -28,6 +28,7 @@ from tfg_drake.messages import (
     TagDetections,
     replace,
 )
+from tfg_drake.slam.camera_model import seen_from_camera
 from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, opened, unknown_way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, without_tags
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
@@ -35,6 +36,7 @@ from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import HARDLY_SEEN_REJECTED, REJECTED, finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
+    DeadReckoning,
     arc,
     first_reckoning,
     interpolate,
@@ -60,6 +62,8 @@ CONFIRMATIONS = 3
 MOVED = 2
 # A turn that ends this near to where it began was one in place, m.
 IN_PLACE = 0.1
+# A frame is compared with a scan if the robot has moved by less than this meanwhile, m and rad.
+SAME_PLACE = 0.004
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
 NO_MAP = empty_map()
@@ -89,6 +93,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
 def process_detections(state: EstimatorState, detections: TagDetections) -> EstimatorState:
     """The state after one frame of tags, or with the frame waiting for odometry; one older than the filters is
     ignored."""
+    detections = replace(detections, stamp=detections.stamp - state.camera.offset)
     if not detections.stamp >= state.stamp:
         return state
     detections, impossible = sanitized(detections)
@@ -157,8 +162,10 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         newest = state.odometry[-1]
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
-            increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
+            increment = seen_from_camera(arc(state.X_OB, newest.X_OB), state.camera)
+            dt = newest.clock - state.clock
     X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
+    X_MB[2] = se2.wrap_angle(X_MB[2] - state.camera.yaw)
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     return PoseEstimate(
         stamp=stamp,
@@ -194,6 +201,12 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
     return state
 
 
+def _twist(before: DeadReckoning, after: DeadReckoning) -> FloatArray:
+    """Forward speed (m/s) and turn rate (rad/s), (2,), between two messages."""
+    span = after.stamp - before.stamp
+    return arc(before.X_OB, after.X_OB)[::2] / span if span > 0.0 else np.zeros(2)
+
+
 def _step_to(state: EstimatorState, stamp: float) -> EstimatorState:
     stamp = min(max(stamp, state.stamp), state.odometry[-1].stamp)
     return _step(state, no_detections(stamp), state.pending) if stamp > state.stamp else state
@@ -211,17 +224,20 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     before = max(after - 1, 0)
     X_OB = interpolate(state.odometry[before], state.odometry[after], stamp)
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
-    increment, dt = arc(state.X_OB, X_OB), clock - state.clock
+    increment, dt = seen_from_camera(arc(state.X_OB, X_OB), state.camera), clock - state.clock
+    twist = _twist(state.odometry[before], state.odometry[after])
     scale = state.scale
-    for scan in state.scans:
-        if scan.stamp == stamp:
-            scale = compare(scale, frame, scan)
+    if len(frame.ids) and state.scans:
+        scan = min(state.scans, key=lambda scan: abs(scan.stamp - stamp))
+        if abs(scan.stamp - stamp) * float(np.max(np.abs(twist))) < SAME_PLACE:
+            scale = compare(scale, replace(frame, bearing=frame.bearing + state.camera.yaw), scan)
     seen = corrected(frame, scale)
     turn, piece = state.turn, state.piece
+    taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.camera.offset)
     if turn is not None:
-        turn = replace(turn, frames=(*turn.frames, TurnFrame(stamp, clock, X_OB, frame)))
+        turn = replace(turn, frames=(*turn.frames, taken))
     elif piece is not None:
-        piece = replace(piece, frames=(*piece.frames, TurnFrame(stamp, clock, X_OB, frame)))
+        piece = replace(piece, frames=(*piece.frames, taken))
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, seen)
@@ -260,7 +276,8 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
         way: tuple[GoalObservation, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
-        observation = _solve(state, piece).observation
+        solution = _solve(state, piece)
+        state, observation = replace(state, camera=solution.camera), solution.observation
         if not state.path_keyframe_period:
             observation = without_tags(observation, observation.ids)
         way = (*state.way, observation)
@@ -270,12 +287,14 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
     frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
-    solution = solve_turn(state.model, turn.begin, frames, instant(state))
+    solution = solve_turn(state.model, turn.begin, frames, instant(state), state.camera)
     seen = sum(1 for frame in frames if len(frame.detections.ids))
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
     doubtful &= ~rows_of(solution.observation.ids, state.graph.ids)[1]
     observation = without_tags(solution.observation, solution.observation.ids[doubtful])
-    observation = replace(observation, range_scale=correction(state.scale))
+    # The body's heading is what the scans are placed by.
+    X_AB = observation.X_AB - np.array([0.0, 0.0, solution.camera.yaw])
+    observation = replace(observation, X_AB=X_AB, range_scale=correction(state.scale))
     return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
 
 
@@ -311,6 +330,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     state = replace(
         state,
         model=model,
+        camera=solution.camera,
         turn=None,
         piece=None,
         way=(),

@@ -16,6 +16,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
+from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
@@ -40,18 +41,19 @@ class OpenTurn:
 class EstimatorState:
     """All the estimator knows.
 
-    path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last odometry
-    message. odometry: dead reckoning from the localiser's instant on. pending: frames that wait for it. scans: the
-    newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s), X_OB (3,): the localiser's instant and
-    the dead reckoning then. contradictions: frames in a row that contradict the pose. carried: the robot was moved
-    since the last goal by something else than its wheels. turn, piece: the open turn and piece of the way, way: those
-    before it since the last goal. graph: its landmarks as they lay at its last solve or when they were first seen,
-    solved: the graph at that solve. map: what has become of it since, None before the first goal. rejected: (r,) ids of
-    known tags left out of the newest goal, dropped: sightings left out of its turn. suspects: (s,) ids of tags that
-    contradicted the map at the last goals, suspect_count: (s,) how many in a row.
+    camera: what is known of the camera. path_keyframe_period: s of way that are mapped as one piece; 0 where only its
+    motion is. newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending:
+    frames that wait for it. scans: the newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s),
+    X_OB (3,): the localiser's instant and the dead reckoning then. contradictions: frames in a row that contradict the
+    pose. carried: the robot was moved since the last goal by something else than its wheels. turn, piece: the open turn
+    and piece of the way, way: those before it since the last goal. graph: its landmarks as they lay at its last solve
+    or when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the
+    first goal. rejected: (r,) ids of known tags left out of the newest goal, dropped: sightings left out of its turn.
+    suspects: (s,) ids of tags that contradicted the map at the last goals, suspect_count: (s,) how many in a row.
     """
 
     model: OdometryModel
+    camera: CameraModel
     path_keyframe_period: float
     newest: Odometry | None
     odometry: tuple[DeadReckoning, ...]
@@ -76,9 +78,12 @@ class EstimatorState:
     suspect_count: IntArray
 
 
-def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> EstimatorState:
+def initial_state(
+    config: OdometryConfig, path_keyframe_period: float = 0.0, camera: CameraModel | None = None
+) -> EstimatorState:
     """The estimator at the map's origin, before any message.
 
+    camera: what is known of it beforehand; none: that it looks ahead and its clock is right.
     path_keyframe_period: s; the way between goals is mapped in pieces of this length, inf: in those that `close_piece`
     ends. 0: of the way only its motion is mapped, and path sightings localise (the paper's Sec. III).
     """
@@ -86,6 +91,7 @@ def initial_state(config: OdometryConfig, path_keyframe_period: float = 0.0) -> 
     none = np.empty(0, dtype=np.int64)
     return EstimatorState(
         model=model,
+        camera=camera or exact_camera(),
         path_keyframe_period=path_keyframe_period,
         newest=None,
         odometry=(),

@@ -8,6 +8,7 @@ the chain is eliminated pose by pose, what is left is dense and small.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from scipy.linalg import lapack
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, TagDetections, message, replace
+from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.odometry_model import OdometryModel, arc, predict_increment, wrap
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
@@ -38,13 +40,17 @@ ROUNDING = 1e-9
 # Least pivot of a factorisation: rounding may leave none.
 LEAST_PIVOT = 1e-30
 
-# Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 4) of each of the sightings (m,).
+# Where the border's entries begin: the odometry's calibration (3), the camera's (2), the tags.
+CAMERA, TAGS = 3, 5
+
+# Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 7) of each of the sightings (m,).
 _Problem = tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]
 
 
 class _Solution(NamedTuple):
-    """ids (n,) and positions (n, 2) of the tags, how often each was seen, poses (t, 3), calibration (3,), covariance
-    (2n + 6, 2n + 6) of calibration, tags and last pose, and the squared error of each sighting, in sigmas."""
+    """ids (n,) and positions (n, 2) of the tags, how often each was seen, poses (t, 3), calibration (5,) of odometry
+    and camera, covariance (2n + 8, 2n + 8) of calibration, tags and last pose, and the squared error of each sighting,
+    in sigmas."""
 
     ids: IntArray
     p_AL: FloatArray
@@ -58,12 +64,15 @@ class _Solution(NamedTuple):
 @message
 class TurnFrame:
     """What was seen at one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
-    frame's tags."""
+    frame's tags. twist: (2,) forward speed (m/s) and turn rate (rad/s) then. offset: s, the camera's clock was taken to
+    be so much ahead: the frame's own stamp is later by that."""
 
     stamp: float
     clock: float
     X_OB: FloatArray
     detections: TagDetections
+    twist: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    offset: float = 0.0
 
 
 def no_detections(stamp: float) -> TagDetections:
@@ -82,43 +91,56 @@ def no_detections(stamp: float) -> TagDetections:
 @message
 class TurnSolution:
     """observation: the turn's result. sightings: (n,) detections behind each of its tags. dropped: number of detections
-    left out as outliers. calibration: (3,) of the odometry, calibration_covariance: (3, 3), see OdometryModel."""
+    left out as outliers. calibration: (3,) of the odometry, calibration_covariance: (3, 3), see OdometryModel. camera:
+    what is known of the camera now."""
 
     observation: GoalObservation
     sightings: IntArray
     dropped: int
     calibration: FloatArray
     calibration_covariance: FloatArray
+    camera: CameraModel
 
 
-def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, ...], end: TurnFrame) -> TurnSolution:
+def solve_turn(
+    model: OdometryModel,
+    begin: TurnFrame,
+    frames: tuple[TurnFrame, ...],
+    end: TurnFrame,
+    camera: CameraModel | None = None,
+) -> TurnSolution:
     """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
 
     frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. Without any
-    detection n is 0 and X_AD comes from odometry alone. Where the sightings agree with each other but not with the
-    odometry, the wheels have slipped: then the sightings are believed.
+    detection n is 0 and X_AD comes from odometry alone. The heading of all poses is the camera's; camera: what is known
+    of it before, none: that it looks ahead and its clock is right. Where the sightings agree with each other but not
+    with the odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in (*frames, end)]
     counts = [len(detections.ids) for detections in seen]
-    z = np.empty((sum(counts), 4))
+    z = np.empty((sum(counts), 7))
     z[:, 0] = np.concatenate([detections.bearing for detections in seen])
     z[:, 1] = np.concatenate([detections.range for detections in seen])
     z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
     z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
+    z[:, 4:6] = np.repeat([frame.twist for frame in (*frames, end)], counts, axis=0)
+    z[:, 6] = np.repeat([frame.offset for frame in (*frames, end)], counts)
     ids = np.concatenate([detections.ids for detections in seen])
 
+    camera = camera or exact_camera()
+    known = model, camera
     problem = clock, X_OB, np.repeat(node, counts), ids, z
     X_AB = se2.between(X_OB[0], X_OB)
     kept = np.ones(len(ids), dtype=bool)
-    solution = _solved(model, problem, X_AB, kept)
+    solution = _solved(known, problem, X_AB, kept)
     if np.any(_outliers(solution)):
-        solution, kept = _without_outliers(model, problem, X_AB)
+        solution, kept = _without_outliers(known, problem, X_AB)
         unexplained = int(np.sum(~kept))
         if unexplained >= SLIP_EXPLAINS:
             # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
-            slipping = replace(model, noise=np.maximum(model.noise, SLIPPING)), (stamps, *problem[1:])
-            other, other_kept = _without_outliers(*slipping, X_AB)
+            slipping = replace(model, noise=np.maximum(model.noise, SLIPPING)), camera
+            other, other_kept = _without_outliers(slipping, (stamps, *problem[1:]), X_AB)
             left = int(np.sum(~other_kept))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept = other, other_kept
@@ -127,7 +149,7 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
         ids=solution.ids,
         p_AL=solution.p_AL,
         X_AD=solution.X_AB[-1],
-        covariance=solution.covariance[3:, 3:],
+        covariance=solution.covariance[TAGS:, TAGS:],
         stamps=stamps,
         X_AB=solution.X_AB,
     )
@@ -135,16 +157,19 @@ def solve_turn(model: OdometryModel, begin: TurnFrame, frames: tuple[TurnFrame, 
         observation=observation,
         sightings=solution.sightings,
         dropped=int(np.sum(~kept)),
-        calibration=solution.calibration,
-        calibration_covariance=solution.covariance[:3, :3],
+        calibration=solution.calibration[:CAMERA],
+        calibration_covariance=solution.covariance[:CAMERA, :CAMERA],
+        camera=CameraModel(solution.calibration[CAMERA:], solution.covariance[CAMERA:TAGS, CAMERA:TAGS]),
     )
 
 
-def _without_outliers(model: OdometryModel, problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
+def _without_outliers(
+    known: tuple[OdometryModel, CameraModel], problem: _Problem, X_AB: FloatArray
+) -> tuple[_Solution, BoolArray]:
     """The solution without the sightings that lie too far from a robust one, and which of them it keeps."""
-    robust = _solved(model, problem, X_AB, np.ones(len(problem[3]), dtype=bool), HUBER_SIGMAS)
+    robust = _solved(known, problem, X_AB, np.ones(len(problem[3]), dtype=bool), HUBER_SIGMAS)
     kept = ~_outliers(robust)
-    return _solved(model, problem, robust.X_AB, kept), kept
+    return _solved(known, problem, robust.X_AB, kept), kept
 
 
 def _outliers(solution: _Solution) -> BoolArray:
@@ -153,25 +178,32 @@ def _outliers(solution: _Solution) -> BoolArray:
 
 
 def _solved(
-    model: OdometryModel, problem: _Problem, X_AB: FloatArray, kept: BoolArray, huber: float = math.inf
+    known: tuple[OdometryModel, CameraModel],
+    problem: _Problem,
+    X_AB: FloatArray,
+    kept: BoolArray,
+    huber: float = math.inf,
 ) -> _Solution:
     """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
     sigmas."""
-    clock, X_OB, node, ids, z = problem
+    (model, camera), (clock, X_OB, node, ids, z) = known, problem
     node, z, X_AB = node[kept], z[kept], X_AB.copy()
     ids, tag, sightings = np.unique(ids[kept], return_inverse=True, return_counts=True)
-    border = np.empty(3 + 2 * len(ids))
-    border[:3] = model.calibration
+    border = np.empty(TAGS + 2 * len(ids))
+    border[:CAMERA], border[CAMERA:TAGS] = model.calibration, camera.mean
+    information = np.zeros((TAGS, TAGS))
+    information[:CAMERA, :CAMERA] = np.linalg.inv(model.calibration_covariance)
+    information[CAMERA:, CAMERA:] = np.linalg.inv(camera.covariance)
     angle = X_AB[node, 2] + z[:, 0]
     for i, direction in enumerate((np.cos(angle), np.sin(angle))):
-        border[3 + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
+        border[TAGS + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
     last, rest, squared = _optimise(
         X_AB,
         np.diff(clock),
         X_OB,
         model.noise,
-        model.calibration,
-        np.asarray(np.linalg.inv(model.calibration_covariance), dtype=float),
+        border[:TAGS].copy(),
+        information,
         node,
         tag,
         z,
@@ -184,7 +216,7 @@ def _solved(
     factor[:3, :3], factor[:3, 3:], factor[3:, 3:] = last[:, :3], last[:, 6:-1], rest[:, :-1]
     upper = np.triu(lapack.dpotri(factor)[0])
     covariance = np.roll(upper + np.triu(upper, 1).T, (-3, -3), (0, 1))
-    return _Solution(ids, border[3:].reshape(-1, 2), sightings, X_AB, border[:3], covariance, squared)
+    return _Solution(ids, border[TAGS:].reshape(-1, 2), sightings, X_AB, border[:TAGS], covariance, squared)
 
 
 def _nodes(
@@ -220,13 +252,13 @@ def _optimise(
     border: FloatArray,
     huber: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Bring the poses X (t, 3), the first of which is fixed, and the border (3 + 2n,), calibration and tags, to the
+    """Bring the poses X (t, 3), the first of which is fixed, and the border (TAGS + 2n,), calibration and tags, to the
     least squares, in place.
 
-    dt: (t - 1,) s between the poses. calibration, information: (3,), (3, 3) of the prior. node, tag: (m,) pose and tag
-    of each sighting, z: (m, 4) its bearing, range and their sigmas. Other arguments as in OdometryModel and TurnFrame.
-    Returns the factored rows of the last pose and of the border, see `_eliminate`, and the squared errors (m,) of the
-    sightings, in sigmas.
+    dt: (t - 1,) s between the poses. calibration, information: (TAGS,), (TAGS, TAGS) of the prior. node, tag: (m,) pose
+    and tag of each sighting, z: (m, 7) its bearing, range, their sigmas, twist and offset. Other arguments as in
+    OdometryModel and TurnFrame. Returns the factored rows of the last pose and of the border, see `_eliminate`, and the
+    squared errors (m,) of the sightings, in sigmas.
     """
     poses, size = len(X), len(border)
     increments, covariance = np.empty((poses - 1, 3)), np.empty((poses - 1, 3, 3))
@@ -274,8 +306,8 @@ def _move(X: FloatArray, border: FloatArray, step_X: FloatArray, step: FloatArra
 def _add_prior(border: FloatArray, calibration: FloatArray, information: FloatArray, rest: FloatArray) -> float:
     """Add the normal equations of what was known of the calibration before; returns the cost."""
     cost = 0.0
-    for a in range(3):
-        for b in range(3):
+    for a in range(TAGS):
+        for b in range(TAGS):
             force = information[a, b] * (border[b] - calibration[b])
             rest[a, b] += information[a, b]
             rest[a, -1] += force
@@ -299,10 +331,13 @@ def _add_odometry(
     increments: (t - 1, 3) of `arc`, dt: (t - 1,) s, covariance: (t - 1, 3, 3).
     """
     cost = 0.0
-    # The covariance, to whiten by, beside the Jacobians on both poses and the calibration, and the error.
-    rows = np.empty((3, 13))
+    # The covariance, to whiten by, beside the Jacobians on both poses, calibration and yaw, and the error.
+    rows, last = np.empty((3, 14)), 13
+    c_yaw, s_yaw = math.cos(border[CAMERA]), math.sin(border[CAMERA])
     for i in range(len(X) - 1):
-        predicted, on_calibration, _ = predict_increment(increments[i], dt[i], border[:3], noise)
+        ahead, on_calibration, _ = predict_increment(increments[i], dt[i], border[:3], noise)
+        # The body drives where the camera's yaw says, seen from the camera.
+        to_x, to_y = c_yaw * ahead[0] + s_yaw * ahead[1], -s_yaw * ahead[0] + c_yaw * ahead[1]
         c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
         dx, dy = X[i + 1, 0] - X[i, 0], X[i + 1, 1] - X[i, 1]
         x, y = c * dx + s * dy, -s * dx + c * dy
@@ -312,21 +347,29 @@ def _add_odometry(
         rows[2, 5], rows[2, 8] = -1.0, 1.0
         for a in range(3):
             for b in range(3):
-                rows[a, b], rows[a, 9 + b] = covariance[i, a, b], -on_calibration[a, b]
-        rows[0, 12], rows[1, 12] = x - predicted[0], y - predicted[1]
-        rows[2, 12] = wrap(X[i + 1, 2] - X[i, 2] - predicted[2])
+                rows[a, b] = covariance[i, a, b]
+        for b in range(3):
+            u, v = on_calibration[0, b], on_calibration[1, b]
+            rows[0, 9 + b], rows[1, 9 + b] = -c_yaw * u - s_yaw * v, s_yaw * u - c_yaw * v
+            rows[2, 9 + b] = -on_calibration[2, b]
+        rows[0, 12], rows[1, 12] = -to_y, to_x
+        rows[0, last], rows[1, last] = x - to_x, y - to_y
+        rows[2, last] = wrap(X[i + 1, 2] - X[i, 2] - ahead[2])
         _factor(rows)
         for a in range(3):
-            for b in range(9):
+            for b in range(10):
                 chain[i, a, b] += _dot(rows, 3 + a, 3 + b)
             for b in range(3):
                 chain[i + 1, a, b] += _dot(rows, 6 + a, 6 + b)
+            for b in range(4):
                 chain[i + 1, a, 6 + b] += _dot(rows, 6 + a, 9 + b)
+            chain[i, a, -1] += _dot(rows, 3 + a, last)
+            chain[i + 1, a, -1] += _dot(rows, 6 + a, last)
+        for a in range(4):
+            for b in range(4):
                 rest[a, b] += _dot(rows, 9 + a, 9 + b)
-            chain[i, a, -1] += _dot(rows, 3 + a, 12)
-            chain[i + 1, a, -1] += _dot(rows, 6 + a, 12)
-            rest[a, -1] += _dot(rows, 9 + a, 12)
-        cost += 0.5 * _dot(rows, 12, 12)
+            rest[a, -1] += _dot(rows, 9 + a, last)
+        cost += 0.5 * _dot(rows, last, last)
     return cost
 
 
@@ -344,14 +387,18 @@ def _add_sightings(
 ) -> float:
     """Add the normal equations of the sightings and set their squared errors (m,), in sigmas; returns the cost."""
     cost = 0.0
-    # Jacobians on pose and tag, and the error, of bearing and range.
-    rows = np.zeros((2, 6))
+    # Jacobians on pose, clock and tag, and the error, of bearing and range.
+    rows = np.zeros((2, 7))
     for j in range(len(node)):
-        i, k = node[j], 3 + 2 * tag[j]
-        dx, dy = border[k] - X[i, 0], border[k + 1] - X[i, 1]
+        i, k = node[j], TAGS + 2 * tag[j]
+        # Where the robot was when the frame was taken, if the clock is otherwise than it was taken to be.
+        earlier, speed, rate = border[CAMERA + 1] - z[j, 6], z[j, 4], z[j, 5]
+        v_x, v_y = speed * math.cos(X[i, 2]), speed * math.sin(X[i, 2])
+        dx, dy = border[k] - X[i, 0] + earlier * v_x, border[k + 1] - X[i, 1] + earlier * v_y
         r2 = max(dx * dx + dy * dy, 1e-12)
         r = math.sqrt(r2)
-        bearing, distance = wrap(math.atan2(dy, dx) - X[i, 2] - z[j, 0]) / z[j, 2], (r - z[j, 1]) / z[j, 3]
+        bearing = wrap(math.atan2(dy, dx) - X[i, 2] + earlier * rate - z[j, 0]) / z[j, 2]
+        distance = (r - z[j, 1]) / z[j, 3]
         squared[j] = bearing * bearing + distance * distance
         sigmas, weight = math.sqrt(squared[j]), 1.0
         if sigmas > huber:
@@ -361,19 +408,28 @@ def _add_sightings(
         else:
             cost += 0.5 * squared[j]
         u, v = weight / (z[j, 2] * r2), weight / (z[j, 3] * r)
-        rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 3], rows[0, 4] = u * dy, -u * dx, -u * r2, -u * dy, u * dx
-        rows[1, 0], rows[1, 1], rows[1, 3], rows[1, 4] = -v * dx, -v * dy, v * dx, v * dy
-        rows[0, 5], rows[1, 5] = weight * bearing, weight * distance
+        rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 4], rows[0, 5] = u * dy, -u * dx, -u * r2, -u * dy, u * dx
+        rows[1, 0], rows[1, 1], rows[1, 4], rows[1, 5] = -v * dx, -v * dy, v * dx, v * dy
+        # The heading turns the velocity, too.
+        rows[0, 2] += earlier * u * (dy * v_y + dx * v_x)
+        rows[1, 2] = earlier * v * (dy * v_x - dx * v_y)
+        rows[0, 3], rows[1, 3] = u * (r2 * rate - dy * v_x + dx * v_y), v * (dx * v_x + dy * v_y)
+        rows[0, 6], rows[1, 6] = weight * bearing, weight * distance
         for a in range(3):
             for b in range(3):
                 chain[i, a, b] += _dot(rows, a, b)
+            chain[i, a, 6 + CAMERA + 1] += _dot(rows, a, 3)
             for b in range(2):
-                chain[i, a, 6 + k + b] += _dot(rows, a, 3 + b)
-            chain[i, a, -1] += _dot(rows, a, 5)
+                chain[i, a, 6 + k + b] += _dot(rows, a, 4 + b)
+            chain[i, a, -1] += _dot(rows, a, 6)
+        clock = rest[CAMERA + 1]
+        clock[CAMERA + 1] += _dot(rows, 3, 3)
+        clock[-1] += _dot(rows, 3, 6)
         for a in range(2):
+            clock[k + a] += _dot(rows, 3, 4 + a)
             for b in range(2):
-                rest[k + a, k + b] += _dot(rows, 3 + a, 3 + b)
-            rest[k + a, -1] += _dot(rows, 3 + a, 5)
+                rest[k + a, k + b] += _dot(rows, 4 + a, 4 + b)
+            rest[k + a, -1] += _dot(rows, 4 + a, 6)
     return cost
 
 

@@ -1,0 +1,60 @@
+"""What the estimator believes of how the tag camera is mounted and how its clock runs, learnt with the map.
+
+The camera's yaw y in the body frame cannot be told from the tags, for it turns all that is seen about the camera. So it
+is the camera's heading that the estimator knows the robot by, and in that the robot drives to -y. Its clock is ahead of
+the base's by t: a frame stamped s shows what there was at s - t. What a turn or a piece of the way tells of both is the
+prior of all that comes after, as with the odometry's calibration.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray, message
+
+# Prior standard deviations of the yaw, rad, and of the clock's offset, s.
+YAW_SIGMA = math.radians(1.0)
+OFFSET_SIGMA = 0.05
+# A known constant is still an unknown: least standard deviations of both.
+LEAST_SIGMA = 1e-6
+
+
+@message
+class CameraModel:
+    """Gaussian of (y, t). mean: (2,) rad and s, covariance: (2, 2)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    @property
+    def yaw(self) -> float:
+        """The expected heading of the camera in the body frame, rad."""
+        return float(self.mean[0])
+
+    @property
+    def offset(self) -> float:
+        """The camera's clock less the base's as expected, s."""
+        return float(self.mean[1])
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(2,) standard deviations, rad and s."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def unknown_camera() -> CameraModel:
+    """Before the first turn: it looks ahead and its clock is right, within the priors."""
+    return CameraModel(np.zeros(2), np.diag(np.square([YAW_SIGMA, OFFSET_SIGMA])))
+
+
+def exact_camera() -> CameraModel:
+    """A camera that looks ahead and whose clock is the base's, known before."""
+    return CameraModel(np.zeros(2), LEAST_SIGMA**2 * np.eye(2))
+
+
+def seen_from_camera(increment: FloatArray, camera: CameraModel) -> FloatArray:
+    """An odometry increment (3,), see `tfg_drake.slam.odometry_model.arc`, of a robot known by the camera's heading."""
+    c, s = math.cos(camera.yaw), math.sin(camera.yaw)
+    return np.array([c * increment[0] + s * increment[1], -s * increment[0] + c * increment[1], increment[2]])
