@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.geometry.se2 import compose
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
-from tfg_drake.slam.estimator import settled
+from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.prm_planner import PrmPlanner
@@ -92,26 +94,35 @@ def AssembleExplorer(systems: Mapping[str, LeafSystem]) -> Diagram:
     return diagram
 
 
+def StateOfExplorer(explorer: Diagram, context: Context) -> EstimatorState:
+    """All that the slam_estimator of a running explorer knows; context: the explorer's own."""
+    estimator = explorer.GetSubsystemByName("slam_estimator")
+    state: EstimatorState = estimator.estimator(explorer.GetSubsystemContext(estimator, context))
+    return state
+
+
 def MapOfExplorer(
-    explorer: Diagram, context: Context, X_WM: FloatArray, *, final: bool = True
+    explorer: Diagram, context: Context, X_WS: FloatArray | None, final: EstimatorState | None = None
 ) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
     """The map of a running explorer, to be kept with `tfg_drake.mapfile.saved_map.save_map`, its estimate and TFG.
 
     Args:
-        final: a large map, of which the estimator solves a window at a time, is solved as a whole; else it is taken as
-            it is.
         explorer: with a slam_estimator and a tfg_builder, context: its own.
-        X_WM: (3,) pose of the map frame in the world, m and rad: the true start pose, zeros where none is known.
+        X_WS: (3,) the true start pose, m and rad, None where it is not known: then the world is the map frame.
+        final: what the estimator knows, `settled`; else the map is taken as it is.
 
     Returns None before the first goal is in the map and its surfaces are.
     """
-    estimator, builder = explorer.GetSubsystemByName("slam_estimator"), explorer.GetSubsystemByName("tfg_builder")
-    state = estimator.estimator(explorer.GetSubsystemContext(estimator, context))
-    if final:
-        state = settled(state)
+    builder = explorer.GetSubsystemByName("tfg_builder")
     builder_context = explorer.GetSubsystemContext(builder, context)
-    tfg_graph = builder.graph(builder_context)
+    state, tfg_graph = final or StateOfExplorer(explorer, context), builder.graph(builder_context)
     if state.map is None or tfg_graph.stage == 0:
         return None
     tfg = builder.tfg(builder_context, state.map) if final else explorer.GetOutputPort("tfg").Eval(context)
-    return saved_map(X_WM, state, tfg_graph, tfg), state.map, tfg
+    return saved_map(map_frame(X_WS, state), state, tfg_graph, tfg), state.map, tfg
+
+
+def map_frame(X_WS: FloatArray | None, state: EstimatorState) -> FloatArray:
+    """(3,) pose X_WM of the map frame in the world, as far as is known: where the robot started, X_WS (3,), the x axis
+    where its camera looked; zeros where the start is not known."""
+    return np.zeros(3) if X_WS is None else compose(X_WS, np.array([0.0, 0.0, state.graph.yaw[0]]))

@@ -30,7 +30,7 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
-from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer
+from tfg_drake.diagrams.explorer import MakeTfgExplorer, MapOfExplorer, StateOfExplorer, map_frame
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.run_folder import RunFolder, open_run_folder
@@ -47,6 +47,8 @@ from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, Mis
 from tfg_drake.port_recording import FILE_NAME, PortWriter
 from tfg_drake.pose_prediction import pose_at
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
+from tfg_drake.slam.estimator import settled
+from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.systems.cpu_meter import CpuMeter
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
@@ -262,7 +264,8 @@ class Mission:
         """writer: where the station's ports are recorded; see `explore` for the others."""
         self._cpu_start, self.meter = time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
-        self._X_WS: FloatArray = self.world.start if self.world is not None else np.zeros(3)
+        self._X_WS = self.world.start if self.world is not None else None
+        self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
         self._scenario, self._writer = scenario, writer
@@ -271,7 +274,8 @@ class Mission:
             # Only a picture needs what this imports.
             from tfg_drake.systems.visualizer import TfgVisualizer
 
-            self._visualizer = TfgVisualizer(meshcat, self.world, self._X_WS, scenario.robot.radius, title)
+            X_WM = np.zeros(3) if self._X_WS is None else self._X_WS
+            self._visualizer = TfgVisualizer(meshcat, self.world, X_WM, scenario.robot.radius, title)
         self._word = ""  # what else is done
         self._context: Context | None = None  # until the diagram is built
 
@@ -390,18 +394,22 @@ class Mission:
     @property
     def camera(self) -> CameraModel:
         """What the estimator knows of the camera; of a method without one it looks ahead."""
-        if self._context is None or not self._explorer.HasSubsystemNamed("slam_estimator"):
-            return exact_camera()
-        estimator = self._explorer.GetSubsystemByName("slam_estimator")
-        known: CameraModel = estimator.estimator(estimator.GetMyContextFromRoot(self._context)).camera
-        return known
+        state = self._estimator_state()
+        return exact_camera() if state is None else known_camera(state)
 
     @property
     def X_WM(self) -> FloatArray:
-        """(3,) pose of the map frame in the world, as far as is known: where the robot started, its x axis where the
-        camera looked; zeros where the world is not known."""
-        turned = compose(self._X_WS, np.array([0.0, 0.0, self.camera.yaw]))
-        return turned if self.world is not None else self._X_WS
+        """(3,) pose of the map frame in the world, see `map_frame`."""
+        state = self._estimator_state()
+        if state is None:
+            return np.zeros(3) if self._X_WS is None else self._X_WS
+        return map_frame(self._X_WS, state)
+
+    def _estimator_state(self) -> EstimatorState | None:
+        """What the estimator knows, in the end with the final map; None of a method without one."""
+        if self._final is not None or self._context is None or not self._explorer.HasOutputPort("map"):
+            return self._final
+        return StateOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context))
 
     def true_poses(self) -> tuple[FloatArray, FloatArray] | None:
         """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, to the end; None where not known."""
@@ -421,14 +429,16 @@ class Mission:
         """The map as it is now, to be kept, its estimate and TFG; None before the first goal."""
         if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
-        return MapOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context), self.X_WM)
+        context = self._explorer.GetMyContextFromRoot(self._context)
+        self._final = settled(StateOfExplorer(self._explorer, context))
+        return MapOfExplorer(self._explorer, context, self._X_WS, self._final)
 
     def newest_map(self) -> SavedMap | None:
         """The map as it is while the mission runs, to be kept; None before the first goal, and of a grid."""
         if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
         context = self._explorer.GetMyContextFromRoot(self._context)
-        found = MapOfExplorer(self._explorer, context, self.X_WM, final=False)
+        found = MapOfExplorer(self._explorer, context, self._X_WS)
         return found[0] if found is not None else None
 
     def _build(self) -> None:

@@ -147,7 +147,8 @@ class GoalObservation:
 
     ids: (n,). p_AL: (n, 2) tag positions in A, m. X_AD: (3,) departure pose in A. covariance: (2n + 3, 2n + 3) joint
     covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A. range_scale: the
-    error of scale that was taken out of its ranges.
+    error of scale that was taken out of its ranges. yaw: rad, the camera's in the body frame as it was taken to be, all
+    else given that; on_yaw: (2n + 3,) derivative of (p_AL row by row, X_AD) on it, empty where there is none.
     """
 
     ids: IntArray
@@ -157,6 +158,8 @@ class GoalObservation:
     stamps: FloatArray
     X_AB: FloatArray
     range_scale: float = 0.0
+    yaw: float = 0.0
+    on_yaw: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 @message

@@ -54,7 +54,8 @@ def exact_camera() -> CameraModel:
     return CameraModel(np.zeros(2), LEAST_SIGMA**2 * np.eye(2))
 
 
-def seen_from_camera(increment: FloatArray, camera: CameraModel) -> FloatArray:
-    """An odometry increment (3,), see `tfg_drake.slam.odometry_model.arc`, of a robot known by the camera's heading."""
-    c, s = math.cos(camera.yaw), math.sin(camera.yaw)
+def seen_from_camera(increment: FloatArray, yaw: float) -> FloatArray:
+    """An odometry increment (3,), see `tfg_drake.slam.odometry_model.arc`, of a robot known by the heading of a camera
+    with this yaw, rad."""
+    c, s = math.cos(yaw), math.sin(yaw)
     return np.array([c * increment[0] + s * increment[1], -s * increment[0] + c * increment[1], increment[2]])

@@ -162,10 +162,10 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         newest = state.odometry[-1]
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
-            increment = seen_from_camera(arc(state.X_OB, newest.X_OB), state.camera)
+            increment = seen_from_camera(arc(state.X_OB, newest.X_OB), float(state.graph.yaw[0]))
             dt = newest.clock - state.clock
     X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
-    X_MB[2] = se2.wrap_angle(X_MB[2] - state.camera.yaw)
+    X_MB[2] = se2.wrap_angle(X_MB[2] - state.graph.yaw[0])
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     return PoseEstimate(
         stamp=stamp,
@@ -224,13 +224,13 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     before = max(after - 1, 0)
     X_OB = interpolate(state.odometry[before], state.odometry[after], stamp)
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
-    increment, dt = seen_from_camera(arc(state.X_OB, X_OB), state.camera), clock - state.clock
+    increment, dt = seen_from_camera(arc(state.X_OB, X_OB), float(state.graph.yaw[0])), clock - state.clock
     twist = _twist(state.odometry[before], state.odometry[after])
     scale = state.scale
     if len(frame.ids) and state.scans:
         scan = min(state.scans, key=lambda scan: abs(scan.stamp - stamp))
         if abs(scan.stamp - stamp) * float(np.max(np.abs(twist))) < SAME_PLACE:
-            scale = compare(scale, replace(frame, bearing=frame.bearing + state.camera.yaw), scan)
+            scale = compare(scale, replace(frame, bearing=frame.bearing + state.graph.yaw[0]), scan)
     seen = corrected(frame, scale)
     turn, piece = state.turn, state.piece
     taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.camera.offset)
@@ -277,7 +277,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         way: tuple[GoalObservation, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
         solution = _solve(state, piece)
-        state, observation = replace(state, camera=solution.camera), solution.observation
+        state, observation = _with_camera(state, solution), solution.observation
         if not state.path_keyframe_period:
             observation = without_tags(observation, observation.ids)
         way = (*state.way, observation)
@@ -298,11 +298,18 @@ def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
 
 
+def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorState:
+    """The state with what a turn or piece tells of the camera by itself; what its yaw does to how turns and pieces fit
+    together is the graph's to tell."""
+    yaw = np.array([solution.camera.yaw, solution.camera.sigma[0]])
+    return replace(state, camera=solution.camera, graph=replace(state.graph, yaw_prior=yaw))
+
+
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     """The state with a turn or piece made a goal of the map, and the localiser at its end."""
     solution = _solve(state, turn)
     limit = np.where(solution.sightings < CONFIRMATIONS, HARDLY_SEEN_REJECTED, REJECTED)
-    way = state.way
+    state, way = _with_camera(state, solution), state.way
     if state.carried and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB)),)
     before, known = rejoined(state.graph, state.map or NO_MAP, solution.observation)
@@ -330,7 +337,6 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     state = replace(
         state,
         model=model,
-        camera=solution.camera,
         turn=None,
         piece=None,
         way=(),

@@ -87,11 +87,12 @@ def initial_state(
     path_keyframe_period: s; the way between goals is mapped in pieces of this length, inf: in those that `close_piece`
     ends. 0: of the way only its motion is mapped, and path sightings localise (the paper's Sec. III).
     """
-    model = odometry_model(config)
+    model, camera = odometry_model(config), camera or exact_camera()
+    yaw = np.array([camera.yaw, camera.sigma[0]])
     none = np.empty(0, dtype=np.int64)
     return EstimatorState(
         model=model,
-        camera=camera or exact_camera(),
+        camera=camera,
         path_keyframe_period=path_keyframe_period,
         newest=None,
         odometry=(),
@@ -107,14 +108,20 @@ def initial_state(
         turn=None,
         piece=None,
         way=(),
-        graph=empty_graph(),
-        solved=empty_graph(),
+        graph=empty_graph(yaw),
+        solved=empty_graph(yaw),
         map=None,
         rejected=none,
         dropped=0,
         suspects=none,
         suspect_count=none,
     )
+
+
+def known_camera(state: EstimatorState) -> CameraModel:
+    """All that is known of the camera: its clock by the turns and pieces, its yaw by all that they say together."""
+    (yaw, sigma), (_, clock) = state.graph.yaw, state.camera.sigma
+    return CameraModel(np.array([yaw, state.camera.offset]), np.diag(np.square([sigma, clock])))
 
 
 def instant(state: EstimatorState) -> TurnFrame:

@@ -11,11 +11,13 @@ grows with the building, and little with the time that the robot drives about in
 from __future__ import annotations
 
 import math
+from typing import overload
 
 import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
+from tfg_drake.slam.camera_model import LEAST_SIGMA
 from tfg_drake.slam.keyframe_kernels import fused_information
 
 # Landmarks that two keyframes must share to be fused, or to tell without odometry how they lie to each other.
@@ -37,7 +39,8 @@ class Keyframe:
     """What was seen from the pose A at its beginning to D at its end, as a joint Gaussian in A.
 
     ids: (n,) ascending, n may be 0: a way of which only odometry tells. p_AL: (n, 2), m. X_AD: (3,). information: (2n +
-    3, 2n + 3) of (p_AL row by row, X_AD). range_scale: the error of scale taken out of its ranges.
+    3, 2n + 3) of (p_AL row by row, X_AD). range_scale: the error of scale taken out of its ranges. yaw: rad, the
+    camera's in the body frame, all else given that; on_yaw: (2n + 3,) derivative of (p_AL row by row, X_AD) on it.
     """
 
     ids: IntArray
@@ -45,6 +48,8 @@ class Keyframe:
     X_AD: FloatArray
     information: FloatArray
     range_scale: float
+    yaw: float
+    on_yaw: FloatArray
 
     @property
     def covariance(self) -> FloatArray:
@@ -61,6 +66,8 @@ class KeyframeGraph:
     glances lies in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML: (n, 2), m.
     landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
     of the landmarks, nats. pose_information: (3, 3) on the newest pose, given the landmarks; infinite at the origin.
+    yaw: (2,) the camera's in the body frame, which all keyframes are given at, and its standard deviation, rad.
+    yaw_prior: (2,) what is known of it without the graph.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -72,6 +79,8 @@ class KeyframeGraph:
     landmark_covariance: FloatArray
     entropy: float
     pose_information: FloatArray
+    yaw: FloatArray
+    yaw_prior: FloatArray
 
     @property
     def X_MA(self) -> FloatArray:
@@ -79,9 +88,10 @@ class KeyframeGraph:
         return se2.compose(self.X_MN[self.view_keyframe], self.X_AV) if len(self.X_AV) else self.X_AV
 
 
-def empty_graph() -> KeyframeGraph:
-    """The graph before the first goal."""
+def empty_graph(yaw: FloatArray | None = None) -> KeyframeGraph:
+    """The graph before the first goal. yaw: (2,) the camera's and its standard deviation, rad; none: it looks ahead."""
     none = np.empty(0, dtype=np.int64)
+    yaw = np.array([0.0, LEAST_SIGMA]) if yaw is None else yaw
     return KeyframeGraph(
         keyframes=(),
         X_MN=np.zeros((1, 3)),
@@ -92,6 +102,8 @@ def empty_graph() -> KeyframeGraph:
         landmark_covariance=np.empty((0, 2, 2)),
         entropy=0.0,
         pose_information=np.full((3, 3), np.inf),
+        yaw=yaw,
+        yaw_prior=yaw,
     )
 
 
@@ -132,7 +144,28 @@ def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
 def keyframe(observation: GoalObservation) -> Keyframe:
     """What the graph keeps of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
     root = np.linalg.inv(np.linalg.cholesky(observation.covariance))
-    return Keyframe(observation.ids, observation.p_AL, observation.X_AD, root.T @ root, observation.range_scale)
+    on_yaw = observation.on_yaw if len(observation.on_yaw) else np.zeros(2 * len(observation.ids) + 3)
+    return Keyframe(
+        observation.ids,
+        observation.p_AL,
+        observation.X_AD,
+        root.T @ root,
+        observation.range_scale,
+        observation.yaw,
+        on_yaw,
+    )
+
+
+@overload
+def at_yaw(one: Keyframe, yaw: float) -> Keyframe: ...
+@overload
+def at_yaw(one: GoalObservation, yaw: float) -> GoalObservation: ...
+def at_yaw(one: Keyframe | GoalObservation, yaw: float) -> Keyframe | GoalObservation:
+    """The same with the camera's yaw taken to be another one, rad."""
+    if not len(one.on_yaw) or one.yaw == yaw:
+        return replace(one, yaw=yaw)
+    change = (yaw - one.yaw) * one.on_yaw
+    return replace(one, p_AL=one.p_AL + change[:-3].reshape(-1, 2), X_AD=one.X_AD + change[-3:], yaw=yaw)
 
 
 def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation:
@@ -149,6 +182,8 @@ def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation
         stamps=observation.stamps,
         X_AB=observation.X_AB,
         range_scale=observation.range_scale,
+        yaw=observation.yaw,
+        on_yaw=observation.on_yaw[rows] if len(observation.on_yaw) else observation.on_yaw,
     )
 
 
@@ -164,7 +199,7 @@ def extended(graph: KeyframeGraph, observation: GoalObservation, X_MD: FloatArra
     new = int(np.count_nonzero(~known))
     return replace(
         graph,
-        keyframes=(*graph.keyframes, keyframe(observation)),
+        keyframes=(*graph.keyframes, keyframe(at_yaw(observation, float(graph.yaw[0])))),
         X_MN=np.vstack([graph.X_MN, X_MD]),
         view_keyframe=np.append(graph.view_keyframe, k) if is_view else graph.view_keyframe,
         X_AV=np.vstack([graph.X_AV, np.zeros(3)]) if is_view else graph.X_AV,
@@ -209,12 +244,22 @@ def _fusion(first: Keyframe, second: Keyframe) -> tuple[Keyframe, FloatArray] | 
     p_AL = np.empty((len(ids), 2))
     p_AL[rows[1]] = se2.transform(first.X_AD, second.p_AL)
     p_AL[rows[0]] = first.p_AL
-    p_AL, X_AB, X_AD, information, deviation = fused_information(
-        rows[0], first.p_AL, first.X_AD, first.information, rows[1], second.p_AL, second.X_AD, second.information, p_AL
+    p_AL, X_AB, X_AD, information, on_yaw, deviation = fused_information(
+        rows[0],
+        first.p_AL,
+        first.X_AD,
+        first.information,
+        first.on_yaw,
+        rows[1],
+        second.p_AL,
+        second.X_AD,
+        second.information,
+        second.on_yaw,
+        p_AL,
     )
     if deviation > MOST_DEVIATION:
         return None
-    return Keyframe(ids, p_AL, X_AD, information, second.range_scale), X_AB
+    return Keyframe(ids, p_AL, X_AD, information, second.range_scale, second.yaw, on_yaw), X_AB
 
 
 def rescaled(graph: KeyframeGraph, range_scale: float) -> KeyframeGraph:
@@ -258,7 +303,7 @@ def _forgetting(one: Keyframe, ids: IntArray) -> Keyframe:
     gone = np.linalg.solve(W[np.ix_(~rows, ~rows)], W[np.ix_(~rows, rows)])
     information = W[np.ix_(rows, rows)] - W[np.ix_(rows, ~rows)] @ gone
     information = 0.5 * (information + information.T)
-    return Keyframe(one.ids[keep], one.p_AL[keep], one.X_AD, information, one.range_scale)
+    return replace(one, ids=one.ids[keep], p_AL=one.p_AL[keep], information=information, on_yaw=one.on_yaw[rows])
 
 
 def loosened(graph: KeyframeGraph, covariance: FloatArray) -> KeyframeGraph:
@@ -270,12 +315,17 @@ def loosened(graph: KeyframeGraph, covariance: FloatArray) -> KeyframeGraph:
         if np.isin(one.ids, before).sum() >= WITNESSES:
             break
         if not len(one.ids):
-            loose = replace(one, information=np.asarray(np.linalg.inv(covariance)))
+            loose = replace(one, information=np.asarray(np.linalg.inv(covariance)), on_yaw=np.zeros(3))
             graph = replace(graph, keyframes=(*graph.keyframes[:j], loose, *graph.keyframes[j + 1 :]))
         elif len(graph.keyframes[j - 1].ids):
             nothing = np.empty(0, dtype=np.int64)
-            loose = Keyframe(
-                nothing, np.empty((0, 2)), np.zeros(3), np.asarray(np.linalg.inv(covariance)), one.range_scale
+            loose = replace(
+                one,
+                ids=nothing,
+                p_AL=np.empty((0, 2)),
+                X_AD=np.zeros(3),
+                information=np.asarray(np.linalg.inv(covariance)),
+                on_yaw=np.zeros(3),
             )
             later = graph.view_keyframe >= j
             graph = replace(

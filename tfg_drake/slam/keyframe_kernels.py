@@ -17,6 +17,8 @@ from tfg_drake.slam.odometry_model import wrap
 # A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
 SMALL_STEP = 1e-9
 MOST_STEPS = 5
+# A change of yaw small enough that no angle wraps, rad.
+YAW_STEP = 1e-3
 
 
 @njit(cache=True)
@@ -192,17 +194,19 @@ def fused_information(
     p_1: FloatArray,
     X_1: FloatArray,
     information_1: FloatArray,
+    on_yaw_1: FloatArray,
     rows_2: IntArray,
     p_2: FloatArray,
     X_2: FloatArray,
     information_2: FloatArray,
+    on_yaw_2: FloatArray,
     p_AL: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """Two keyframes, from A to B and from B to D, as one from A to D, with B marginalised out.
 
     rows_1, rows_2: of their landmarks among those of both (n, 2), p_AL: where these are about, in A, m. Returns p_AL
-    (n, 2), X_AB (3,), X_AD (3,), the information (2n + 3, 2n + 3) of (p_AL, X_AD), and the standard deviation of B's
-    position, m.
+    (n, 2), X_AB (3,), X_AD (3,), the information (2n + 3, 2n + 3) of (p_AL, X_AD), their derivative (2n + 3,) on the
+    camera's yaw, and the standard deviation of B's position, m.
     """
     n = len(p_AL)
     p_AL, A, B, D = p_AL.copy(), np.zeros(3), X_1.copy(), np.empty(3)
@@ -233,13 +237,37 @@ def fused_information(
         B += step[2 * n + 3 :]
         if np.max(np.abs(step)) < SMALL_STEP:
             break
+    # What the yaw changes is linear in what was seen.
+    H[:], g = 0.0, np.zeros(size)
+    for sign in (1.0, -1.0):
+        h = YAW_STEP if sign < 0.0 else 0.0
+        p, X = _at_other_yaw(p_1, X_1, on_yaw_1, h)
+        H_1, g_1, _error = linearised(rows_1, p, X, information_1, A, B, p_AL)
+        p, X = _at_other_yaw(p_2, X_2, on_yaw_2, h)
+        H_2, g_2, _error = linearised(rows_2, p, X, information_2, B, D, p_AL)
+        H[:] = 0.0
+        _scatter(H, g, at_1, H_1, sign / YAW_STEP * g_1)
+        _scatter(H, g, at_2, H_2, sign / YAW_STEP * g_2)
+    on_yaw = np.linalg.solve(H, g)[: 2 * n + 3].copy()
     m = 2 * n + 3
     across = np.ascontiguousarray(H[:m, m:])
     information = H[:m, :m] - across @ np.linalg.solve(np.ascontiguousarray(H[m:, m:]), np.ascontiguousarray(across.T))
     D[2] = wrap(D[2])
     covariance = np.linalg.inv(H)
     deviation = math.sqrt(covariance[m, m] + covariance[m + 1, m + 1])
-    return p_AL, B, D, 0.5 * (information + information.T), deviation
+    return p_AL, B, D, 0.5 * (information + information.T), np.asarray(on_yaw), deviation
+
+
+@njit(cache=True)
+def _at_other_yaw(
+    p_AL: FloatArray, X_AD: FloatArray, on_yaw: FloatArray, change: float
+) -> tuple[FloatArray, FloatArray]:
+    """A keyframe's p_AL and X_AD with the camera's yaw changed, rad."""
+    p, n = p_AL.copy(), len(p_AL)
+    for i in range(n):
+        p[i, 0] += change * on_yaw[2 * i]
+        p[i, 1] += change * on_yaw[2 * i + 1]
+    return p, X_AD + change * on_yaw[2 * n :]
 
 
 @njit(cache=True)

@@ -16,8 +16,8 @@ import numpy as np
 import scipy.linalg
 
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of
-from tfg_drake.slam.keyframe_kernels import assemble, batch_error, chain
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, at_yaw, rows_of
+from tfg_drake.slam.keyframe_kernels import YAW_STEP, assemble, batch_error, chain
 
 # Landmarks known jointly: those nearest to the robot.
 JOINT = 400
@@ -132,6 +132,14 @@ def solve(
             break
     X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
     covariance = _covariance(cells, root, local, node)
+    yaw = graph.yaw
+    if damping == 0.0 and any(one.on_yaw.any() for one in graph.keyframes):
+        yaw, on_yaw = _yaw(graph, factors, cells, X_MN, p_ML)
+        change = (yaw[0] - graph.yaw[0]) * on_yaw
+        X_MN[1:] += change[cells.node_at[1:, None] + [0, 1, 2]]
+        p_ML = p_ML + change[cells.landmark_at[:, None] + [0, 1]]
+        at = _joint_at(cells, local, node)
+        covariance += yaw[1] ** 2 * np.outer(on_yaw[at], on_yaw[at])
     log_of_chain, pose_information = chain(np.full((3, 3), np.inf), poses)
     log_information = eliminated.log_determinant + 2.0 * float(np.sum(np.log(np.diag(root))))
     log_information -= log_of_chain + float(np.linalg.slogdet(pose_information)[1])
@@ -143,8 +151,41 @@ def solve(
         landmark_covariance=with_local(graph.landmark_covariance, local, covariance),
         entropy=entropy,
         pose_information=pose_information,
+        keyframes=tuple(at_yaw(one, float(yaw[0])) for one in graph.keyframes),
+        yaw=yaw,
     )
     return graph, estimate_of(graph, stamp, observation, p_ML, X_MN[node], local, covariance)
+
+
+def _yaw(
+    graph: KeyframeGraph, factors: _Factors, cells: _Cells, X_MN: FloatArray, p_ML: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The camera's yaw and its deviation (2,), rad, by all keyframes, at the values that are the best given the yaw of
+    the graph; and the derivative (u,) of the unknowns on it.
+
+    The error is a parabola in the yaw, for what was seen is linear in it.
+    """
+
+    def error(change: float) -> float:
+        return batch_error(*_at_other_yaw(graph, factors, change).arrays, X_MN, p_ML)
+
+    before, here, after = error(-YAW_STEP), error(0.0), error(YAW_STEP)
+    slope, curvature = (after - before) / (4.0 * YAW_STEP), (before - 2.0 * here + after) / (2.0 * YAW_STEP**2)
+    blocks, gradient, _, _ = _linearised(factors, cells, X_MN, p_ML)
+    shifted = _linearised(_at_other_yaw(graph, factors, YAW_STEP), cells, X_MN, p_ML)[1]
+    by_yaw = (shifted - gradient) / YAW_STEP
+    on_yaw = _step(cells, *_factorised(cells, blocks, by_yaw, 0.0))
+    prior, sigma = graph.yaw_prior
+    information = curvature + float(by_yaw @ on_yaw) + sigma**-2
+    yaw = graph.yaw[0] - (slope + (graph.yaw[0] - prior) / sigma**2) / information
+    return np.array([yaw, information**-0.5]), on_yaw
+
+
+def _at_other_yaw(graph: KeyframeGraph, factors: _Factors, change: float) -> _Factors:
+    """The factors with the camera's yaw changed, rad."""
+    of_tags = np.concatenate([one.on_yaw[:-3].reshape(-1, 2) for one in graph.keyframes])
+    of_way = np.array([one.on_yaw[-3:] for one in graph.keyframes])
+    return dataclasses.replace(factors, p_AL=factors.p_AL + change * of_tags, X_AD=factors.X_AD + change * of_way)
 
 
 def known_jointly(graph: KeyframeGraph) -> int:
@@ -339,9 +380,14 @@ def _step(cells: _Cells, eliminated: _Eliminated, root: FloatArray) -> FloatArra
     return step
 
 
+def _joint_at(cells: _Cells, local: IntArray, node: int) -> IntArray:
+    """(2m + 3,) where landmarks in rows local (m,) and a node's pose are among the unknowns."""
+    return np.append((cells.landmark_at[local][:, None] + [0, 1]).ravel(), cells.node_at[node] + np.arange(3))
+
+
 def _covariance(cells: _Cells, root: FloatArray, local: IntArray, node: int) -> FloatArray:
     """(2m + 3, 2m + 3) covariance of the landmarks in rows local (m,) and of a node's pose."""
     lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
-    at = np.append((cells.landmark_at[local][:, None] + [0, 1]).ravel(), cells.node_at[node] + np.arange(3))
+    at = _joint_at(cells, local, node)
     whole = np.tril(lower) + np.tril(lower, -1).T
     return np.asarray(whole[np.ix_(at, at)])

@@ -14,7 +14,7 @@ import scipy.linalg
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, at_yaw, extended, rows_of, without_tags
 from tfg_drake.slam.keyframe_kernels import chain, linearised
 from tfg_drake.slam.map_solver import estimate_of, with_local
 
@@ -24,8 +24,8 @@ REJECTED = 49.0
 HARDLY_SEEN_REJECTED = 9.2
 # Iterations of an update.
 ITERATIONS = 4
-# The graph is solved when a landmark has moved this far, m, since the last solve, when it has so many keyframes more,
-# or when one of so many landmarks nearest to the robot is not known jointly.
+# The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes more
+# or so many, or when one of so many landmarks nearest to the robot is not known jointly.
 FAR_MOVED = 0.05
 MANY_KEYFRAMES = 32
 NEAREST = 100
@@ -61,6 +61,7 @@ def updated(
     What `estimate` says of the stage is not brought up to date, see `finished`.
     """
     limit = np.full(len(observation.ids), REJECTED) if limit is None else limit
+    observation = at_yaw(observation, float(graph.yaw[0]))
     row, known = rows_of(observation.ids, estimate.ids)
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
@@ -83,7 +84,7 @@ def jointly_known(estimate: MapEstimate, ids: IntArray) -> BoolArray:
 
 def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstimate) -> bool:
     """Whether an updated graph and map are to be solved; solved: the graph at the last solve."""
-    if len(graph.keyframes) >= len(solved.keyframes) + MANY_KEYFRAMES:
+    if len(graph.keyframes) >= len(solved.keyframes) + min(max(len(solved.keyframes) // 2, 1), MANY_KEYFRAMES):
         return True
     moved = estimate.p_ML[np.searchsorted(estimate.ids, solved.ids)] - solved.p_ML
     if np.max(np.abs(moved), initial=0.0) > FAR_MOVED:

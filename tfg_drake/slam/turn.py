@@ -145,13 +145,18 @@ def solve_turn(
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept = other, other_kept
 
+    # All the turn tells given the yaw, which it shares with all others; what it tells of the yaw goes beside it.
+    of_yaw = solution.covariance[TAGS:, CAMERA] / solution.covariance[CAMERA, CAMERA]
+    given_yaw = solution.covariance[TAGS:, TAGS:] - np.outer(of_yaw, solution.covariance[TAGS:, CAMERA])
     observation = GoalObservation(
         ids=solution.ids,
         p_AL=solution.p_AL,
         X_AD=solution.X_AB[-1],
-        covariance=solution.covariance[TAGS:, TAGS:],
+        covariance=given_yaw,
         stamps=stamps,
         X_AB=solution.X_AB,
+        yaw=float(solution.calibration[CAMERA]),
+        on_yaw=of_yaw,
     )
     return TurnSolution(
         observation=observation,
