@@ -64,9 +64,9 @@ def built(observations):
     return graph, estimate
 
 
-def reckoned(observations):
-    """The graph of some observations, each put where the one before ends."""
-    graph = empty_graph()
+def reckoned(observations, graph=None):
+    """A graph, by default empty, with some observations, each put where the one before ends."""
+    graph = graph or empty_graph()
     for observation in observations:
         X_MD = se2.compose(graph.X_MN[-1], observation.X_AD)
         graph = extended(graph, observation, X_MD, is_view=len(observation.ids) > 0)
@@ -74,27 +74,29 @@ def reckoned(observations):
 
 
 def dense_solution(graph):
-    """X_MN (k + 1, 3), p_ML (n, 2) of the least squared error, and the covariance of (p_ML row by row, all poses but
-    the origin): Gauss-Newton on the dense system, its Jacobian by complex steps."""
+    """X_MN (k + 1, 3), p_ML (n, 2) of the least squared error, the covariance of (p_ML row by row, all poses but the
+    origin, yaw), and the yaw: Gauss-Newton on the dense system, its Jacobian by complex steps."""
     n, k = len(graph.ids), len(graph.keyframes)
-    x = np.concatenate([graph.p_ML.ravel(), graph.X_MN[1:].ravel()])
+    x = np.concatenate([graph.p_ML.ravel(), graph.X_MN[1:].ravel(), graph.yaw[:1]])
+    prior, sigma = graph.yaw_prior
     roots = [np.linalg.cholesky(one.information).T for one in graph.keyframes]
     entries = []
     for j, one in enumerate(graph.keyframes):
         rows = np.searchsorted(graph.ids, one.ids)
         poses = 2 * n + 3 * j + np.arange(-3 if j else 0, 3)
-        entries.append(np.append((2 * rows[:, None] + [0, 1]).ravel(), poses))
+        entries.append(np.concatenate([(2 * rows[:, None] + [0, 1]).ravel(), poses, [len(x) - 1]]))
 
     def error(j, values):
-        one = graph.keyframes[j]
-        m = 2 * len(one.ids)
+        one, values, yaw = graph.keyframes[j], values[:-1], values[-1]
+        m, change = 2 * len(one.ids), (yaw - one.yaw) * one.on_yaw
         A, D = (values[m : m + 3], values[m + 3 :]) if j else (np.zeros(3), values[m:])
         points = np.vstack([values[:m].reshape(-1, 2), D[:2]]) - A[:2]
         c, s = np.cos(A[2]), np.sin(A[2])
         in_A = points @ np.array([[c, -s], [s, c]])
-        turn = D[2] - A[2] - one.X_AD[2]
+        turn = D[2] - A[2] - one.X_AD[2] - change[-1]
         turn = turn - 2.0 * np.pi * np.round(turn.real / (2.0 * np.pi))
-        return roots[j] @ np.concatenate([(in_A - np.vstack([one.p_AL, one.X_AD[:2]])).ravel(), [turn]])
+        seen = np.vstack([one.p_AL, one.X_AD[:2]]).ravel() + change[:-1]
+        return roots[j] @ np.concatenate([in_A.ravel() - seen, [turn]])
 
     for _ in range(30):
         H, g = np.zeros((len(x), len(x))), np.zeros(len(x))
@@ -102,10 +104,13 @@ def dense_solution(graph):
             J = np.array([error(j, x[at] + 1e-30j * row).imag / 1e-30 for row in np.eye(len(at))]).T
             H[np.ix_(at, at)] += J.T @ J
             g[at] += J.T @ error(j, x[at].astype(complex)).real
+        H[-1, -1] += sigma**-2
+        g[-1] += (x[-1] - prior) / sigma**2
         factor = scipy.linalg.cho_factor(H)
         step = scipy.linalg.cho_solve(factor, -g)
         x = x + step
         if np.abs(step).max() < 1e-11:
             break
     covariance = scipy.linalg.cho_solve(factor, np.eye(len(x)))
-    return np.vstack([np.zeros(3), x[2 * n :].reshape(k, 3)]), x[: 2 * n].reshape(n, 2), covariance
+    X_MN = np.vstack([np.zeros(3), x[2 * n : -1].reshape(k, 3)])
+    return X_MN, x[: 2 * n].reshape(n, 2), covariance, float(x[-1])

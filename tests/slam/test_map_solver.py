@@ -5,13 +5,13 @@ from tests.slam.rings import built, dense_solution, reckoned, ring
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam import map_solver
-from tfg_drake.slam.keyframe_graph import fused
+from tfg_drake.slam.keyframe_graph import at_yaw, empty_graph, fused
 from tfg_drake.slam.map_solver import known_jointly, solve
 
 
-def assert_dense(graph, solved, estimate, node=None):
+def assert_dense(graph, solved, estimate, node=None, *, entropy=True):
     """The solution and its joint covariance are a dense solution's, to a millionth."""
-    X_MN, p_ML, covariance = dense_solution(graph)
+    X_MN, p_ML, covariance, _ = dense_solution(graph)
     size = np.abs(p_ML).max()
     assert np.abs(solved.p_ML - p_ML).max() < 1e-6 * size
     assert np.abs(se2.wrap_angle(solved.X_MN[:, 2] - X_MN[:, 2])).max() < 1e-6
@@ -23,10 +23,12 @@ def assert_dense(graph, solved, estimate, node=None):
     assert np.linalg.norm(estimate.covariance - expected) < 1e-6 * np.linalg.norm(expected)
     deviation = np.sqrt(np.diag(expected))
     assert np.abs((estimate.covariance - expected) / np.outer(deviation, deviation)).max() < 1e-6
+    assert estimate.entropy == solved.entropy
+    if not entropy:
+        return
     landmarks = covariance[: 2 * len(graph.ids), : 2 * len(graph.ids)]
     entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * landmarks)[1]
     assert abs(solved.entropy - entropy) < 1e-6 * abs(entropy)
-    assert estimate.entropy == solved.entropy
 
 
 def test_exact_without_noise():
@@ -68,6 +70,47 @@ def test_a_graph_whose_keyframes_are_fused_is_a_dense_solution_too():
     assert len(graph.keyframes) < 0.7 * len(joined)
     solved, estimate = solve(graph, 0.0, joined[-1], joint=30)
     assert_dense(graph, solved, estimate)
+
+
+def test_the_yaw_of_the_camera_is_known_with_the_map():
+    """What each keyframe says leaves it open by a degree."""
+    observations, _, _ = ring(6, goals=12, tags=60, laps=1.05)
+    rng, yaw = np.random.default_rng(6), 0.02
+
+    def seen_at(one):
+        on_yaw = rng.normal(size=2 * len(one.ids) + 3) * ([1.0] * (2 * len(one.ids)) + [1.0, 1.0, 0.0])
+        return at_yaw(replace(one, on_yaw=on_yaw, yaw=yaw), 0.0)
+
+    believed = np.array([0.0, 0.0175])
+    graph = reckoned([seen_at(one) for one in observations], replace(empty_graph(believed), yaw_prior=believed))
+    solved, estimate = graph, None
+    for _ in range(3):
+        solved, estimate = solve(solved, 0.0, observations[-1], joint=20)
+    _, _, covariance, expected = dense_solution(graph)
+    assert abs(expected - yaw) < 4.0 * np.sqrt(covariance[-1, -1])
+    np.testing.assert_allclose(solved.yaw, [expected, np.sqrt(covariance[-1, -1])], rtol=1e-6)
+    assert all(one.yaw == solved.yaw[0] for one in solved.keyframes)
+    assert_dense(graph, solved, estimate, entropy=False)
+
+
+def test_fused_keyframes_tell_the_same_of_the_yaw():
+    observations, _, _ = ring(7, goals=60, laps=1.1)
+    turns = [one for one in observations if len(one.ids)]
+    rng, believed = np.random.default_rng(7), np.array([0.0, 0.0175])
+    joined = []
+    for one, way in zip(turns, observations[1::2], strict=False):
+        on_yaw = rng.normal(size=2 * len(one.ids) + 3)
+        joined.append(replace(one, X_AD=se2.compose(one.X_AD, way.X_AD), on_yaw=0.1 * on_yaw))
+    graph = reckoned(joined, replace(empty_graph(believed), yaw_prior=believed))
+    for _ in range(3):
+        graph, _ = solve(graph, 0.0, joined[-1])
+    fewer = fused(graph)
+    assert len(fewer.keyframes) < 0.7 * len(graph.keyframes)
+    for _ in range(3):
+        fewer, _ = solve(fewer, 0.0, joined[-1])
+    sigma = graph.yaw[1]
+    assert sigma < 0.01
+    np.testing.assert_allclose(fewer.yaw, graph.yaw, atol=0.03 * sigma)
 
 
 @pytest.mark.slow

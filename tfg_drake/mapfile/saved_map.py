@@ -17,7 +17,8 @@ import numpy as np
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
-from tfg_drake.slam.estimator_state import EstimatorState
+from tfg_drake.slam.camera_model import CameraModel
+from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.range_scale import RangeScale
@@ -27,9 +28,7 @@ from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 5
-
-
+SCHEMA = 6
 # Bytes of a map's arrays at most; 274 landmarks and 138 goals have 0.8 MB.
 _LARGEST = 64 * 2**20
 # Fields of the TfgMap that are places.
@@ -45,11 +44,11 @@ class SavedMap:
     """A map as it is kept on disk.
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. graph: the
-    estimator's keyframes and values. odometry_calibration: (3,), odometry_covariance: (3, 3) and range_scale: what it
-    knows of the odometry, see OdometryModel, and of the tag sensor's ranges. suspects: (s,) ids of landmarks that
-    contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the topological feature
-    graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between the two, of the one
-    before. tfg: it resolved in M, of the same stage as tfg_graph.
+    estimator's keyframes and values. odometry_calibration: (3,), odometry_covariance: (3, 3), camera and range_scale:
+    what it knows of the odometry, see OdometryModel, of the camera, and of the tag sensor's ranges. suspects: (s,) ids
+    of landmarks that contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the
+    topological feature graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between
+    the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
 
     X_WM: FloatArray
@@ -58,6 +57,7 @@ class SavedMap:
     graph: KeyframeGraph
     odometry_calibration: FloatArray
     odometry_covariance: FloatArray
+    camera: CameraModel
     range_scale: RangeScale
     suspects: IntArray
     suspect_count: IntArray
@@ -107,6 +107,7 @@ REGISTRY: Registry = {
         "suspects": ("s",),
         "suspect_count": ("s",),
     },
+    CameraModel: {"mean": (2,), "covariance": (2, 2)},
     RangeScale: {"information": (2, 2), "vector": (2,)},
     KeyframeGraph: {
         "X_MN": ("v", 3),
@@ -116,12 +117,15 @@ REGISTRY: Registry = {
         "p_ML": ("n", 2),
         "landmark_covariance": ("n", 2, 2),
         "pose_information": (3, 3),
+        "yaw": (2,),
+        "yaw_prior": (2,),
     },
     Keyframe: {
         "ids": ("n",),
         "p_AL": ("n", 2),
         "X_AD": (3,),
         "information": ("r", "r"),
+        "on_yaw": ("r",),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -188,6 +192,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         graph=replace(state.graph, p_ML=estimate.p_ML),
         odometry_calibration=state.model.calibration,
         odometry_covariance=state.model.calibration_covariance,
+        camera=known_camera(state),
         range_scale=state.scale,
         suspects=state.suspects,
         suspect_count=state.suspect_count,

@@ -29,7 +29,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam.camera_model import seen_from_camera
-from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, opened, unknown_way
+from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, camera_prior, instant, opened, unknown_way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, without_tags
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
@@ -287,7 +287,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
     frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
-    solution = solve_turn(state.model, turn.begin, frames, instant(state), state.camera)
+    solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state))
     seen = sum(1 for frame in frames if len(frame.detections.ids))
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
     doubtful &= ~rows_of(solution.observation.ids, state.graph.ids)[1]

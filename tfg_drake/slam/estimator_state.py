@@ -124,6 +124,12 @@ def known_camera(state: EstimatorState) -> CameraModel:
     return CameraModel(np.array([yaw, state.camera.offset]), np.diag(np.square([sigma, clock])))
 
 
+def camera_prior(state: EstimatorState) -> CameraModel:
+    """What is known of the camera without how the keyframes fit together."""
+    (yaw, sigma), (_, clock) = state.graph.yaw_prior, state.camera.sigma
+    return CameraModel(np.array([yaw, state.camera.offset]), np.diag(np.square([sigma, clock])))
+
+
 def instant(state: EstimatorState) -> TurnFrame:
     """The filters' instant, nothing seen."""
     return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))

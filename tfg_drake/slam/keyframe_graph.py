@@ -67,7 +67,7 @@ class KeyframeGraph:
     landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
     of the landmarks, nats. pose_information: (3, 3) on the newest pose, given the landmarks; infinite at the origin.
     yaw: (2,) the camera's in the body frame, which all keyframes are given at, and its standard deviation, rad.
-    yaw_prior: (2,) what is known of it without the graph.
+    yaw_prior: (2,) what each keyframe tells of it by itself.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -216,7 +216,7 @@ def fused(graph: KeyframeGraph) -> KeyframeGraph:
     they lie to each other, which is known to millimetres and milliradians.
     """
     keyframes, X_MN = list(graph.keyframes), graph.X_MN
-    view_keyframe, X_AV = graph.view_keyframe.copy(), graph.X_AV.copy()
+    view_keyframe, X_AV, yaw_prior = graph.view_keyframe.copy(), graph.X_AV.copy(), graph.yaw_prior
     j = max(len(keyframes) - RECENT, 0)
     while j < len(keyframes) - UNFUSED - 1:
         both = _fusion(keyframes[j], keyframes[j + 1])
@@ -224,17 +224,32 @@ def fused(graph: KeyframeGraph) -> KeyframeGraph:
             j += 1
             continue
         keyframes[j : j + 2] = [both[0]]
+        yaw_prior = _with_parabola(yaw_prior, float(graph.yaw[0]), *both[2])
         X_MN = np.delete(X_MN, j + 1, axis=0)
         inside = view_keyframe == j + 1
         X_AV[inside] = se2.compose(both[1], X_AV[inside])
         view_keyframe[view_keyframe > j] -= 1
     if len(keyframes) == len(graph.keyframes):
         return graph
-    return replace(graph, keyframes=tuple(keyframes), X_MN=X_MN, view_keyframe=view_keyframe, X_AV=X_AV)
+    return replace(
+        graph,
+        keyframes=tuple(keyframes),
+        X_MN=X_MN,
+        view_keyframe=view_keyframe,
+        X_AV=X_AV,
+        yaw_prior=yaw_prior,
+    )
 
 
-def _fusion(first: Keyframe, second: Keyframe) -> tuple[Keyframe, FloatArray] | None:
-    """Two keyframes as one, and the pose (3,) between them in its frame; None where they are to stay two."""
+def _with_parabola(prior: FloatArray, yaw: float, slope: float, curvature: float) -> FloatArray:
+    """A mean and standard deviation (2,), rad, with what an error says that has this slope and curvature at a yaw."""
+    information = prior[1] ** -2 + curvature
+    return np.array([prior[0] + (curvature * (yaw - prior[0]) - slope) / information, information**-0.5])
+
+
+def _fusion(first: Keyframe, second: Keyframe) -> tuple[Keyframe, FloatArray, tuple[float, float]] | None:
+    """Two keyframes as one, the pose (3,) between them in its frame, and slope and curvature of their own error over
+    the camera's yaw; None where they are to stay two."""
     if min(len(first.ids), len(second.ids)) < WITNESSES or max(len(first.ids), len(second.ids)) > FULL:
         return None
     ids = np.union1d(first.ids, second.ids)
@@ -244,7 +259,7 @@ def _fusion(first: Keyframe, second: Keyframe) -> tuple[Keyframe, FloatArray] | 
     p_AL = np.empty((len(ids), 2))
     p_AL[rows[1]] = se2.transform(first.X_AD, second.p_AL)
     p_AL[rows[0]] = first.p_AL
-    p_AL, X_AB, X_AD, information, on_yaw, deviation = fused_information(
+    p_AL, X_AB, X_AD, information, on_yaw, slope, curvature, deviation = fused_information(
         rows[0],
         first.p_AL,
         first.X_AD,
@@ -259,7 +274,11 @@ def _fusion(first: Keyframe, second: Keyframe) -> tuple[Keyframe, FloatArray] | 
     )
     if deviation > MOST_DEVIATION:
         return None
-    return Keyframe(ids, p_AL, X_AD, information, second.range_scale, second.yaw, on_yaw), X_AB
+    return (
+        Keyframe(ids, p_AL, X_AD, information, second.range_scale, second.yaw, on_yaw),
+        X_AB,
+        (slope, max(curvature, 0.0)),
+    )
 
 
 def rescaled(graph: KeyframeGraph, range_scale: float) -> KeyframeGraph:

@@ -201,12 +201,13 @@ def fused_information(
     information_2: FloatArray,
     on_yaw_2: FloatArray,
     p_AL: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float, float, float]:
     """Two keyframes, from A to B and from B to D, as one from A to D, with B marginalised out.
 
     rows_1, rows_2: of their landmarks among those of both (n, 2), p_AL: where these are about, in A, m. Returns p_AL
     (n, 2), X_AB (3,), X_AD (3,), the information (2n + 3, 2n + 3) of (p_AL, X_AD), their derivative (2n + 3,) on the
-    camera's yaw, and the standard deviation of B's position, m.
+    camera's yaw, the slope and curvature of half their weighted squared error over that, and the standard deviation of
+    B's position, m.
     """
     n = len(p_AL)
     p_AL, A, B, D = p_AL.copy(), np.zeros(3), X_1.copy(), np.empty(3)
@@ -238,24 +239,29 @@ def fused_information(
         if np.max(np.abs(step)) < SMALL_STEP:
             break
     # What the yaw changes is linear in what was seen.
-    H[:], g = 0.0, np.zeros(size)
-    for sign in (1.0, -1.0):
-        h = YAW_STEP if sign < 0.0 else 0.0
+    gradients, errors = np.zeros((3, size)), np.zeros(3)
+    for k in range(3):
+        h = (k - 1) * YAW_STEP
         p, X = _at_other_yaw(p_1, X_1, on_yaw_1, h)
-        H_1, g_1, _error = linearised(rows_1, p, X, information_1, A, B, p_AL)
+        H_1, g_1, error_1 = linearised(rows_1, p, X, information_1, A, B, p_AL)
         p, X = _at_other_yaw(p_2, X_2, on_yaw_2, h)
-        H_2, g_2, _error = linearised(rows_2, p, X, information_2, B, D, p_AL)
+        H_2, g_2, error_2 = linearised(rows_2, p, X, information_2, B, D, p_AL)
         H[:] = 0.0
-        _scatter(H, g, at_1, H_1, sign / YAW_STEP * g_1)
-        _scatter(H, g, at_2, H_2, sign / YAW_STEP * g_2)
-    on_yaw = np.linalg.solve(H, g)[: 2 * n + 3].copy()
+        _scatter(H, gradients[k], at_1, H_1, g_1)
+        _scatter(H, gradients[k], at_2, H_2, g_2)
+        errors[k] = 0.5 * (error_1 + error_2)
+    by_yaw = (gradients[2] - gradients[0]) / (2.0 * YAW_STEP)
+    change = np.linalg.solve(H, -by_yaw)
+    on_yaw = change[: 2 * n + 3].copy()
+    slope = (errors[2] - errors[0]) / (2.0 * YAW_STEP)
+    curvature = (errors[0] - 2.0 * errors[1] + errors[2]) / YAW_STEP**2 + np.sum(by_yaw * change)
     m = 2 * n + 3
     across = np.ascontiguousarray(H[:m, m:])
     information = H[:m, :m] - across @ np.linalg.solve(np.ascontiguousarray(H[m:, m:]), np.ascontiguousarray(across.T))
     D[2] = wrap(D[2])
     covariance = np.linalg.inv(H)
     deviation = math.sqrt(covariance[m, m] + covariance[m + 1, m + 1])
-    return p_AL, B, D, 0.5 * (information + information.T), np.asarray(on_yaw), deviation
+    return p_AL, B, D, 0.5 * (information + information.T), on_yaw, slope, curvature, deviation
 
 
 @njit(cache=True)

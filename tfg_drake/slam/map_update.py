@@ -24,8 +24,8 @@ REJECTED = 49.0
 HARDLY_SEEN_REJECTED = 9.2
 # Iterations of an update.
 ITERATIONS = 4
-# The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes more
-# or so many, or when one of so many landmarks nearest to the robot is not known jointly.
+# The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes
+# more, or so many, or when one of so many landmarks nearest to the robot is not known jointly.
 FAR_MOVED = 0.05
 MANY_KEYFRAMES = 32
 NEAREST = 100
