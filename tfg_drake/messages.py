@@ -171,7 +171,8 @@ class MapEstimate:
     a large one's. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of
     each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
     goals. observation: the newest goal's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
-    objective).
+    objective). frame_worth: what share of an independent frame one of many in a row tells, for its noise is the last
+    one's in part.
     """
 
     stage: int
@@ -185,6 +186,7 @@ class MapEstimate:
     X_MA: FloatArray
     observation: GoalObservation
     entropy: float
+    frame_worth: float = 1.0
 
     @property
     def is_joint(self) -> bool:

@@ -227,7 +227,7 @@ def predicted_deviation(
         0.0,
         SURFACE_REACH,
     )
-    frames = sensor.detection_probability * sensor.rate * LOCALISATION_TIME
+    frames = estimate.frame_worth * sensor.detection_probability * sensor.rate * LOCALISATION_TIME
     frames *= min(1.0, sensor.field_of_view / (2 * math.pi))
     noise = sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames
     sigma, sees, knows = localised_deviation(

@@ -61,9 +61,10 @@ def frontier_reach(sensor: TagSensorConfig) -> FloatArray:
     return np.array([sensor.range, FRONTIER_DEPTH * sensor.range])
 
 
-def sightings_of_turn(sensor: TagSensorConfig, turn_rate: float) -> float:
-    """How often each tag is seen in a full turn at turn_rate (rad/s): it is in view for field_of_view / turn_rate s."""
-    return sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
+def sightings_of_turn(sensor: TagSensorConfig, turn_rate: float, frame_worth: float = 1.0) -> float:
+    """How often each tag is seen in a full turn at turn_rate (rad/s), independently: it is in view for field_of_view /
+    turn_rate s. frame_worth: as in MapEstimate."""
+    return frame_worth * sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
 
 
 def turn_noise(sensor: TagSensorConfig, sightings: float) -> FloatArray:
@@ -112,7 +113,8 @@ class Turns:
 
     @functools.cached_property
     def _noise(self) -> FloatArray:
-        return turn_noise(self.sensor, sightings_of_turn(self.sensor, self.explorer.turn_rate))
+        sightings = sightings_of_turn(self.sensor, self.explorer.turn_rate, self.estimate.frame_worth)
+        return turn_noise(self.sensor, sightings)
 
     @functools.cached_property
     def _number(self) -> FloatArray:

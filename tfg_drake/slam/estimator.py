@@ -35,6 +35,7 @@ from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, 
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import HARDLY_SEEN_REJECTED, REJECTED, finished, jointly_known, needs_solve, updated
+from tfg_drake.slam.noise_correlation import less_certain
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     arc,
@@ -238,7 +239,9 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         turn = replace(turn, frames=(*turn.frames, taken))
     elif piece is not None:
         piece = replace(piece, frames=(*piece.frames, taken))
-    localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
+    localizer, known, ignored = step_localizer(
+        state.localizer, state.model, increment, dt, less_certain(seen, state.correlation.frame_worth)
+    )
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, seen)
         known, ignored = known + elsewhere, ignored + elsewhere
@@ -287,22 +290,23 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
     """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
     frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
-    solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state))
+    solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state), state.correlation)
     seen = sum(1 for frame in frames if len(frame.detections.ids))
     doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
     doubtful &= ~rows_of(solution.observation.ids, state.graph.ids)[1]
     observation = without_tags(solution.observation, solution.observation.ids[doubtful])
     # The body's heading is what the scans are placed by.
-    X_AB = observation.X_AB - np.array([0.0, 0.0, solution.camera.yaw])
+    X_AB = observation.X_AB - np.array([0.0, 0.0, state.graph.yaw[0]])
     observation = replace(observation, X_AB=X_AB, range_scale=correction(state.scale))
     return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
 
 
 def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorState:
-    """The state with what a turn or piece tells of the camera by itself; what its yaw does to how turns and pieces fit
+    """The state with what a turn or piece tells of camera and noise by itself; what the yaw does to how they fit
     together is the graph's to tell."""
     yaw = np.array([solution.camera.yaw, solution.camera.sigma[0]])
-    return replace(state, camera=solution.camera, graph=replace(state.graph, yaw_prior=yaw))
+    graph = replace(state.graph, yaw_prior=yaw)
+    return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph)
 
 
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
@@ -344,7 +348,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         contradictions=0,
         graph=graph,
         solved=solved,
-        map=estimate,
+        map=replace(estimate, frame_worth=state.correlation.frame_worth),
         localizer=start_localizer(model, estimate),
         rejected=rejected,
         dropped=solution.dropped,

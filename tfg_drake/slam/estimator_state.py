@@ -19,6 +19,7 @@ from tfg_drake.messages import (
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
+from tfg_drake.slam.noise_correlation import NoiseCorrelation, no_correlation
 from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
 from tfg_drake.slam.range_scale import RangeScale, unknown_scale
 from tfg_drake.slam.turn import TurnFrame, no_detections
@@ -41,19 +42,21 @@ class OpenTurn:
 class EstimatorState:
     """All the estimator knows.
 
-    camera: what is known of the camera. path_keyframe_period: s of way that are mapped as one piece; 0 where only its
-    motion is. newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending:
-    frames that wait for it. scans: the newest scans. scale: what they say of the tags' ranges. stamp (s), clock (s),
-    X_OB (3,): the localiser's instant and the dead reckoning then. contradictions: frames in a row that contradict the
-    pose. carried: the robot was moved since the last goal by something else than its wheels. turn, piece: the open turn
-    and piece of the way, way: those before it since the last goal. graph: its landmarks as they lay at its last solve
-    or when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the
-    first goal. rejected: (r,) ids of known tags left out of the newest goal, dropped: sightings left out of its turn.
-    suspects: (s,) ids of tags that contradicted the map at the last goals, suspect_count: (s,) how many in a row.
+    camera, correlation: what is known of the camera and of the noise of tags. path_keyframe_period: s of way that are
+    mapped as one piece; 0 where only its motion is. newest: the last odometry message. odometry: dead reckoning from
+    the localiser's instant on. pending: frames that wait for it. scans: the newest scans. scale: what they say of the
+    tags' ranges. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
+    frames in a row that contradict the pose. carried: the robot was moved since the last goal by something else than
+    its wheels. turn, piece: the open turn and piece of the way, way: those before it since the last goal. graph: its
+    landmarks as they lay at its last solve or when they were first seen, solved: the graph at that solve. map: what has
+    become of it since, None before the first goal. rejected: (r,) ids of known tags left out of the newest goal,
+    dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted the map at the last goals,
+    suspect_count: (s,) how many in a row.
     """
 
     model: OdometryModel
     camera: CameraModel
+    correlation: NoiseCorrelation
     path_keyframe_period: float
     newest: Odometry | None
     odometry: tuple[DeadReckoning, ...]
@@ -93,6 +96,7 @@ def initial_state(
     return EstimatorState(
         model=model,
         camera=camera,
+        correlation=no_correlation(),
         path_keyframe_period=path_keyframe_period,
         newest=None,
         odometry=(),

@@ -19,6 +19,12 @@ from scipy.linalg import lapack
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, TagDetections, message, replace
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
+from tfg_drake.slam.noise_correlation import (
+    LONG_RUN,
+    NoiseCorrelation,
+    compared,
+    no_correlation,
+)
 from tfg_drake.slam.odometry_model import OdometryModel, arc, predict_increment, wrap
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
@@ -91,8 +97,8 @@ def no_detections(stamp: float) -> TagDetections:
 @message
 class TurnSolution:
     """observation: the turn's result. sightings: (n,) detections behind each of its tags. dropped: number of detections
-    left out as outliers. calibration: (3,) of the odometry, calibration_covariance: (3, 3), see OdometryModel. camera:
-    what is known of the camera now."""
+    left out as outliers. calibration: (3,) of the odometry, calibration_covariance: (3, 3), see OdometryModel. camera,
+    correlation: what is known of the camera and of the noise now."""
 
     observation: GoalObservation
     sightings: IntArray
@@ -100,6 +106,7 @@ class TurnSolution:
     calibration: FloatArray
     calibration_covariance: FloatArray
     camera: CameraModel
+    correlation: NoiseCorrelation
 
 
 def solve_turn(
@@ -108,13 +115,15 @@ def solve_turn(
     frames: tuple[TurnFrame, ...],
     end: TurnFrame,
     camera: CameraModel | None = None,
+    correlation: NoiseCorrelation | None = None,
 ) -> TurnSolution:
     """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
 
-    frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. Without any
-    detection n is 0 and X_AD comes from odometry alone. The heading of all poses is the camera's; camera: what is known
-    of it before, none: that it looks ahead and its clock is right. Where the sightings agree with each other but not
-    with the odometry, the wheels have slipped: then the sightings are believed.
+    frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. Without any detection
+    n is 0 and X_AD comes from odometry alone. The heading of all poses is the camera's; camera: what is known of it
+    before, none: that it looks ahead and its clock is right. correlation: what earlier turns say of the noise's from
+    frame to frame; the turn counts its frames by that and by what it says itself. Where the sightings agree with each
+    other but not with the odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in (*frames, end)]
@@ -144,6 +153,10 @@ def solve_turn(
             left = int(np.sum(~other_kept))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept = other, other_kept
+                known, problem = slipping, (stamps, *problem[1:])
+    correlation = _compared(correlation or no_correlation(), solution, problem, kept)
+    if correlation.frame_worth < 1.0:
+        solution = _solved(known, _less_certain(problem, correlation.frame_worth), solution.X_AB, kept)
 
     # All the turn tells given the yaw, which it shares with all others; what it tells of the yaw goes beside it.
     of_yaw = solution.covariance[TAGS:, CAMERA] / solution.covariance[CAMERA, CAMERA]
@@ -165,7 +178,32 @@ def solve_turn(
         calibration=solution.calibration[:CAMERA],
         calibration_covariance=solution.covariance[:CAMERA, :CAMERA],
         camera=CameraModel(solution.calibration[CAMERA:], solution.covariance[CAMERA:TAGS, CAMERA:TAGS]),
+        correlation=correlation,
     )
+
+
+def _compared(
+    correlation: NoiseCorrelation, solution: _Solution, problem: _Problem, kept: BoolArray
+) -> NoiseCorrelation:
+    """The noise's correlation after the sightings kept (m,) of a solution."""
+    if np.max(solution.sightings, initial=0) < LONG_RUN:
+        return correlation
+    _, _, node, ids, z = problem
+    tag, node, z = np.searchsorted(solution.ids, ids[kept]), node[kept], z[kept]
+    X, earlier = solution.X_AB[node], solution.calibration[CAMERA + 1] - z[:, 6]
+    way = earlier * z[:, 4]
+    d = solution.p_AL[tag] - X[:, :2] + way[:, None] * np.stack([np.cos(X[:, 2]), np.sin(X[:, 2])], axis=1)
+    bearing = se2.wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - X[:, 2] + earlier * z[:, 5] - z[:, 0])
+    errors = np.stack([bearing / z[:, 2], (np.hypot(d[:, 0], d[:, 1]) - z[:, 1]) / z[:, 3]], axis=1)
+    return compared(correlation, errors, tag, node)
+
+
+def _less_certain(problem: _Problem, frame_worth: float) -> _Problem:
+    """The problem with the standard deviations that make frames in a row count as much as they tell."""
+    clock, X_OB, node, ids, z = problem
+    z = z.copy()
+    z[:, 2:4] *= frame_worth**-0.5
+    return clock, X_OB, node, ids, z
 
 
 def _without_outliers(
