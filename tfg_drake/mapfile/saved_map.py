@@ -17,6 +17,7 @@ import numpy as np
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
+from tfg_drake.slam.doubt import doubtful
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
 from tfg_drake.slam.map_solver import known_jointly, solve
@@ -27,7 +28,7 @@ from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 5
+SCHEMA = 6
 
 
 # Bytes of a map's arrays at most; 274 landmarks and 138 goals have 0.8 MB.
@@ -46,10 +47,10 @@ class SavedMap:
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. graph: the
     estimator's keyframes and values. odometry_calibration: (3,), odometry_covariance: (3, 3) and range_scale: what it
-    knows of the odometry, see OdometryModel, and of the tag sensor's ranges. suspects: (s,) ids of landmarks that
-    contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the topological feature
-    graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between the two, of the one
-    before. tfg: it resolved in M, of the same stage as tfg_graph.
+    knows of the odometry, see OdometryModel, and of the tag sensor's ranges. doubtful: (d,) ids, ascending, of tags
+    that were seen but are not known to be at any one place, landmarks or not. tfg_graph: the topological feature graph,
+    anchored to landmarks and goals, of the same stage or, where a run was cut short between the two, of the one before.
+    tfg: it resolved in M, of the same stage as tfg_graph.
     """
 
     X_WM: FloatArray
@@ -59,8 +60,7 @@ class SavedMap:
     odometry_calibration: FloatArray
     odometry_covariance: FloatArray
     range_scale: RangeScale
-    suspects: IntArray
-    suspect_count: IntArray
+    doubtful: IntArray
     tfg_graph: TfgGraph
     tfg: TfgMap
 
@@ -104,8 +104,7 @@ REGISTRY: Registry = {
         "X_WM": (3,),
         "odometry_calibration": (3,),
         "odometry_covariance": (3, 3),
-        "suspects": ("s",),
-        "suspect_count": ("s",),
+        "doubtful": ("d",),
     },
     RangeScale: {"information": (2, 2), "vector": (2,)},
     KeyframeGraph: {
@@ -189,8 +188,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         odometry_calibration=state.model.calibration,
         odometry_covariance=state.model.calibration_covariance,
         range_scale=state.scale,
-        suspects=state.suspects,
-        suspect_count=state.suspect_count,
+        doubtful=doubtful(state.evidence),
         tfg_graph=tfg_graph,
         tfg=tfg,
     )

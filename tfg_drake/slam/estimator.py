@@ -18,7 +18,6 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import (
-    FloatArray,
     GoalObservation,
     IntArray,
     LaserScan,
@@ -28,8 +27,18 @@ from tfg_drake.messages import (
     TagDetections,
     replace,
 )
+from tfg_drake.slam.doubt import (
+    CONFIRMATIONS,
+    Evidence,
+    Sighted,
+    believable,
+    forgotten,
+    only,
+    overturned,
+    weighed,
+)
 from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, opened, unknown_way
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
@@ -54,10 +63,6 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many such frames in a row the robot is elsewhere.
 CONTRADICTIONS = 3
-# A new tag must be seen this often in a turn to be mapped, or in one of three frames of a shorter piece.
-CONFIRMATIONS = 3
-# Goals in a row that must contradict the map about a tag before it is taken to have been moved.
-MOVED = 2
 # A turn that ends this near to where it began was one in place, m.
 IN_PLACE = 0.1
 # Scans kept to be compared with the frames of their instant.
@@ -258,47 +263,45 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         return replace(state, piece=opened(state)) if piece is not None else state
     if state.carried:
         X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-        way: tuple[GoalObservation, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
+        way: tuple[Sighted, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
-        observation = _solve(state, piece).observation
+        seen = _sighted(_solve(state, piece))
         if not state.path_keyframe_period:
-            observation = without_tags(observation, observation.ids)
-        way = (*state.way, observation)
+            seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
+        way = (*state.way, seen)
     return replace(state, piece=opened(state), way=way)
 
 
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
-    """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
+    """A turn or piece solved by itself."""
     frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
     solution = solve_turn(state.model, turn.begin, frames, instant(state))
-    seen = sum(1 for frame in frames if len(frame.detections.ids))
-    doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
-    doubtful &= ~rows_of(solution.observation.ids, state.graph.ids)[1]
-    observation = without_tags(solution.observation, solution.observation.ids[doubtful])
-    observation = replace(observation, range_scale=correction(state.scale))
-    return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
+    return replace(solution, observation=replace(solution.observation, range_scale=correction(state.scale)))
+
+
+def _sighted(solution: TurnSolution) -> Sighted:
+    return Sighted(solution.observation, solution.sightings)
 
 
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     """The state with a turn or piece made a goal of the map, and the localiser at its end."""
     solution = _solve(state, turn)
-    limit = np.where(solution.sightings < CONFIRMATIONS, HARDLY_SEEN_REJECTED, REJECTED)
     way = state.way
     if state.carried and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB)),)
     before, known = rejoined(state.graph, state.map or NO_MAP, solution.observation)
-    graph, estimate, rejected = _with_keyframes(before, known, way, solution.observation, limit)
-    suspects, count = _suspects(state, solution, rejected)
-    moved = suspects[count >= MOVED]
-    if len(moved):
-        _log.warning("%.2f s: moved since they were mapped: tags %s", state.stamp, _names(moved))
-        before, known = _solved(forget(before, moved), state.stamp, known.observation)
-        graph, estimate, rejected = _with_keyframes(before, known, way, solution.observation, limit)
-        suspects, count = suspects[count < MOVED], count[count < MOVED]
+    graph, estimate, evidence, moved = before, known, state.evidence, False
+    rejected = np.empty(0, dtype=np.int64)
+    for seen in (*way, _sighted(solution)):
+        is_goal = seen.observation is solution.observation
+        graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_goal)
+        if len(anew):
+            _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
+            moved = True
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
     corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
-    if before is not state.graph or corrected_graph is not graph or needs_solve(graph, solved, estimate):
+    if moved or before is not state.graph or corrected_graph is not graph or needs_solve(graph, solved, estimate):
         corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
         graph, estimate = _solved(corrected_graph, state.stamp, solution.observation)
         solved = graph
@@ -320,47 +323,48 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         solved=solved,
         map=estimate,
         localizer=start_localizer(model, estimate),
+        evidence=evidence,
         rejected=rejected,
         dropped=solution.dropped,
-        suspects=suspects,
-        suspect_count=count,
     )
     return replace(state, piece=opened(state))
 
 
-def _with_keyframes(
-    graph: KeyframeGraph,
-    estimate: MapEstimate,
-    way: tuple[GoalObservation, ...],
-    goal: GoalObservation,
-    limit: FloatArray,
-) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
-    """Graph and map with the pieces of the way and a goal, and the ids of known tags left out of the goal, by limit
-    (n,) as in `updated`."""
-    for observation in (*way, goal):
-        far = observation.ids[~jointly_known(estimate, observation.ids)]
-        if len(far):
-            graph = replace(graph, p_ML=estimate.p_ML)
-            graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
-        is_goal = observation is goal
-        graph, estimate, rejected = updated(graph, estimate, observation, limit if is_goal else None, is_view=is_goal)
-    return graph, estimate, rejected
+def _with_keyframe(
+    graph: KeyframeGraph, estimate: MapEstimate, evidence: Evidence, seen: Sighted, *, is_view: bool
+) -> tuple[KeyframeGraph, MapEstimate, Evidence, IntArray, IntArray]:
+    """Graph, map and evidence with one keyframe more, which begins at the map's newest pose; the ids of known tags left
+    out of it, and of those that were forgotten and mapped anew for it.
+
+    is_view: whether it is a goal or glance, not a piece of the way.
+    """
+    ids = seen.observation.ids
+    far = ids[~jointly_known(estimate, ids)]
+    if len(far):
+        graph = replace(graph, p_ML=estimate.p_ML)
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
+    known = rows_of(ids, graph.ids)[1]
+    believed = only(seen, known | believable(evidence, seen, estimate.X_MD, graph))
+    limit = np.where(believed.frames < CONFIRMATIONS, HARDLY_SEEN_REJECTED, REJECTED)
+    longer, after, rejected = updated(graph, estimate, believed.observation, limit, is_view=is_view)
+    agrees, counted = np.isin(ids, np.setdiff1d(believed.observation.ids, rejected)), seen
+    if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
+        # It may be the robot that is elsewhere.
+        counted, agrees = only(seen, agrees), agrees[agrees]
+    weighed_up = weighed(evidence, counted, agrees, longer)
+    anew = np.intersect1d(overturned(weighed_up), rejected)
+    if not len(anew):
+        return longer, after, weighed_up, rejected, anew
+    graph = forget(replace(graph, p_ML=estimate.p_ML), anew)
+    graph, estimate = solve(graph, estimate.stamp, estimate.observation)
+    evidence = forgotten(evidence, anew)
+    graph, estimate, evidence, rejected, others = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
+    return graph, estimate, evidence, rejected, np.union1d(anew, others)
 
 
 def _solved(graph: KeyframeGraph, stamp: float, observation: GoalObservation) -> tuple[KeyframeGraph, MapEstimate]:
     """A graph of one keyframe or more solved, the empty graph as it is."""
     return solve(graph, stamp, observation) if graph.keyframes else (graph, NO_MAP)
-
-
-def _suspects(state: EstimatorState, solution: TurnSolution, rejected: IntArray) -> tuple[IntArray, IntArray]:
-    """Ids of the tags that contradict the map, and at how many goals in a row, after one more goal."""
-    seen_often = solution.observation.ids[solution.sightings >= CONFIRMATIONS]
-    cleared = np.isin(state.suspects, np.setdiff1d(solution.observation.ids, rejected))
-    ids, count = state.suspects[~cleared], state.suspect_count[~cleared].copy()
-    again = np.intersect1d(rejected, seen_often)
-    count[np.isin(ids, again)] += 1
-    new = np.setdiff1d(again, ids)
-    return np.concatenate([ids, new]), np.concatenate([count, np.ones(len(new), dtype=np.int64)])
 
 
 def _names(ids: IntArray) -> str:
