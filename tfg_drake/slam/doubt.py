@@ -13,6 +13,8 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, message, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of, without_tags
+from tfg_drake.slam.keyframe_kernels import linearised
+from tfg_drake.slam.map_update import REJECTED
 
 # A tag is believed to be where it was seen in so many frames.
 CONFIRMATIONS = 3
@@ -120,6 +122,29 @@ def overturned(evidence: Evidence) -> IntArray:
 def forgotten(evidence: Evidence, ids: IntArray) -> Evidence:
     """The evidence without the places that the map had of some tags."""
     return evidence.kept(~(evidence.is_mapped & np.isin(evidence.ids, ids)))
+
+
+def disputed(evidence: Evidence, tag: int) -> Evidence:
+    """The evidence with nothing left that speaks for where the map has a tag."""
+    return replace(evidence, frames=np.where(evidence.is_mapped & (evidence.ids == tag), 0, evidence.frames))
+
+
+def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
+    """Which landmark, by its id, which keyframe has most elsewhere than a solved graph: its squared error would fall by
+    more than REJECTED without it. None where no keyframe has any.
+
+    What an update believed while the pose was hardly known, or the map bent, comes out here.
+    """
+    most, found = REJECTED, None
+    for j, one in enumerate(graph.keyframes):
+        n = len(one.ids)
+        rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
+        H, g, _ = linearised(rows, one.p_AL, one.X_AD, one.information, X_MA, X_MD, graph.p_ML)
+        own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
+        falls = (force * np.linalg.solve(own, force)).sum(axis=(1, 2))
+        if np.max(falls, initial=0.0) > most:
+            most, found = float(np.max(falls)), (int(one.ids[np.argmax(falls)]), j)
+    return found
 
 
 def doubtful(evidence: Evidence) -> IntArray:

@@ -28,21 +28,22 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam.doubt import (
-    CONFIRMATIONS,
     Evidence,
     Sighted,
     believable,
+    contradicted,
+    disputed,
     forgotten,
     only,
     overturned,
     weighed,
 )
 from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, opened, unknown_way
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.map_update import HARDLY_SEEN_REJECTED, REJECTED, finished, jointly_known, needs_solve, updated
+from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
     arc,
     first_reckoning,
@@ -63,6 +64,8 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many such frames in a row the robot is elsewhere.
 CONTRADICTIONS = 3
+# Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
+MOST_TAKEN_BACK = 10
 # A turn that ends this near to where it began was one in place, m.
 IN_PLACE = 0.1
 # Scans kept to be compared with the frames of their instant.
@@ -182,13 +185,23 @@ def map_estimate(state: EstimatorState) -> MapEstimate | None:
 
 
 def settled(state: EstimatorState) -> EstimatorState:
-    """The state with its map solved and known jointly as a whole, as far as memory allows: for the end of a mission."""
+    """The state with its map solved and known jointly as a whole, as far as memory allows: for the end of a mission.
+
+    All that was believed is put to the test once more, and what the map as a whole contradicts is taken back.
+    """
     estimate = state.map
     if estimate is None:
         return state
-    graph = fused(replace(state.graph, p_ML=estimate.p_ML))
+    graph, evidence = fused(replace(state.graph, p_ML=estimate.p_ML)), state.evidence
     graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
-    return replace(state, graph=graph, solved=graph, map=estimate)
+    for _ in range(MOST_TAKEN_BACK):
+        wrong = contradicted(graph)
+        if wrong is None:
+            break
+        _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, wrong[0])
+        graph, evidence = taken_back(graph, *wrong), disputed(evidence, wrong[0])
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+    return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
@@ -345,14 +358,13 @@ def _with_keyframe(
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
     known = rows_of(ids, graph.ids)[1]
     believed = only(seen, known | believable(evidence, seen, estimate.X_MD, graph))
-    limit = np.where(believed.frames < CONFIRMATIONS, HARDLY_SEEN_REJECTED, REJECTED)
-    longer, after, rejected = updated(graph, estimate, believed.observation, limit, is_view=is_view)
+    longer, after, rejected = updated(graph, estimate, believed.observation, is_view=is_view)
     agrees, counted = np.isin(ids, np.setdiff1d(believed.observation.ids, rejected)), seen
     if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
         # It may be the robot that is elsewhere.
         counted, agrees = only(seen, agrees), agrees[agrees]
     weighed_up = weighed(evidence, counted, agrees, longer)
-    anew = np.intersect1d(overturned(weighed_up), rejected)
+    anew = np.intersect1d(overturned(weighed_up), rejected) if len(rejected) else rejected
     if not len(anew):
         return longer, after, weighed_up, rejected, anew
     graph = forget(replace(graph, p_ML=estimate.p_ML), anew)
