@@ -42,13 +42,11 @@ class KnownWorld:
         tags = scenario.tags
         self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
 
-    def map_figures(
-        self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None, doubtful: IntArray
-    ) -> dict[str, Any]:
-        """How far a map is from the world: surfaces, and landmarks but for the doubtful (d,)."""
+    def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
+        """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
         segments = _mapped_surfaces(self._world, tfg, mission.grid)
         return {
-            **_landmarks(self._world, self.reachable, estimate, doubtful, mission.grid is None),
+            **_landmarks(self._world, self.reachable, estimate, mission.grid is None),
             **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
         }
 
@@ -79,10 +77,10 @@ def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
 
 
 def _landmarks(
-    world: World, reachable: BoolArray, estimate: MapEstimate | None, doubtful: IntArray, maps_landmarks: bool
+    world: World, reachable: BoolArray, estimate: MapEstimate | None, maps_landmarks: bool
 ) -> dict[str, Any]:
     mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
-    trusted = ~np.isin(mapped, doubtful)
+    trusted = ~estimate.is_doubtful if estimate is not None else np.zeros(0, dtype=np.bool_)
     counted = trusted & np.isin(mapped, world.tag_ids[reachable])
     figures: dict[str, Any] = {
         "landmarks_present": len(world.tag_ids),

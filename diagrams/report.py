@@ -17,7 +17,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.files import write_atomic
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
-from tfg_drake.messages import IntArray, MapEstimate
+from tfg_drake.messages import MapEstimate
 from tfg_drake.trajectory import write_tum
 
 if TYPE_CHECKING:
@@ -35,11 +35,10 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     is told to the folder, and the others are written all the same.
     """
     tfg, estimate, grid = mission.tfg, mission.map, mission.grid
-    map_bytes, doubtful = 0, np.zeros(0, dtype=np.int64)
+    map_bytes = 0
     final = mission.final_map()
     if final is not None:
         saved, estimate, tfg = final
-        doubtful = saved.doubtful
         folder.attempt("map.npz", lambda path: save_map(path, saved))
         map_bytes = _size(folder.path / "map.npz")
     if grid is not None:
@@ -65,8 +64,8 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "stages": len(mission.stages),
         "landmarks_present": None,
         "landmarks_reachable": None,
-        "landmarks_mapped": _landmarks_mapped(mission, estimate, doubtful),
-        "landmarks_doubtful": doubtful.tolist() if mission.grid is None else None,
+        "landmarks_mapped": _landmarks_mapped(mission, estimate),
+        "landmarks_doubtful": _landmarks_doubtful(mission, estimate),
         "landmarks_extra": None,
         "landmark_rmse_m": None,
         "landmark_rmse_aligned_m": None,
@@ -94,7 +93,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     if mission.world is not None:
         known = KnownWorld(mission.world, scenario)
         reachable = known.reachable
-        summary |= known.map_figures(mission, estimate, tfg, doubtful)
+        summary |= known.map_figures(mission, estimate, tfg)
         if true_poses is not None:
             summary |= known.way_figures(mission, stamps, X_WB, *true_poses)
     if mission.truth is not None:
@@ -122,11 +121,18 @@ def _size(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
 
-def _landmarks_mapped(mission: Mission, estimate: MapEstimate | None, doubtful: IntArray) -> int | None:
+def _landmarks_mapped(mission: Mission, estimate: MapEstimate | None) -> int | None:
     """Landmarks in the map that are not doubtful, None of a method that maps none."""
     if mission.grid is not None:
         return None
-    return len(np.setdiff1d(estimate.ids, doubtful)) if estimate is not None else 0
+    return int(np.count_nonzero(~estimate.is_doubtful)) if estimate is not None else 0
+
+
+def _landmarks_doubtful(mission: Mission, estimate: MapEstimate | None) -> list[int] | None:
+    """Ids of the tags that were seen but are not known to be at any one place, None of a method that maps none."""
+    if mission.grid is not None:
+        return None
+    return list(map(int, estimate.doubtful)) if estimate is not None else []
 
 
 def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:

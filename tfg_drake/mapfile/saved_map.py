@@ -17,7 +17,6 @@ import numpy as np
 from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
-from tfg_drake.slam.doubt import doubtful
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
 from tfg_drake.slam.map_solver import known_jointly, solve
@@ -188,7 +187,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         odometry_calibration=state.model.calibration,
         odometry_covariance=state.model.calibration_covariance,
         range_scale=state.scale,
-        doubtful=doubtful(state.evidence),
+        doubtful=estimate.doubtful,
         tfg_graph=tfg_graph,
         tfg=tfg,
     )
@@ -198,7 +197,8 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
     """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
     round the last goal. Its observation is empty: what the newest goal saw is in the keyframes."""
     nothing = empty_map().observation
-    return solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
+    estimate = solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
+    return replace(estimate, doubtful=saved.doubtful)
 
 
 def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:

@@ -33,6 +33,7 @@ from tfg_drake.slam.doubt import (
     believable,
     contradicted,
     disputed,
+    doubtful,
     forgotten,
     only,
     overturned,
@@ -201,6 +202,7 @@ def settled(state: EstimatorState) -> EstimatorState:
         _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, wrong[0])
         graph, evidence = taken_back(graph, *wrong), disputed(evidence, wrong[0])
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+    estimate = replace(estimate, doubtful=doubtful(evidence))
     return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
 
 
@@ -334,7 +336,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         contradictions=0,
         graph=graph,
         solved=solved,
-        map=estimate,
+        map=replace(estimate, doubtful=doubtful(evidence)),
         localizer=start_localizer(model, estimate),
         evidence=evidence,
         rejected=rejected,
