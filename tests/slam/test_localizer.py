@@ -11,7 +11,6 @@ from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.localizer import (
-    borne_out,
     local_tags,
     localized_pose,
     new_tags,
@@ -248,24 +247,20 @@ def part_of(estimate, rows):
 
 
 def test_nobody_looks_for_what_one_frame_saw():
-    estimate, p_ML, X_MB = make_map(8, 4)
+    estimate, _, X_MB = make_map(8, 4)
     none, there = np.zeros(0, dtype=np.int64), np.array([20.0, 0.0])
     elsewhere = there + np.array([0.0, 3.0])
 
-    def published(places, on_surface=False):
+    def published(places):
         localizer = start_localizer(MODEL, estimate)
         for stamp, place in enumerate(places):
             seen = sight([50], place[None], X_MB, 0.1 * stamp)
             localizer, _, _ = step_localizer(localizer, MODEL, np.zeros(3), 0.1, seen)
-            localizer = borne_out(localizer, seen, np.array([on_surface]))
         ids, p_MU = new_tags(localizer, none)
         return [] if not len(ids) else [there, elsewhere][int(np.hypot(*(p_MU[0] - there)) > 1.5)].tolist()
 
     assert published([there]) == []
     assert published([there, there]) == there.tolist()
-    # A scan that met a surface there is as good as one frame more, but where another tag is the id was misread.
-    assert published([there], on_surface=True) == there.tolist()
-    assert published([p_ML[0]], on_surface=True) == []
     # What was seen elsewhere as often is forgotten.
     assert published([there, elsewhere]) == []
     assert published([there, elsewhere, elsewhere, elsewhere]) == elsewhere.tolist()

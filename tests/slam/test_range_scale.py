@@ -5,7 +5,7 @@ import pytest
 
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan, TagDetections
-from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, on_surface, unknown_scale
+from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, unknown_scale
 
 WALLS = np.array([[4.0, -6.0, 5.0, 6.0], [-6.0, 5.0, 6.0, 5.0], [-6.0, -5.0, 6.0, -5.0], [-5.0, -6.0, -5.0, 6.0]])
 ANGLES = np.linspace(-1.08, 1.08, 249)
@@ -92,18 +92,3 @@ def test_without_a_pair_nothing_is_learnt():
         scale = compare(unknown_scale(), detections, scan)
         assert scale.pairs == 0
         assert scale.sigma == pytest.approx(SCALE_SIGMA)
-
-
-def test_tags_lie_on_surfaces_and_gross_errors_do_not():
-    rng, good, bad = np.random.default_rng(0), [], []
-    for _ in range(100):
-        found = on_surface(*frame(rng, 1.0, stray=4))
-        bad.append(found[:4])
-        good.append(found[4:])
-    # A tag in a corner lies on neither of its surfaces.
-    assert np.mean(good) > 0.8
-    assert np.mean(bad) < 0.1
-    seen, scan = frame(rng, 1.0)
-    nothing = LaserScan(0.0, ANGLES, np.full(len(ANGLES), np.inf), 10.0, 0.015)
-    assert not on_surface(seen, nothing).any()
-    assert not on_surface(seen, LaserScan(0.0, ANGLES[:1], scan.ranges[:1], 10.0, 0.015)).any()

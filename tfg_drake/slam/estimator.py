@@ -41,7 +41,7 @@ from tfg_drake.slam.doubt import (
 )
 from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, instant, opened, unknown_way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
-from tfg_drake.slam.localizer import borne_out, localized_pose, new_tags, start_localizer, step_localizer
+from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
@@ -53,7 +53,7 @@ from tfg_drake.slam.odometry_model import (
     learnt,
     reckon,
 )
-from tfg_drake.slam.range_scale import compare, corrected, correction, on_surface
+from tfg_drake.slam.range_scale import compare, corrected, correction
 from tfg_drake.slam.rejoin import rejoined
 from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
@@ -233,9 +233,9 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
     increment, dt = arc(state.X_OB, X_OB), clock - state.clock
     scale = state.scale
-    scan = next((scan for scan in state.scans if scan.stamp == stamp), None)
-    if scan is not None:
-        scale = compare(scale, frame, scan)
+    for scan in state.scans:
+        if scan.stamp == stamp:
+            scale = compare(scale, frame, scan)
     seen = corrected(frame, scale)
     turn, piece = state.turn, state.piece
     if turn is not None:
@@ -243,8 +243,6 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     elif piece is not None:
         piece = replace(piece, frames=(*piece.frames, TurnFrame(stamp, clock, X_OB, frame)))
     localizer, known, ignored = step_localizer(state.localizer, state.model, increment, dt, seen)
-    if scan is not None and len(seen.ids):
-        localizer = borne_out(localizer, seen, on_surface(seen, scan))
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, seen)
         known, ignored = known + elsewhere, ignored + elsewhere

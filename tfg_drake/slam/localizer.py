@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, message, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TagDetections, message, replace
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import local_positions
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
@@ -23,8 +23,6 @@ from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
 MOST_LOCAL = 30
 # Nobody goes to look for a tag that fewer frames saw where it seems to be: one of them may be wrong, or its id misread.
 LEAST_FRAMES = 2
-# Tags on one side of a wall are farther apart than this, m.
-TAGS_APART = 0.3
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
 ANYWHERE = (1.0, 1.0, 0.5)
 
@@ -80,24 +78,6 @@ def step_localizer(
         keep[np.argsort(-filter_.last_seen, kind="stable")[MOST_LOCAL:]] = False
     filter_ = pose_filter.keep_local(filter_, keep)
     return replace(localizer, filter=filter_), known, ignored
-
-
-def borne_out(localizer: Localizer, detections: TagDetections, on_surface: BoolArray) -> Localizer:
-    """The localiser after a frame whose scan met a surface where some (n,) of the tags seem to be: for tags that were
-    seen for the first time, where no other tag is known, that is as good as one frame more.
-
-    So a misread id, which has another tag's place, and a range that is grossly wrong have to be seen again.
-    """
-    filter_ = localizer.filter
-    new = np.flatnonzero((filter_.local_frames == 1) & (filter_.last_seen == detections.stamp))
-    if not len(new):
-        return localizer
-    p_DU = filter_.mean[CORE:].reshape(-1, 2)
-    near = np.hypot(*(np.vstack([filter_.p_DL, p_DU]) - p_DU[new, None]).transpose(2, 0, 1)) < TAGS_APART
-    row = np.argmax(detections.ids == filter_.local_ids[new, None], axis=1)
-    frames = filter_.local_frames.copy()
-    frames[new] += on_surface[row] & (np.count_nonzero(near, axis=1) == 1)
-    return replace(localizer, filter=replace(filter_, local_frames=frames))
 
 
 def without_local(localizer: Localizer) -> Localizer:

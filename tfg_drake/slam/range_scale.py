@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import BoolArray, FloatArray, LaserScan, TagDetections, message
+from tfg_drake.messages import FloatArray, LaserScan, TagDetections, message
 
 # Prior standard deviations of the scale error r and of the offset o (m).
 SCALE_SIGMA = 0.01
@@ -70,21 +70,6 @@ def compare(scale: RangeScale, detections: TagDetections, scan: LaserScan) -> Ra
         scan.sigma,
     )
     return RangeScale(information, vector, scale.pairs + pairs) if pairs else scale
-
-
-def on_surface(detections: TagDetections, scan: LaserScan) -> BoolArray:
-    """Which of a frame's tags (n,), ranges as corrected, lie on a surface that the scan of the same instant met."""
-    if len(scan.angles) < 2:
-        return np.zeros(len(detections.ids), dtype=np.bool_)
-    return _on_surface(
-        detections.range,
-        detections.bearing,
-        detections.sigma_range,
-        detections.sigma_bearing,
-        scan.angles,
-        scan.ranges,
-        scan.sigma,
-    )
 
 
 @njit(cache=True)
@@ -155,25 +140,6 @@ def _compare(
         more_vector[1] += lever * (range_[k] - distance) / variance
         pairs += 1
     return more, more_vector, pairs
-
-
-@njit(cache=True)
-def _on_surface(
-    range_: FloatArray,
-    bearing: FloatArray,
-    sigma_range: FloatArray,
-    sigma_bearing: FloatArray,
-    angles: FloatArray,
-    ranges: FloatArray,
-    sigma_scan: float,
-) -> BoolArray:
-    step, found = angles[1] - angles[0], np.zeros(len(range_), dtype=np.bool_)
-    for k in range(len(range_)):
-        distance, slant = _surface((bearing[k] - angles[0]) / step, step, ranges)
-        variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2 + OFFSET_SIGMA**2
-        # Without a surface nothing holds.
-        found[k] = (range_[k] - distance) ** 2 <= GATE**2 * variance
-    return found
 
 
 def correction(scale: RangeScale) -> float:
