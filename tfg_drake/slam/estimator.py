@@ -306,7 +306,6 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB)),)
     before, known = rejoined(state.graph, state.map or NO_MAP, solution.observation)
     graph, estimate, evidence, moved = before, known, state.evidence, False
-    rejected = np.empty(0, dtype=np.int64)
     for seen in (*way, _sighted(solution)):
         is_goal = seen.observation is solution.observation
         graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_goal)
