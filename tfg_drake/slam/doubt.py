@@ -103,7 +103,7 @@ def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: Keyfram
     old = old.kept(~joins & (old.is_mapped | (old.frames > 0)))
     new = np.ones(len(once), dtype=bool)
     new[tag[same & ~joins]] = False
-    p_AL = se2.transform(se2.between(_of_goals(graph, newest)[0], X_MA), seen.observation.p_AL[new])
+    p_AL = se2.transform(se2.between(_of_goals(graph, newest), X_MA)[0], seen.observation.p_AL[new])
     return Evidence(
         np.concatenate([old.ids, seen.observation.ids[new]]),
         np.concatenate([old.goal, np.where(agrees[new], MAPPED, newest)]),
