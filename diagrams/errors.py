@@ -43,7 +43,7 @@ class KnownWorld:
         self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
 
     def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
-        """How far a map is from the world: landmarks and surfaces."""
+        """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
         segments = _mapped_surfaces(mission.X_WM, tfg, mission.grid)
         return {
             **_landmarks(self._world, self.reachable, estimate, mission),
@@ -79,12 +79,13 @@ def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
 def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None, mission: Mission) -> dict[str, Any]:
     maps_landmarks = mission.grid is None
     mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
-    counted = np.isin(mapped, world.tag_ids[reachable])
+    trusted = ~estimate.is_doubtful if estimate is not None else np.zeros(0, dtype=np.bool_)
+    counted = trusted & np.isin(mapped, world.tag_ids[reachable])
     figures: dict[str, Any] = {
         "landmarks_present": len(world.tag_ids),
         "landmarks_reachable": int(np.count_nonzero(reachable)),
         "landmarks_mapped": int(np.count_nonzero(counted)) if maps_landmarks else None,
-        "landmarks_extra": int(np.count_nonzero(~counted)) if maps_landmarks else None,
+        "landmarks_extra": int(np.count_nonzero(trusted & ~counted)) if maps_landmarks else None,
         "landmark_rmse_m": math.nan,
         "landmark_rmse_aligned_m": math.nan,
         "landmark_anees": math.nan,
@@ -93,7 +94,7 @@ def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None,
     if estimate is None:
         return figures
     row_of_tag = {tag: row for row, tag in enumerate(world.tag_ids.tolist())}
-    known = np.array([i for i, tag in enumerate(mapped.tolist()) if tag in row_of_tag], dtype=np.int64)
+    known = np.array([i for i, tag in enumerate(mapped.tolist()) if trusted[i] and tag in row_of_tag], dtype=np.int64)
     rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
     p_ML_true = transform(inverse(mission.X_WM), world.p_WT[rows])
     p_ML = estimate.p_ML[known]

@@ -221,6 +221,8 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
             f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
             f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
+    if summary["landmarks_doubtful"]:
+        rows["landmarks"] += f"; doubtful: tags {', '.join(map(str, summary['landmarks_doubtful']))}"
     if position.get("mean") is not None:
         rows["pose error"] = (
             f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"

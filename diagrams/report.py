@@ -31,8 +31,8 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     """Write map.npz or grid.npz, summary.json, trajectory.tum, truth.tum and figure.png, and return the summary.
 
     What would take the world or the truth is null where that is not known, and there is no truth.tum. The distance is
-    that of the estimate then, and every landmark of the map counts as mapped. A file that cannot be written is told to
-    the folder, and the others are written all the same.
+    that of the estimate then, and every landmark that is not doubtful counts as mapped. A file that cannot be written
+    is told to the folder, and the others are written all the same.
     """
     tfg, estimate, grid = mission.tfg, mission.map, mission.grid
     map_bytes = 0
@@ -65,6 +65,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "landmarks_present": None,
         "landmarks_reachable": None,
         "landmarks_mapped": _landmarks_mapped(mission, estimate),
+        "landmarks_doubtful": _landmarks_doubtful(mission, estimate),
         "landmarks_extra": None,
         "landmark_rmse_m": None,
         "landmark_rmse_aligned_m": None,
@@ -132,10 +133,17 @@ def _size(path: Path) -> int:
 
 
 def _landmarks_mapped(mission: Mission, estimate: MapEstimate | None) -> int | None:
-    """Landmarks in the map, None of a method that maps none."""
+    """Landmarks in the map that are not doubtful, None of a method that maps none."""
     if mission.grid is not None:
         return None
-    return len(estimate.ids) if estimate is not None else 0
+    return int(np.count_nonzero(~estimate.is_doubtful)) if estimate is not None else 0
+
+
+def _landmarks_doubtful(mission: Mission, estimate: MapEstimate | None) -> list[int] | None:
+    """Ids of the tags that were seen but are not known to be at any one place, None of a method that maps none."""
+    if mission.grid is not None:
+        return None
+    return list(map(int, estimate.doubtful)) if estimate is not None else []
 
 
 def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:

@@ -35,7 +35,7 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
 )
-from tfg_drake.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
+from tfg_drake.palette import BARE_SURFACE, DOUBTFUL, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
 from tfg_drake.pose_prediction import pose_at
 from tfg_drake.systems.picture import Picture, picture_of
 from tfg_drake.systems.ports import declare_message_input, eval_message
@@ -66,6 +66,7 @@ LEGEND = (
     ("wall end", WALL_END, "line"),
     ("surface without tag", BARE_SURFACE, "line"),
     ("landmark, 3\u03c3", LANDMARK, "dot"),
+    ("doubtful landmark", DOUBTFUL, "dot"),
     ("frontier", FRONTIER, "dot"),
     ("information gain", FRONTIER, "ramp"),
     ("path", PATH, "line"),
@@ -280,13 +281,12 @@ class TfgVisualizer(LeafSystem):
         self._ShowRibbons("walls", walls, 1.2 * self._unit, "walls", WALL)
 
     def _ShowLandmarks(self, estimate: MapEstimate) -> None:
-        self._ShowTriangles("map/landmarks", discs(estimate.p_ML, 1.3 * self._unit, _Z["landmarks"]), LANDMARK)
-        self._ShowLines(
-            "map/ellipses",
-            outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance)),
-            "ellipses",
-            LANDMARK,
-        )
+        doubtful = estimate.is_doubtful
+        for some, name, colour in ((~doubtful, "landmarks", LANDMARK), (doubtful, "doubtful", DOUBTFUL)):
+            p_ML, covariance = estimate.p_ML[some], estimate.landmark_covariance[some]
+            self._ShowTriangles(f"map/{name}", discs(p_ML, 1.3 * self._unit, _Z["landmarks"]), colour)
+            outlines = outline_segments(ellipses(p_ML, covariance))
+            self._ShowLines(f"map/ellipses/{name}", outlines, "ellipses", colour)
 
     def _ShowSurfaces(self, tfg: TfgMap) -> None:
         for kind, (name, colour) in enumerate((("edge", EDGE), ("end", WALL_END), ("bare", BARE_SURFACE))):

@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from tfg_drake.figure import draw_map, draw_run
-from tfg_drake.messages import GridMap
+from tfg_drake.messages import GridMap, replace
 from tfg_drake.world.world import World
 
 WORLD = World(
@@ -48,3 +48,13 @@ def test_draws_a_saved_map(tmp_path, small_map):
     # The frontier is blue, the free space a light green.
     assert np.any((pixels[..., 0] < 60) & (pixels[..., 2] > 200))
     assert np.any(np.all(pixels == [0xF1, 0xF4, 0xEE], axis=-1))
+
+
+def test_doubtful_landmarks_have_a_colour_of_their_own(tmp_path, small_map):
+    def violet(saved):
+        draw_map(tmp_path / "f.png", "a map", saved)
+        pixels = np.asarray(Image.open(tmp_path / "f.png").convert("RGB")).astype(int)
+        return int(np.count_nonzero(np.all(np.abs(pixels - [0xA3, 0x2E, 0xA8]) < 8, axis=-1)))
+
+    assert violet(small_map) == 0
+    assert violet(replace(small_map, doubtful=small_map.ids[:1])) > 20

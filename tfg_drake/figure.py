@@ -20,7 +20,7 @@ from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgM
 from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
-_MAPPED, _MISSED = "#12876f", "#d62728"
+_MAPPED, _DOUBTFUL, _MISSED = "#12876f", "#a32ea8", "#d62728"
 # Goals nearer to each other than this, m and in points of the drawing, are not both numbered.
 NUMBER_SPACING = 1.5
 NUMBER_POINTS = 36.0
@@ -88,7 +88,7 @@ def draw_run(
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
     if estimate is not None:
         mapped = estimate.ids
-        draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, symbol)
+        draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, estimate.is_doubtful, symbol)
         _draw_goals(axes, X_WM, estimate.X_MA)
     if world is not None and grid is None:
         missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
@@ -121,7 +121,7 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
     axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
     draw_surfaces(axes, X_WM, tfg)
-    draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, symbol)
+    draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, np.isin(saved.ids, saved.doubtful), symbol)
     _draw_goals(axes, X_WM, saved.X_MA)
     if len(tfg.frontiers):
         p_WF = transform(X_WM, tfg.frontiers)
@@ -169,19 +169,25 @@ def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
             axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
 
 
-def draw_landmarks(axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, symbol: float) -> None:
-    """Landmarks p_ML (n, 2), m, with the ellipses of their covariances (n, 2, 2) onto axes of W; symbol: points."""
-    if not len(p_ML):
-        return
+def draw_landmarks(
+    axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, doubtful: BoolArray, symbol: float
+) -> None:
+    """Landmarks p_ML (n, 2), m, with the ellipses of their covariances (n, 2, 2) onto axes of W; symbol: points.
+
+    doubtful: (n,) which of them are drawn in another colour.
+    """
     R_WM = rotation(float(X_WM[2]))
     p_WL = transform(X_WM, p_ML)
     outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T)
-    label = "landmark mapped, 3\u03c3"
-    axes.plot(*p_WL.T, "o", color=_MAPPED, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
     # Thin where there are many on little room.
     width = min(0.5, 0.15 * symbol)
-    rings = PolyCollection(list(outlines), facecolors="none", edgecolors=_MAPPED, linewidths=width, zorder=4)
-    axes.add_collection(rings)
+    for some, colour, what in ((~doubtful, _MAPPED, "mapped"), (doubtful, _DOUBTFUL, "doubtful")):
+        if not some.any():
+            continue
+        label = f"landmark {what}, 3\u03c3"
+        axes.plot(*p_WL[some].T, "o", color=colour, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
+        rings = PolyCollection(list(outlines[some]), facecolors="none", edgecolors=colour, linewidths=width, zorder=4)
+        axes.add_collection(rings)
 
 
 def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:

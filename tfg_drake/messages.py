@@ -171,8 +171,9 @@ class MapEstimate:
     a large one's. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of
     each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
     goals. observation: the newest goal's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
-    objective). frame_worth: what share of an independent frame one of many in a row tells, for its noise is the last
-    one's in part.
+    objective). doubtful: (d,) ids, ascending, of tags that were seen but are not known to be at any one place, whether
+    they are landmarks or not. frame_worth: what share of an independent frame one of many in a row tells, for its noise
+    is the last one's in part.
     """
 
     stage: int
@@ -186,7 +187,13 @@ class MapEstimate:
     X_MA: FloatArray
     observation: GoalObservation
     entropy: float
+    doubtful: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     frame_worth: float = 1.0
+
+    @property
+    def is_doubtful(self) -> BoolArray:
+        """Which landmarks (n,) are."""
+        return np.isin(self.ids, self.doubtful)
 
     @property
     def is_joint(self) -> bool:

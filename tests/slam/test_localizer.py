@@ -10,7 +10,13 @@ from tfg_drake.slam import localizer as localizer_module
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import in_departure_frame
 from tfg_drake.slam.keyframe_graph import empty_map
-from tfg_drake.slam.localizer import local_tags, localized_pose, start_localizer, step_localizer
+from tfg_drake.slam.localizer import (
+    local_tags,
+    localized_pose,
+    new_tags,
+    start_localizer,
+    step_localizer,
+)
 from tfg_drake.slam.odometry_model import odometry_model, predict_increment
 
 MODEL = odometry_model(OdometryConfig())
@@ -238,3 +244,23 @@ def part_of(estimate, rows):
     pose = len(estimate.covariance) - np.array([3, 2, 1])
     entries = np.concatenate([np.repeat(2 * rows, 2) + np.tile([0, 1], len(rows)), pose])
     return dataclasses.replace(estimate, local=rows, covariance=estimate.covariance[np.ix_(entries, entries)])
+
+
+def test_nobody_looks_for_what_one_frame_saw():
+    estimate, _, X_MB = make_map(8, 4)
+    none, there = np.zeros(0, dtype=np.int64), np.array([20.0, 0.0])
+    elsewhere = there + np.array([0.0, 3.0])
+
+    def published(places):
+        localizer = start_localizer(MODEL, estimate)
+        for stamp, place in enumerate(places):
+            seen = sight([50], place[None], X_MB, 0.1 * stamp)
+            localizer, _, _ = step_localizer(localizer, MODEL, np.zeros(3), 0.1, seen)
+        ids, p_MU = new_tags(localizer, none)
+        return [] if not len(ids) else [there, elsewhere][int(np.hypot(*(p_MU[0] - there)) > 1.5)].tolist()
+
+    assert published([there]) == []
+    assert published([there, there]) == there.tolist()
+    # What was seen elsewhere as often is forgotten.
+    assert published([there, elsewhere]) == []
+    assert published([there, elsewhere, elsewhere, elsewhere]) == elsewhere.tolist()

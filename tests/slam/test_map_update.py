@@ -61,17 +61,6 @@ def test_moved_tags_are_left_out_and_named():
     assert np.abs(estimate.p_ML - p_ML[estimate.ids - 100]).max() < 0.3
 
 
-def test_a_tag_hardly_seen_is_left_out_sooner():
-    observations, _, _ = ring(5)
-    graph, estimate = built(observations[:4])
-    goal = observations[4]
-    known = np.flatnonzero(np.isin(goal.ids, graph.ids))
-    limit = np.full(len(goal.ids), map_update.REJECTED)
-    limit[known[0]] = 1e-9
-    assert len(updated(graph, estimate, goal)[2]) == 0
-    np.testing.assert_array_equal(updated(graph, estimate, goal, limit)[2], goal.ids[known[:1]])
-
-
 def test_a_way_without_tags_hangs_on_odometry():
     rng = np.random.default_rng(6)
     ways = [way(rng, np.array([2.0, 0.0, 0.5]), noise=0.0) for _ in range(2)]

@@ -33,7 +33,7 @@ def carried():
         seen = observation(rng, points, X)
         if k > 0:
             X_DA = se2.between(se2.compose(PLACES[k - 1], X_AD), X)
-            between = unknown_way(se2.compose(X_DA, GUESS)) if k == 2 else way(rng, X_DA)
+            between = unknown_way(se2.compose(X_DA, GUESS)).observation if k == 2 else way(rng, X_DA)
             graph, estimate, _ = updated(graph, estimate, between, is_view=False)
         graph, estimate, rejected = updated(graph, estimate, seen)
         assert len(rejected) == 0

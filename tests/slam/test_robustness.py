@@ -137,11 +137,46 @@ def test_a_moved_tag_is_mapped_anew(drive, caplog):
         assert tag in tour.state.rejected
         tour.leg()
         tour.goal()
-    assert f"moved since they were mapped: tags {tag}" in caplog.text
+    assert f"mapped anew, for more was seen of them elsewhere: tags {tag}" in caplog.text
     assert tag not in tour.state.rejected
     estimate = map_estimate(tour.state)
     np.testing.assert_allclose(estimate.p_ML[estimate.ids == tag][0], tour.robot.p_ML(np.array([tag]))[0], atol=0.1)
     assert tour.map_rmse() < 0.05
+
+
+@pytest.mark.parametrize("frames", [1, 2, 6])
+def test_an_id_misread_before_its_tag_is_seen_puts_it_nowhere_wrong(drive, caplog, frames):
+    """In one frame it is not believed; in six it is, until the tag itself has been seen."""
+    misread = []
+
+    def spoil(detections, rng):
+        unseen = [tag for tag in range(100, 180) if tag not in seen]
+        seen.update(detections.ids.tolist())
+        if detections.stamp < 8.0 or len(misread) >= frames or not len(detections.ids):
+            return detections
+        tag = misread[0] if misread else unseen[0]
+        misread.append(tag)
+        # The same tag of the room, so that the misread frames agree.
+        ids = detections.ids.copy()
+        ids[np.argmin(np.abs(detections.bearing))] = tag
+        return dataclasses.replace(detections, ids=ids)
+
+    seen = set()
+    tour = Tour(drive, 7, period=2.0, spoil=spoil)
+    tour.goal()
+    tour.leg(64)
+    tour.goal()
+    tag = misread[0]
+    assert (tag in map_estimate(tour.state).ids) == (frames >= 3)
+    with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
+        for _ in range(4):
+            tour.leg()
+            tour.goal()
+    estimate = map_estimate(tour.state)
+    np.testing.assert_allclose(estimate.p_ML[estimate.ids == tag][0], tour.robot.p_ML(np.array([tag]))[0], atol=0.15)
+    assert len(estimate.doubtful) == 0
+    assert (f"more was seen of them elsewhere: tags {tag}" in caplog.text) == (frames >= 3)
+    assert tour.map_rmse() < 0.08
 
 
 def test_impossible_sightings_are_named_and_ignored(drive, caplog):

@@ -143,7 +143,8 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
         axes.plot(*one.X_WB[:, :2].T, color=_PATH, linewidth=0.4, alpha=0.6, label="true path", zorder=1)
     if one.saved is not None:
         draw_surfaces(axes, one.saved.X_WM, one.saved.tfg)
-        draw_landmarks(axes, one.saved.X_WM, one.saved.p_ML, one.saved.landmark_covariance, symbol)
+        doubtful = np.isin(one.saved.ids, one.saved.doubtful)
+        draw_landmarks(axes, one.saved.X_WM, one.saved.p_ML, one.saved.landmark_covariance, doubtful, symbol)
 
 
 def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = True) -> None:

@@ -45,8 +45,8 @@ class SavedMap:
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. graph: the
     estimator's keyframes and values. odometry_calibration: (3,), odometry_covariance: (3, 3), camera and range_scale:
-    what it knows of the odometry, see OdometryModel, of the camera, and of the tag sensor's ranges. suspects: (s,) ids
-    of landmarks that contradicted the map at the last goals, suspect_count: (s,) how many in a row. tfg_graph: the
+    what it knows of the odometry, see OdometryModel, of the camera, and of the tag sensor's ranges. doubtful: (d,) ids,
+    ascending, of tags that were seen but are not known to be at any one place, landmarks or not. tfg_graph: the
     topological feature graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between
     the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
@@ -59,8 +59,7 @@ class SavedMap:
     odometry_covariance: FloatArray
     camera: CameraModel
     range_scale: RangeScale
-    suspects: IntArray
-    suspect_count: IntArray
+    doubtful: IntArray
     tfg_graph: TfgGraph
     tfg: TfgMap
 
@@ -104,8 +103,7 @@ REGISTRY: Registry = {
         "X_WM": (3,),
         "odometry_calibration": (3,),
         "odometry_covariance": (3, 3),
-        "suspects": ("s",),
-        "suspect_count": ("s",),
+        "doubtful": ("d",),
     },
     CameraModel: {"mean": (2,), "covariance": (2, 2)},
     RangeScale: {"information": (2, 2), "vector": (2,)},
@@ -194,8 +192,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         odometry_covariance=state.model.calibration_covariance,
         camera=known_camera(state),
         range_scale=state.scale,
-        suspects=state.suspects,
-        suspect_count=state.suspect_count,
+        doubtful=estimate.doubtful,
         tfg_graph=tfg_graph,
         tfg=tfg,
     )
@@ -205,7 +202,8 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
     """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
     round the last goal. Its observation is empty: what the newest goal saw is in the keyframes."""
     nothing = empty_map().observation
-    return solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
+    estimate = solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
+    return replace(estimate, doubtful=saved.doubtful)
 
 
 def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:

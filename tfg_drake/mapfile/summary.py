@@ -20,7 +20,7 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     rows = [
         ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
         ("goals", f"{saved.stage} goals and glances, the last at {saved.stamp:.1f} s"),
-        ("landmarks", f"{len(saved.ids)} landmarks"),
+        ("landmarks", f"{len(saved.ids)} landmarks" + _named_doubtful(saved)),
         ("deviation", _deviation(saved)),
         ("entropy", f"{saved.entropy:.1f} nats"),
     ]
@@ -35,6 +35,10 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
         ("file size", f"{size / 1000.0:.0f} kB"),
     ]
     return rows
+
+
+def _named_doubtful(saved: SavedMap) -> str:
+    return f"; doubtful: tags {', '.join(map(str, saved.doubtful.tolist()))}" if len(saved.doubtful) else ""
 
 
 def _deviation(saved: SavedMap) -> str:

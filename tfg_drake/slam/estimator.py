@@ -29,12 +29,24 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam.camera_model import seen_from_camera
+from tfg_drake.slam.doubt import (
+    Evidence,
+    Sighted,
+    believable,
+    contradicted,
+    disputed,
+    doubtful,
+    forgotten,
+    only,
+    overturned,
+    weighed,
+)
 from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, camera_prior, instant, opened, unknown_way
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.map_update import HARDLY_SEEN_REJECTED, REJECTED, finished, jointly_known, needs_solve, updated
+from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.noise_correlation import less_certain
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
@@ -57,10 +69,8 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many such frames in a row the robot is elsewhere.
 CONTRADICTIONS = 3
-# A new tag must be seen this often in a turn to be mapped, or in one of three frames of a shorter piece.
-CONFIRMATIONS = 3
-# Goals in a row that must contradict the map about a tag before it is taken to have been moved.
-MOVED = 2
+# Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
+MOST_TAKEN_BACK = 10
 # A turn that ends this near to where it began was one in place, m.
 IN_PLACE = 0.1
 # A frame is compared with a scan if the robot has moved by less than this meanwhile, m and rad.
@@ -185,13 +195,24 @@ def map_estimate(state: EstimatorState) -> MapEstimate | None:
 
 
 def settled(state: EstimatorState) -> EstimatorState:
-    """The state with its map solved and known jointly as a whole, as far as memory allows: for the end of a mission."""
+    """The state with its map solved and known jointly as a whole, as far as memory allows: for the end of a mission.
+
+    All that was believed is put to the test once more, and what the map as a whole contradicts is taken back.
+    """
     estimate = state.map
     if estimate is None:
         return state
-    graph = fused(replace(state.graph, p_ML=estimate.p_ML))
+    graph, evidence = fused(replace(state.graph, p_ML=estimate.p_ML)), state.evidence
     graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
-    return replace(state, graph=graph, solved=graph, map=estimate)
+    for _ in range(MOST_TAKEN_BACK):
+        wrong = contradicted(graph)
+        if wrong is None:
+            break
+        _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, wrong[0])
+        graph, evidence = taken_back(graph, *wrong), disputed(evidence, wrong[0])
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+    estimate = replace(estimate, doubtful=doubtful(evidence))
+    return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
@@ -277,28 +298,28 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         return replace(state, piece=opened(state)) if piece is not None else state
     if state.carried:
         X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-        way: tuple[GoalObservation, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
+        way: tuple[Sighted, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
         solution = _solve(state, piece)
-        state, observation = _with_camera(state, solution), solution.observation
+        state, seen = _with_camera(state, solution), _sighted(solution)
         if not state.path_keyframe_period:
-            observation = without_tags(observation, observation.ids)
-        way = (*state.way, observation)
+            seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
+        way = (*state.way, seen)
     return replace(state, piece=opened(state), way=way)
 
 
 def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
-    """A turn or piece solved by itself, without new tags that were hardly seen: an id may have been misread."""
+    """A turn or piece solved by itself."""
     frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
     solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state), state.correlation)
-    seen = sum(1 for frame in frames if len(frame.detections.ids))
-    doubtful = solution.sightings < min(CONFIRMATIONS, max(1, seen // 3))
-    doubtful &= ~rows_of(solution.observation.ids, state.graph.ids)[1]
-    observation = without_tags(solution.observation, solution.observation.ids[doubtful])
     # The body's heading is what the scans are placed by.
-    X_AB = observation.X_AB - np.array([0.0, 0.0, state.graph.yaw[0]])
-    observation = replace(observation, X_AB=X_AB, range_scale=correction(state.scale))
-    return replace(solution, observation=observation, sightings=solution.sightings[~doubtful])
+    X_AB = solution.observation.X_AB - np.array([0.0, 0.0, state.graph.yaw[0]])
+    observation = replace(solution.observation, X_AB=X_AB, range_scale=correction(state.scale))
+    return replace(solution, observation=observation)
+
+
+def _sighted(solution: TurnSolution) -> Sighted:
+    return Sighted(solution.observation, solution.sightings)
 
 
 def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorState:
@@ -312,23 +333,21 @@ def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorStat
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     """The state with a turn or piece made a goal of the map, and the localiser at its end."""
     solution = _solve(state, turn)
-    limit = np.where(solution.sightings < CONFIRMATIONS, HARDLY_SEEN_REJECTED, REJECTED)
     state, way = _with_camera(state, solution), state.way
     if state.carried and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB)),)
     before, known = rejoined(state.graph, state.map or NO_MAP, solution.observation)
-    graph, estimate, rejected = _with_keyframes(before, known, way, solution.observation, limit)
-    suspects, count = _suspects(state, solution, rejected)
-    moved = suspects[count >= MOVED]
-    if len(moved):
-        _log.warning("%.2f s: moved since they were mapped: tags %s", state.stamp, _names(moved))
-        before, known = _solved(forget(before, moved), state.stamp, known.observation)
-        graph, estimate, rejected = _with_keyframes(before, known, way, solution.observation, limit)
-        suspects, count = suspects[count < MOVED], count[count < MOVED]
+    graph, estimate, evidence, moved = before, known, state.evidence, False
+    for seen in (*way, _sighted(solution)):
+        is_goal = seen.observation is solution.observation
+        graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_goal)
+        if len(anew):
+            _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
+            moved = True
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
     corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
-    if before is not state.graph or corrected_graph is not graph or needs_solve(graph, solved, estimate):
+    if moved or before is not state.graph or corrected_graph is not graph or needs_solve(graph, solved, estimate):
         corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
         graph, estimate = _solved(corrected_graph, state.stamp, solution.observation)
         solved = graph
@@ -348,49 +367,49 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         contradictions=0,
         graph=graph,
         solved=solved,
-        map=replace(estimate, frame_worth=state.correlation.frame_worth),
+        map=replace(estimate, doubtful=doubtful(evidence), frame_worth=state.correlation.frame_worth),
         localizer=start_localizer(model, estimate),
+        evidence=evidence,
         rejected=rejected,
         dropped=solution.dropped,
-        suspects=suspects,
-        suspect_count=count,
     )
     return replace(state, piece=opened(state))
 
 
-def _with_keyframes(
-    graph: KeyframeGraph,
-    estimate: MapEstimate,
-    way: tuple[GoalObservation, ...],
-    goal: GoalObservation,
-    limit: FloatArray,
-) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
-    """Graph and map with the pieces of the way and a goal, and the ids of known tags left out of the goal, by limit
-    (n,) as in `updated`."""
-    for observation in (*way, goal):
-        far = observation.ids[~jointly_known(estimate, observation.ids)]
-        if len(far):
-            graph = replace(graph, p_ML=estimate.p_ML)
-            graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
-        is_goal = observation is goal
-        graph, estimate, rejected = updated(graph, estimate, observation, limit if is_goal else None, is_view=is_goal)
-    return graph, estimate, rejected
+def _with_keyframe(
+    graph: KeyframeGraph, estimate: MapEstimate, evidence: Evidence, seen: Sighted, *, is_view: bool
+) -> tuple[KeyframeGraph, MapEstimate, Evidence, IntArray, IntArray]:
+    """Graph, map and evidence with one keyframe more, which begins at the map's newest pose; the ids of known tags left
+    out of it, and of those that were forgotten and mapped anew for it.
+
+    is_view: whether it is a goal or glance, not a piece of the way.
+    """
+    ids = seen.observation.ids
+    far = ids[~jointly_known(estimate, ids)]
+    if len(far):
+        graph = replace(graph, p_ML=estimate.p_ML)
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
+    known = rows_of(ids, graph.ids)[1]
+    believed = only(seen, known | believable(evidence, seen, estimate.X_MD, graph))
+    longer, after, rejected = updated(graph, estimate, believed.observation, is_view=is_view)
+    agrees, counted = np.isin(ids, np.setdiff1d(believed.observation.ids, rejected)), seen
+    if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
+        # It may be the robot that is elsewhere.
+        counted, agrees = only(seen, agrees), agrees[agrees]
+    weighed_up = weighed(evidence, counted, agrees, longer)
+    anew = np.intersect1d(overturned(weighed_up), rejected) if len(rejected) else rejected
+    if not len(anew):
+        return longer, after, weighed_up, rejected, anew
+    graph = forget(replace(graph, p_ML=estimate.p_ML), anew)
+    graph, estimate = solve(graph, estimate.stamp, estimate.observation)
+    evidence = forgotten(evidence, anew)
+    graph, estimate, evidence, rejected, others = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
+    return graph, estimate, evidence, rejected, np.union1d(anew, others)
 
 
 def _solved(graph: KeyframeGraph, stamp: float, observation: GoalObservation) -> tuple[KeyframeGraph, MapEstimate]:
     """A graph of one keyframe or more solved, the empty graph as it is."""
     return solve(graph, stamp, observation) if graph.keyframes else (graph, NO_MAP)
-
-
-def _suspects(state: EstimatorState, solution: TurnSolution, rejected: IntArray) -> tuple[IntArray, IntArray]:
-    """Ids of the tags that contradict the map, and at how many goals in a row, after one more goal."""
-    seen_often = solution.observation.ids[solution.sightings >= CONFIRMATIONS]
-    cleared = np.isin(state.suspects, np.setdiff1d(solution.observation.ids, rejected))
-    ids, count = state.suspects[~cleared], state.suspect_count[~cleared].copy()
-    again = np.intersect1d(rejected, seen_often)
-    count[np.isin(ids, again)] += 1
-    new = np.setdiff1d(again, ids)
-    return np.concatenate([ids, new]), np.concatenate([count, np.ones(len(new), dtype=np.int64)])
 
 
 def _names(ids: IntArray) -> str:

@@ -7,7 +7,6 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.messages import (
     FloatArray,
-    GoalObservation,
     IntArray,
     LaserScan,
     MapEstimate,
@@ -17,6 +16,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
+from tfg_drake.slam.doubt import Evidence, Sighted, no_evidence
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.noise_correlation import NoiseCorrelation, no_correlation
@@ -50,8 +50,7 @@ class EstimatorState:
     its wheels. turn, piece: the open turn and piece of the way, way: those before it since the last goal. graph: its
     landmarks as they lay at its last solve or when they were first seen, solved: the graph at that solve. map: what has
     become of it since, None before the first goal. rejected: (r,) ids of known tags left out of the newest goal,
-    dropped: sightings left out of its turn. suspects: (s,) ids of tags that contradicted the map at the last goals,
-    suspect_count: (s,) how many in a row.
+    dropped: sightings left out of its turn. evidence: for where it has its tags, and against.
     """
 
     model: OdometryModel
@@ -71,14 +70,13 @@ class EstimatorState:
     carried: bool
     turn: OpenTurn | None
     piece: OpenTurn | None
-    way: tuple[GoalObservation, ...]
+    way: tuple[Sighted, ...]
     graph: KeyframeGraph
     solved: KeyframeGraph
     map: MapEstimate | None
+    evidence: Evidence
     rejected: IntArray
     dropped: int
-    suspects: IntArray
-    suspect_count: IntArray
 
 
 def initial_state(
@@ -92,7 +90,6 @@ def initial_state(
     """
     model, camera = odometry_model(config), camera or exact_camera()
     yaw = np.array([camera.yaw, camera.sigma[0]])
-    none = np.empty(0, dtype=np.int64)
     return EstimatorState(
         model=model,
         camera=camera,
@@ -115,10 +112,9 @@ def initial_state(
         graph=empty_graph(yaw),
         solved=empty_graph(yaw),
         map=None,
-        rejected=none,
+        evidence=no_evidence(),
+        rejected=np.empty(0, dtype=np.int64),
         dropped=0,
-        suspects=none,
-        suspect_count=none,
     )
 
 
@@ -145,6 +141,7 @@ def opened(state: EstimatorState) -> OpenTurn:
     return OpenTurn(instant(state), X_MB, ())
 
 
-def unknown_way(X_DA: FloatArray) -> GoalObservation:
+def unknown_way(X_DA: FloatArray) -> Sighted:
     """A way of which nothing is known, as the robot was carried; it seems to have led to X_DA (3,)."""
-    return replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(CARRIED) ** 2)
+    observation = replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(CARRIED) ** 2)
+    return Sighted(observation, np.empty(0, dtype=np.int64))

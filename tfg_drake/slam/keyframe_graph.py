@@ -312,6 +312,12 @@ def forget(graph: KeyframeGraph, ids: IntArray) -> KeyframeGraph:
     )
 
 
+def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:
+    """The graph as if one of its keyframes, by its index, had not seen a landmark that others have seen."""
+    one = _forgetting(graph.keyframes[keyframe], np.array([tag]))
+    return replace(graph, keyframes=(*graph.keyframes[:keyframe], one, *graph.keyframes[keyframe + 1 :]))
+
+
 def _forgetting(one: Keyframe, ids: IntArray) -> Keyframe:
     """The keyframe with some tags marginalised out."""
     keep = ~np.isin(one.ids, ids)

@@ -21,6 +21,8 @@ from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
 
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
+# Nobody goes to look for a tag that fewer frames saw where it seems to be: one of them may be wrong, or its id misread.
+LEAST_FRAMES = 2
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
 ANYWHERE = (1.0, 1.0, 0.5)
 
@@ -70,10 +72,11 @@ def step_localizer(
     """The localiser after an odometry increment (3,) over dt seconds and the frame at its end; how many of the frame's
     sightings were of tags it knows, and how many of those it ignored."""
     filter_, known, ignored = pose_filter.step(localizer.filter, model, increment, dt, detections)
-    if len(filter_.local_ids) > MOST_LOCAL:
-        keep = np.ones(len(filter_.local_ids), dtype=bool)
+    # What was seen elsewhere as often as there is forgotten: its next sighting says where it is.
+    keep = filter_.local_frames > 0
+    if len(keep) > MOST_LOCAL:
         keep[np.argsort(-filter_.last_seen, kind="stable")[MOST_LOCAL:]] = False
-        filter_ = pose_filter.keep_local(filter_, keep)
+    filter_ = pose_filter.keep_local(filter_, keep)
     return replace(localizer, filter=filter_), known, ignored
 
 
@@ -146,18 +149,23 @@ def local_tags(localizer: Localizer) -> FloatArray:
 
 
 def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
-    """The ids (u,) of the tags met on the way that are not among some ids (n,), ascending, and their p_MU (u, 2)."""
+    """The ids (u,) of the tags met on the way, in LEAST_FRAMES or more, that are not among some ids (n,), ascending,
+    and their p_MU (u, 2)."""
     filter_ = localizer.filter
-    new_ids, p_MU = _new_tags(localizer.X_MD, filter_.mean, filter_.local_ids, ids)
+    new_ids, p_MU = _new_tags(localizer.X_MD, filter_.mean, filter_.local_ids, filter_.local_frames, ids)
     return new_ids, p_MU
 
 
 @njit(cache=True)
-def _new_tags(X_MD: FloatArray, mean: FloatArray, local_ids: IntArray, ids: IntArray) -> tuple[IntArray, FloatArray]:
+def _new_tags(
+    X_MD: FloatArray, mean: FloatArray, local_ids: IntArray, local_frames: IntArray, ids: IntArray
+) -> tuple[IntArray, FloatArray]:
     new_ids, p_MU, count = np.empty(len(local_ids), dtype=np.int64), np.empty((len(local_ids), 2)), 0
     c, s = math.cos(X_MD[2]), math.sin(X_MD[2])
     for i in range(len(local_ids)):
         row = np.searchsorted(ids, local_ids[i])
+        if local_frames[i] < LEAST_FRAMES:
+            continue
         if row == len(ids) or ids[row] != local_ids[i]:
             x, y = mean[CORE + 2 * i], mean[CORE + 2 * i + 1]
             new_ids[count] = local_ids[i]

@@ -18,10 +18,9 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, at_yaw, extended, rows_
 from tfg_drake.slam.keyframe_kernels import chain, linearised
 from tfg_drake.slam.map_solver import estimate_of, with_local
 
-# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: of one seen
-# often, which has then been moved or is tied to the wrong place, and of one hardly seen, perhaps a misread id (99 %).
+# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: it was
+# misread, has been moved or is tied to the wrong place. What comes of that, `doubt` says.
 REJECTED = 49.0
-HARDLY_SEEN_REJECTED = 9.2
 # Iterations of an update.
 ITERATIONS = 4
 # The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes
@@ -45,7 +44,6 @@ def updated(
     graph: KeyframeGraph,
     estimate: MapEstimate,
     observation: GoalObservation,
-    limit: FloatArray | None = None,
     *,
     is_view: bool = True,
 ) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
@@ -55,22 +53,20 @@ def updated(
     Args:
         graph: with the values of its last solve. estimate: what has become of the landmarks and the newest pose since.
         observation: those of its tags that are known must be known jointly.
-        limit: (n,) squared Mahalanobis distance beyond which a tag is left out, by default REJECTED.
         is_view: whether it is a goal or glance, not a piece of the way.
 
     What `estimate` says of the stage is not brought up to date, see `finished`.
     """
-    limit = np.full(len(observation.ids), REJECTED) if limit is None else limit
     observation = at_yaw(observation, float(graph.yaw[0]))
     row, known = rows_of(observation.ids, estimate.ids)
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
     while True:
         update = _iterated(estimate, local_row[kept], observation, seen[kept])
-        excess = _distances(update) / limit[seen[kept]]
-        if np.max(excess, initial=0.0) <= 1.0:
+        distance = _distances(update)
+        if np.max(distance, initial=0.0) <= REJECTED:
             break
-        kept = np.delete(kept, np.argmax(excess))
+        kept = np.delete(kept, np.argmax(distance))
     rejected = np.delete(observation.ids[seen], kept)
     observation = without_tags(observation, rejected)
     return *_joined(graph, estimate, observation, local_row[kept], update, is_view), rejected

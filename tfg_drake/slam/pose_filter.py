@@ -43,6 +43,7 @@ class PoseFilter:
     seen: IntArray
     local_ids: IntArray
     last_seen: FloatArray
+    local_frames: IntArray
     map_ids: IntArray
     p_DL: FloatArray
     heading: float
@@ -62,6 +63,7 @@ def start(
         seen=np.empty(0, dtype=np.int64),
         local_ids=np.empty(0, dtype=np.int64),
         last_seen=np.empty(0),
+        local_frames=np.empty(0, dtype=np.int64),
         map_ids=map_ids,
         p_DL=p_DL,
         heading=heading,
@@ -83,13 +85,14 @@ def step(
     among the local tags. A sighting outside its gate is ignored. Also returns how many sightings were of known tags,
     and how many of those were ignored.
     """
-    mean, covariance, sensitivity, seen, local_ids, last_seen, known, ignored = _step(
+    mean, covariance, sensitivity, seen, local_ids, last_seen, local_frames, known, ignored = _step(
         filter_.mean,
         filter_.covariance,
         filter_.sensitivity,
         filter_.seen,
         filter_.local_ids,
         filter_.last_seen,
+        filter_.local_frames,
         filter_.map_ids,
         filter_.p_DL,
         filter_.heading,
@@ -112,6 +115,7 @@ def step(
         seen=seen,
         local_ids=local_ids,
         last_seen=last_seen,
+        local_frames=local_frames,
     )
     return moved, known, ignored
 
@@ -128,6 +132,7 @@ def keep_local(filter_: PoseFilter, keep: BoolArray) -> PoseFilter:
         sensitivity=filter_.sensitivity[rows],
         local_ids=filter_.local_ids[keep],
         last_seen=filter_.last_seen[keep],
+        local_frames=filter_.local_frames[keep],
     )
 
 
@@ -219,6 +224,7 @@ def _step(
     seen: IntArray,
     local_ids: IntArray,
     last_seen: FloatArray,
+    local_frames: IntArray,
     map_ids: IntArray,
     p_DL: FloatArray,
     heading: float,
@@ -232,7 +238,7 @@ def _step(
     bearing: FloatArray,
     sigma_range: FloatArray,
     sigma_bearing: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray, int, int]:
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray, IntArray, int, int]:
     index = _index(ids, map_ids, local_ids)
     seen, W = _with_columns(seen, sensitivity, index)
     mean, P = mean.copy(), covariance.copy()
@@ -243,19 +249,23 @@ def _step(
     accepted = _correct(mean, P, W, seen, p_DL, heading, considered, index, z)
     local, known, used = len(local_ids), 0, 0
     joined, stamps = np.empty(local + len(ids), dtype=np.int64), np.empty(local + len(ids))
+    frames = np.empty(local + len(ids), dtype=np.int64)
     for k in range(local):
-        joined[k], stamps[k] = local_ids[k], last_seen[k]
+        joined[k], stamps[k], frames[k] = local_ids[k], last_seen[k], local_frames[k]
     for i in range(len(ids)):
         if index[i] == NEW:
-            joined[local], stamps[local] = ids[i], stamp
+            joined[local], stamps[local], frames[local] = ids[i], stamp, 1
             local += 1
         else:
             known += 1
             used += accepted[i]
-            if accepted[i] and index[i] >= 0:
-                stamps[index[i]] = stamp
+            if index[i] >= 0:
+                frames[index[i]] += 1 if accepted[i] else -1
+                if accepted[i]:
+                    stamps[index[i]] = stamp
     mean, P, W = _initialise(mean, P, W, index, z)
-    return mean, P, W, seen, joined[:local].copy(), stamps[:local].copy(), known, known - used
+    joined, stamps, frames = joined[:local].copy(), stamps[:local].copy(), frames[:local].copy()
+    return mean, P, W, seen, joined, stamps, frames, known, known - used
 
 
 @njit(cache=True)

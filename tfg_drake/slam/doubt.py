@@ -1,0 +1,197 @@
+"""What speaks for where the map has each tag, and what for other places: one account for all that does not fit.
+
+An id may be misread, a range grossly wrong, and a tag carried elsewhere. So a tag is believed to be at a place when it
+was seen there in several frames, of one keyframe or of many, and what was believed is taken back when more has been
+seen of it elsewhere since. Each frame speaks for one place and against all others; the frames of one keyframe have
+their errors in common, and old ones fade, so neither counts without limit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, message, replace
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of, without_tags
+from tfg_drake.slam.keyframe_kernels import linearised
+from tfg_drake.slam.map_update import REJECTED
+
+# A tag is believed to be where it was seen in so many frames.
+CONFIRMATIONS = 3
+# Frames of one keyframe that count at most, and all that count for one place: two such keyframes. So two must
+# contradict what is well known, and one is enough against what was hardly seen.
+MOST_AT_ONCE = 10
+MOST = 20
+# Two sightings say the same when they are apart by no more than this, squared in deviations (99 %), which are at least
+# this large, m: the map may have moved between them.
+SAME = 9.2
+LEAST_DEVIATION = 0.1
+# The goal of a place that the map has.
+MAPPED = -1
+
+
+@message
+class Sighted:
+    """What was seen in one keyframe. frames: (n,) in how many of its frames each of its tags was seen."""
+
+    observation: GoalObservation
+    frames: IntArray
+
+
+@message
+class Evidence:
+    """Places of tags, and what speaks for each.
+
+    ids: (h,) the tag's. goal: (h,) MAPPED where it is the place that the map has, else the goal or glance that the
+    place is kept with: p_AL (h, 2) is in its arrival frame, m, with variance (h,), m^2. frames: (h,) that speak for it,
+    more than for other places since.
+    """
+
+    ids: IntArray
+    goal: IntArray
+    p_AL: FloatArray
+    variance: FloatArray
+    frames: IntArray
+
+    @property
+    def is_mapped(self) -> BoolArray:
+        """(h,) which of the places the map has."""
+        return np.asarray(self.goal == MAPPED)
+
+    def kept(self, rows: BoolArray) -> Evidence:
+        """That of some (h,) of the places."""
+        return Evidence(self.ids[rows], self.goal[rows], self.p_AL[rows], self.variance[rows], self.frames[rows])
+
+
+def only(seen: Sighted, tags: BoolArray) -> Sighted:
+    """What was seen of some of its tags (n,)."""
+    if tags.all():
+        return seen
+    return Sighted(without_tags(seen.observation, seen.observation.ids[~tags]), seen.frames[tags])
+
+
+def no_evidence() -> Evidence:
+    """Before anything was seen."""
+    none = np.empty(0, dtype=np.int64)
+    return Evidence(none, none, np.empty((0, 2)), np.empty(0), none)
+
+
+def believable(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: KeyframeGraph) -> BoolArray:
+    """Which of the tags (n,) of a keyframe at X_MA (3,) were seen there, in it and before, often enough to be mapped.
+
+    graph: without it.
+    """
+    tag, same = _compared(evidence, seen, X_MA, graph)
+    return np.asarray(seen.frames + _of_tags(len(seen.frames), tag[same], evidence.frames[same]) >= CONFIRMATIONS)
+
+
+def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: KeyframeGraph) -> Evidence:
+    """The evidence with one keyframe more, the newest of a graph that has a goal or glance.
+
+    agrees: (n,) which of its tags the map has where it saw them.
+    """
+    X_MA, newest = graph.X_MN[-2], np.array([len(graph.X_AV) - 1])
+    tag, same = _compared(evidence, seen, X_MA, graph)
+    spoken_of = tag >= 0
+    same[evidence.is_mapped & spoken_of] = agrees[tag[evidence.is_mapped & spoken_of]]
+    # What spoke for the place that the map has, before it had it, goes to that.
+    joins = same & ~evidence.is_mapped & np.append(agrees, False)[tag]
+    once = np.minimum(seen.frames, MOST_AT_ONCE)
+    gain = once + _of_tags(len(once), tag[joins], evidence.frames[joins])
+    change = np.where(same, np.append(gain, 0)[tag], -np.append(once, 0)[tag])
+    old = replace(evidence, frames=np.clip(evidence.frames + change, 0, MOST))
+    old = old.kept(~joins & (old.is_mapped | (old.frames > 0)))
+    new = np.ones(len(once), dtype=bool)
+    new[tag[same & ~joins]] = False
+    p_AL = se2.transform(se2.between(_of_goals(graph, newest), X_MA)[0], seen.observation.p_AL[new])
+    return Evidence(
+        np.concatenate([old.ids, seen.observation.ids[new]]),
+        np.concatenate([old.goal, np.where(agrees[new], MAPPED, newest)]),
+        np.concatenate([old.p_AL, p_AL]),
+        np.concatenate([old.variance, _variance(seen.observation)[new]]),
+        np.concatenate([old.frames, np.minimum(gain[new], MOST)]),
+    )
+
+
+def overturned(evidence: Evidence) -> IntArray:
+    """Ids, ascending, of the tags that stand elsewhere than the map has them, by what was seen since."""
+    ids, mapped, elsewhere = _against(evidence)
+    return ids[(mapped >= 0) & (elsewhere >= CONFIRMATIONS) & (elsewhere > mapped)]
+
+
+def forgotten(evidence: Evidence, ids: IntArray) -> Evidence:
+    """The evidence without the places that the map had of some tags."""
+    return evidence.kept(~(evidence.is_mapped & np.isin(evidence.ids, ids)))
+
+
+def disputed(evidence: Evidence, tag: int) -> Evidence:
+    """The evidence with nothing left that speaks for where the map has a tag."""
+    return replace(evidence, frames=np.where(evidence.is_mapped & (evidence.ids == tag), 0, evidence.frames))
+
+
+def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
+    """Which landmark, by its id, which keyframe has most elsewhere than a solved graph: its squared error would fall by
+    more than REJECTED without it. None where no keyframe has any.
+
+    What an update believed while the pose was hardly known, or the map bent, comes out here.
+    """
+    most, found = REJECTED, None
+    for j, one in enumerate(graph.keyframes):
+        n = len(one.ids)
+        rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
+        H, g, _ = linearised(rows, one.p_AL, one.X_AD, one.information, X_MA, X_MD, graph.p_ML)
+        own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
+        falls = (force * np.linalg.solve(own, force)).sum(axis=(1, 2))
+        if np.max(falls, initial=0.0) > most:
+            most, found = float(np.max(falls)), (int(one.ids[np.argmax(falls)]), j)
+    return found
+
+
+def doubtful(evidence: Evidence) -> IntArray:
+    """Ids, ascending, of the tags that were seen but are not known to be at any one place: hardly seen, or seen
+    elsewhere nearly as often as where the map has them."""
+    ids, mapped, elsewhere = _against(evidence)
+    return ids[mapped - elsewhere < CONFIRMATIONS]
+
+
+def _against(evidence: Evidence) -> tuple[IntArray, IntArray, IntArray]:
+    """The tags (t,), ascending, the frames (t,) that speak for where the map has each, -1 where it has it nowhere, and
+    those (t,) for the best other place, 0 without any."""
+    ids, tag = np.unique(evidence.ids, return_inverse=True)
+    mapped, elsewhere = np.full(len(ids), -1), np.zeros(len(ids), dtype=np.int64)
+    mapped[tag[evidence.is_mapped]] = evidence.frames[evidence.is_mapped]
+    np.maximum.at(elsewhere, tag[~evidence.is_mapped], evidence.frames[~evidence.is_mapped])
+    return ids, mapped, elsewhere
+
+
+def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: KeyframeGraph) -> tuple[IntArray, BoolArray]:
+    """Of each place (h,) which of the tags of a keyframe at X_MA (3,) it is one of, -1 for none, and whether that was
+    seen there; of places that the map has that is not told."""
+    observation = seen.observation
+    row, is_seen = rows_of(evidence.ids, observation.ids)
+    tag = np.where(is_seen, row, -1)
+    same = np.zeros(len(tag), dtype=bool)
+    at = np.flatnonzero(is_seen & ~evidence.is_mapped)
+    if len(at):
+        p_ML = se2.transform(X_MA, observation.p_AL[tag[at]])
+        X_MV, in_V = _of_goals(graph, evidence.goal[at]), np.zeros((len(at), 3))
+        in_V[:, :2] = evidence.p_AL[at]
+        before = se2.compose(X_MV, in_V)[:, :2]
+        variance = evidence.variance[at] + _variance(observation)[tag[at]] + LEAST_DEVIATION**2
+        same[at] = np.square(p_ML - before).sum(axis=1) <= SAME * variance
+    return tag, same
+
+
+def _of_goals(graph: KeyframeGraph, goals: IntArray) -> FloatArray:
+    """(m, 3) arrival poses of some goals and glances (m,)."""
+    return se2.compose(graph.X_MN[graph.view_keyframe[goals]], graph.X_AV[goals])
+
+
+def _variance(observation: GoalObservation) -> FloatArray:
+    """(n,) of each tag's place in A, m^2, as if it were the same in all directions."""
+    return np.asarray(0.5 * np.diag(observation.covariance)[:-3].reshape(-1, 2).sum(axis=1))
+
+
+def _of_tags(n: int, tag: IntArray, frames: IntArray) -> IntArray:
+    """(n,) sums of frames (h,) by the tags (h,) that they are of."""
+    return np.bincount(tag, weights=frames, minlength=n).astype(np.int64)
