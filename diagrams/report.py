@@ -106,7 +106,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     if true_poses is not None:
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
     X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
-    seen = (mission.world, estimate, tfg, grid, X_WB, X_WB_true, reachable)
+    seen = (mission.world, estimate, tfg, grid, X_WB, X_WB_true, reachable, mission.X_WM)
     folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
     return summary
 

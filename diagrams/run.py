@@ -492,6 +492,8 @@ class Mission:
             record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
         if record is not None:
             self.stages.append(record)
+            if self._visualizer is not None:
+                self._visualizer.PlaceMap(self.X_WM)
             write(json.dumps(record) + "\n")
             _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
         self._choice = self._look("goal", GoalChoice)

@@ -225,6 +225,13 @@ class TfgVisualizer(LeafSystem):
     def _meshcat(self) -> Meshcat:
         return self._picture.meshcat
 
+    def PlaceMap(self, X_WM: FloatArray) -> None:
+        """Shows the map at another pose (3,) in the world, as it becomes known."""
+        if np.array_equal(X_WM, self._X_WM):
+            return
+        self._X_WM = np.array(X_WM, dtype=float)
+        self._meshcat.SetTransform("/tfg/map", _planar(self._X_WM))
+
     def _Begin(self) -> None:
         """Shows what stays as it is."""
         self._opened = self._picture.opened

@@ -41,6 +41,7 @@ def draw_run(
     X_WB_estimated: FloatArray,
     X_WB_true: FloatArray,
     reachable: BoolArray,
+    X_WM: FloatArray | None = None,
 ) -> None:
     """Write the figure as a PNG, atomically.
 
@@ -48,9 +49,10 @@ def draw_run(
         path: the file.
         title: stands above the figure; one or two lines.
         world: walls, tags and start, in W; None where it is not known.
-        estimate, tfg, grid: the map in M, whose pose X_WM is the start; None where there is none (yet).
+        estimate, tfg, grid: the map in M; None where there is none (yet).
         X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
         reachable: (t,) of the world's tags: only these count as missed when they are not in the map.
+        X_WM: (3,) pose of the map frame in W, that of the start where there is none.
 
     Of a world that is not known the map frame takes the place, and the map says how large it is.
 
@@ -58,7 +60,8 @@ def draw_run(
         OSError: the file cannot be written.
     """
     grid = grid if grid is not None and grid.probability.size else None  # Nothing is mapped before the first scan.
-    X_WM = world.start if world is not None else np.zeros(3)
+    if X_WM is None:
+        X_WM = world.start if world is not None else np.zeros(3)
     shown = [X_WB_true[:, :2], X_WM[None, :2]]
     if world is not None:
         shown.append(world.walls.reshape(-1, 2))
