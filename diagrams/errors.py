@@ -46,7 +46,9 @@ class KnownWorld:
         """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
         segments = _mapped_surfaces(mission.X_WM, tfg, mission.grid)
         return {
-            **_landmarks(self._world, self.reachable, estimate, mission),
+            **_landmarks(
+                self._world, self.reachable, estimate, mission.grid is None, mission.X_WM, mission.camera.sigma[0]
+            ),
             **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
         }
 
@@ -76,8 +78,15 @@ def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
     return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
 
 
-def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None, mission: Mission) -> dict[str, Any]:
-    maps_landmarks = mission.grid is None
+def _landmarks(
+    world: World,
+    reachable: BoolArray,
+    estimate: MapEstimate | None,
+    maps_landmarks: bool,
+    X_WM: FloatArray,
+    yaw_sigma: float,
+) -> dict[str, Any]:
+    """yaw_sigma: rad, of the camera's yaw, on which hangs how the map lies in the world, X_WM (3,)."""
     mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
     trusted = ~estimate.is_doubtful if estimate is not None else np.zeros(0, dtype=np.bool_)
     counted = trusted & np.isin(mapped, world.tag_ids[reachable])
@@ -87,6 +96,7 @@ def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None,
         "landmarks_mapped": int(np.count_nonzero(counted)) if maps_landmarks else None,
         "landmarks_extra": int(np.count_nonzero(trusted & ~counted)) if maps_landmarks else None,
         "landmark_rmse_m": math.nan,
+        "landmark_error_max_m": math.nan,
         "landmark_rmse_aligned_m": math.nan,
         "landmark_anees": math.nan,
         "landmark_nees": math.nan,
@@ -96,10 +106,10 @@ def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None,
     row_of_tag = {tag: row for row, tag in enumerate(world.tag_ids.tolist())}
     known = np.array([i for i, tag in enumerate(mapped.tolist()) if trusted[i] and tag in row_of_tag], dtype=np.int64)
     rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
-    p_ML_true = transform(inverse(mission.X_WM), world.p_WT[rows])
+    p_ML_true = transform(inverse(X_WM), world.p_WT[rows])
     p_ML = estimate.p_ML[known]
-    # What is not known of the camera's yaw turns all of the map in the world.
-    turned = mission.camera.sigma[0] * np.stack([-p_ML[:, 1], p_ML[:, 0]], axis=1)
+    # It turns all of the map.
+    turned = yaw_sigma * np.stack([-p_ML[:, 1], p_ML[:, 0]], axis=1)
     each = estimate.landmark_covariance[known] + turned[:, :, None] * turned[:, None, :]
     entry = estimate.local_entry[known]
     of_joint = entry >= 0
@@ -108,6 +118,7 @@ def _landmarks(world: World, reachable: BoolArray, estimate: MapEstimate | None,
     covariance = estimate.covariance[np.ix_(entries, entries)] + np.outer(turned[of_joint], turned[of_joint])
     return figures | {
         "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
+        "landmark_error_max_m": float(np.max(np.hypot(*(p_ML - p_ML_true).T), initial=0.0)),
         "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),
         "landmark_anees": metrics.anees(p_ML - p_ML_true, each),
         "landmark_nees": metrics.landmark_nees(p_ML[of_joint], p_ML_true[of_joint], covariance),

@@ -68,6 +68,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "landmarks_doubtful": _landmarks_doubtful(mission, estimate),
         "landmarks_extra": None,
         "landmark_rmse_m": None,
+        "landmark_error_max_m": None,
         "landmark_rmse_aligned_m": None,
         "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
         "landmark_anees": None,

@@ -14,7 +14,7 @@ WORLD = World(
 )
 
 
-def figures(doubtful):
+def figures(doubtful, yaw_sigma=0.0):
     estimate = replace(
         empty_map(),
         ids=np.array([4, 7, 8, 9]),
@@ -24,7 +24,7 @@ def figures(doubtful):
         landmark_covariance=np.tile(0.01**2 * np.eye(2), (4, 1, 1)),
         doubtful=np.array(doubtful, dtype=np.int64),
     )
-    return _landmarks(WORLD, np.ones(3, dtype=bool), estimate, True)
+    return _landmarks(WORLD, np.ones(3, dtype=bool), estimate, True, np.zeros(3), yaw_sigma)
 
 
 def test_the_errors_are_those_of_landmarks_that_are_not_doubtful():
@@ -32,6 +32,7 @@ def test_the_errors_are_those_of_landmarks_that_are_not_doubtful():
     assert sure["landmarks_mapped"] == 3
     assert sure["landmarks_extra"] == 1
     assert sure["landmark_rmse_m"] > 2.0
+    assert sure["landmark_error_max_m"] == 5.0
     assert named["landmarks_mapped"] == 2
     assert named["landmarks_extra"] == 0
     np.testing.assert_allclose(named["landmark_rmse_m"], 0.01 / np.sqrt(2.0))
@@ -39,5 +40,12 @@ def test_the_errors_are_those_of_landmarks_that_are_not_doubtful():
     np.testing.assert_allclose(named["landmark_nees"], 0.25)
 
 
+def test_an_uncertain_yaw_turns_the_map():
+    sure, turned = (figures([7, 8], yaw_sigma) for yaw_sigma in (0.0, 0.01))
+    assert turned["landmark_nees"] < sure["landmark_nees"]
+    # A metre away that is as much as the deviation of tag 4, whose error lies along the turn.
+    np.testing.assert_allclose(turned["landmark_anees"], 0.125, rtol=1e-3)
+
+
 def test_before_the_first_goal_there_is_nothing():
-    assert _landmarks(WORLD, np.ones(3, dtype=bool), None, True)["landmarks_mapped"] == 0
+    assert _landmarks(WORLD, np.ones(3, dtype=bool), None, True, np.zeros(3), 0.0)["landmarks_mapped"] == 0
