@@ -3,7 +3,7 @@ import pytest
 
 from tests.planning.test_roadmap import ROBOT
 from tfg_drake.messages import LaserScan, replace
-from tfg_drake.planning.path import STRAYS, path_is_free, shortcut, unmapped_obstacles
+from tfg_drake.planning.path import STRAYS, path_is_free, seen_past, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import in_free_space
 from tfg_drake.tfg.graph import empty_map
 
@@ -58,3 +58,20 @@ def test_a_shortcut_does_not_lead_through_what_was_never_seen():
     )
     short = shortcut(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]), tfg, np.zeros((0, 4)), 0.35)
     assert in_free_space(np.hstack([short[:-1], short[1:]]), tfg).all()
+
+
+def test_an_obstacle_is_gone_when_a_scan_sees_past_it():
+    obstacles = np.array([[1.0, -0.1, 1.0, 0.1], [1.0, 2.0, 1.2, 2.2], [-1.0, 0.0, -1.0, 0.2]])
+    angles = np.linspace(-1.0, 1.0, 201)
+    pose = np.array([0.5, 0.0, 0.3])
+
+    def gone(distance):
+        return seen_past(obstacles, LaserScan(0.0, angles, np.full(201, distance), 10.0, 0.015), pose)[0].tolist()
+
+    # The second is out of view, the third behind.
+    assert gone(0.55) == [False] * 3
+    assert gone(0.7) == gone(np.inf) == [True, False, False]
+    assert gone(np.nan) == [False] * 3
+    # Half of the rays still end at it.
+    ranges = np.where(angles + 0.3 < 0.0, 0.5, 3.0)
+    assert seen_past(obstacles, LaserScan(0.0, angles, ranges, 10.0, 0.015), pose)[0].tolist() == [False] * 3

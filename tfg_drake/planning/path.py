@@ -9,7 +9,7 @@ from numba import njit
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance, room_beside
-from tfg_drake.geometry.se2 import compose
+from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.star import line_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
@@ -45,6 +45,8 @@ MAPPED_WITHIN = 0.08
 STRAYS = 0.01
 # Returns this far off still belong to the obstacle that blocks the path, m.
 OBSTACLE_REACH = 1.0
+# An obstacle that a scan sees this far past, m, has gone.
+SEEN_PAST = 0.15
 # Neighbouring returns nearer to each other than this are of one obstacle: the robot does not fit between them, m.
 SAME_OBSTACLE = 0.33
 
@@ -333,3 +335,14 @@ def unmapped_obstacles(
     following = np.vstack([hits[1:], hits[-1:]])
     joined = np.hypot(*(following - hits).T) < SAME_OBSTACLE
     return lines_between(hits, np.where(joined[:, None], following, hits))
+
+
+def seen_past(obstacles: FloatArray, scan: LaserScan, X_MB: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Which obstacles (b,) of those met on the way (b, 4), m in M, a scan taken at pose X_MB (3,) sees past, by the ray
+    to the middle of each and its neighbours, and which are in its view at all."""
+    middle = transform(inverse(X_MB), 0.5 * (obstacles[:, :2] + obstacles[:, 2:]))
+    bearing, distance = np.arctan2(middle[:, 1], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 1])
+    ray = np.searchsorted(scan.angles, bearing)
+    in_view = (ray > 1) & (ray < len(scan.angles) - 1)
+    least = scan.ranges[np.where(in_view, ray, 2)[:, None] + np.arange(-2, 2)].min(axis=1)
+    return in_view & (least > distance + SEEN_PAST), in_view

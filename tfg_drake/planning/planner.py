@@ -30,7 +30,7 @@ from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_goals, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
-from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
+from tfg_drake.planning.path import path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     EFFORTS,
     RoadmapParameters,
@@ -49,8 +49,12 @@ DRIVEN_STEP = 0.1
 # After this many goals in a row that could not be reached, what was met on the way is forgotten, and only what the
 # robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
 BOLD_AFTER = 2
-# What is met on the way is kept for this many stages: it may be too small for the map, or walk away.
+# What is met on the way is kept for this many stages, or until it is seen past: it may be too small for the map, or
+# walk away.
 OBSTACLE_MEMORY = 10
+# Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
+PATIENCE = 8.0
+ASK_AGAIN = 0.5
 
 
 @message
@@ -59,7 +63,9 @@ class PlannerState:
 
     parts: the roadmap itself. roadmap, path, status: what it says of what is near. replans: the mission's count when
     the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
-    goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the
+    goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against, look_stamp: of the newest
+    one that the obstacles were. waiting_since: s, when every way to the goal was found barred by them, inf if none is,
+    asked: when last. driven: (d, 2) where the
     robot has been at this stage, m in M, from where the newest goal's observation began on; driven_before: m, until it
     ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
     """
@@ -72,6 +78,9 @@ class PlannerState:
     obstacles: FloatArray
     obstacle_goal: IntArray
     scan_stamp: float
+    look_stamp: float
+    waiting_since: float
+    asked: float
     driven: FloatArray
     driven_before: float
     open_length: float
@@ -96,6 +105,9 @@ def initial_state() -> PlannerState:
         obstacles=np.zeros((0, 4)),
         obstacle_goal=np.zeros(0, dtype=np.int64),
         scan_stamp=-np.inf,
+        look_stamp=-np.inf,
+        waiting_since=np.inf,
+        asked=-np.inf,
         driven=np.zeros((0, 2)),
         driven_before=0.0,
         open_length=np.inf,
@@ -118,18 +130,33 @@ def step(
     a way longer than that reaches leads to it.
     """
     estimate, tfg = working.estimate, working.tfg
+    if len(state.obstacles) and scan.stamp > state.look_stamp:
+        state = _look(state, estimate, pose, scan)
     if working.stage > state.nodes.stage:
         if mission.failures >= BOLD_AFTER:
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         return grow(state, working, parameters)
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
-    if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
+    planned = (state.path.stage, state.replans) == (mission.stage, mission.replans)
+    if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + ASK_AGAIN:
         nodes = state.nodes
         if not state.roadmap.reaches(np.array([goal.node]), working.reach)[0]:
             # A way as long as that may be shorter through what rests.
             estimate, tfg = whole()
             nodes = whole_roadmap(state.parts, estimate.X_MA)
-        return _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+        after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+        if len(after.path.points) or not len(state.obstacles) or mission.drives:
+            return after
+        _, in_view = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
+        if not in_view.all():
+            # What the robot does not see may have gone; if not, it will see it on its way.
+            state = _keep_obstacles(state, in_view)
+            after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+        since = min(state.waiting_since, pose.stamp)
+        if len(after.path.points) or not len(state.obstacles) or pose.stamp >= since + PATIENCE:
+            return after
+        # Who is in the way may go on.
+        return replace(state, waiting_since=since, asked=pose.stamp)
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
         state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
@@ -198,6 +225,8 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
         open_length=open_length,
+        waiting_since=np.inf,
+        asked=-np.inf,
     )
 
 
@@ -271,7 +300,14 @@ def _plan(
     if _length(state.driven, X_MB[:2]) + np.hypot(*np.diff(points, axis=0).T).sum() > goal.longest_way:
         points = np.zeros((0, 2))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
-    return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
+    status = PathStatus(path_id=path.id, free=True)
+    return replace(state, path=path, status=status, replans=mission.replans, waiting_since=np.inf, asked=-np.inf)
+
+
+def _look(state: PlannerState, estimate: MapEstimate, pose: PoseEstimate, scan: LaserScan) -> PlannerState:
+    """The state without the obstacles that the scan sees past."""
+    gone, _ = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
+    return replace(_keep_obstacles(state, ~gone) if gone.any() else state, look_stamp=scan.stamp)
 
 
 def _watch(

@@ -1,8 +1,9 @@
 """People who walk about in the simulated building: discs that keep off walls and, mostly, out of the robot's way.
 
 A person walks to a random place by a short way along free ground, sometimes stands there for a while, and walks on to
-another. Who comes near the robot waits, gives way after a while, and now and then stops in front of it out of
-curiosity. Nobody walks into a robot that moves; one that stands may be overlooked. People walk through each other.
+another. Whose way the robot bars waits for a moment and walks elsewhere, round it if there is room; some stop in front
+of it out of curiosity. Nobody walks into a robot that moves; one that stands may be overlooked. People walk through
+each other.
 """
 
 from __future__ import annotations
@@ -34,9 +35,13 @@ MARGIN = 0.06
 SLACK = 0.02
 # Nobody is first met nearer to the robot than this, m.
 FIRST_DISTANCE = 1.0
-# Nearer to the robot's outline than this, m, a person comes no nearer to it; it waits so long, s, and walks elsewhere.
+# Nearer to the robot's outline than this, m, a person walks no farther towards it, nor nearer past it than that, m; it
+# waits so long, s, and walks elsewhere.
 COMFORT = 0.4
-PATIENCE = 2.0
+PASSING = 0.15
+PATIENCE = 1.0
+# The robot is passed where it lies farther off the direction of the walk than the angle of this cosine.
+BESIDE = 0.7
 # From as near as this, m, the robot is noticed: some stop and look at it, and some overlook it if it stands.
 NOTICED = 1.2
 CURIOUS_SHARE = 0.15
@@ -162,16 +167,18 @@ def step(
         if standing[i] > 0.0:
             continue
         if not len(ways[i]):
-            ways[i] = way_between(ground, p_WP[i], place)
+            ways[i] = way_between(ground, p_WP[i], place, robot[:2], touching + PASSING)
             if stands < STANDING_SHARE:
                 standing[i] = LONGEST_STAND * how_long
+            if standing[i] > 0.0 or not len(ways[i]):
                 continue
         towards = ways[i][0] - p_WP[i]
         left, length = math.hypot(*towards), people.speed[i] * period
         move = towards * min(1.0, length / max(left, 1e-9))
         after = math.hypot(*(p_WP[i] + move - robot[:2])) - touching
         bumps = heedless[i] and abs(robot[3]) < ROBOT_STANDS
-        if after < min(gap, COMFORT) and not bumps:
+        ahead = move @ (robot[:2] - p_WP[i]) > BESIDE * math.hypot(*move) * (gap + touching)
+        if after < min(gap, COMFORT if ahead else PASSING) and not bumps:
             waited[i] += period
             if waited[i] >= PATIENCE:
                 ways[i], waited[i] = ways[i][:0], 0.0
@@ -187,24 +194,29 @@ def step(
     return People(time, p_WP, v_WP, people.speed, standing, waited, noticed, heedless, tuple(ways))
 
 
-def way_between(ground: Ground, p_WP: FloatArray, place: float) -> FloatArray:
-    """The places (k, 2), m in W, that a short way from p_WP (2,) leads through, to the end.
+def way_between(ground: Ground, p_WP: FloatArray, place: float, p_WB: FloatArray, apart: float) -> FloatArray:
+    """The places (k, 2), m in W, that a short way from p_WP (2,) leads through, to the end; none where there is no way.
 
-    place: between 0 and 1, which of all places that is.
+    place: between 0 and 1, which of all places that is. The way leads round p_WB (2,) at a distance, m: `apart`, or
+    that of p_WP if that is nearer.
     """
+    apart = min(apart, 0.99 * math.hypot(*(p_WP - p_WB)))
     row, column = ground.grid.cell(p_WP[None])
     begin = int(row[0] * ground.free.shape[1] + column[0])
     if not ground.free[row[0], column[0]]:
         p_PG = _centre(ground.grid, ground.places) - p_WP
         begin = int(ground.places[np.argmin(np.hypot(p_PG[:, 0], p_PG[:, 1]))])
     end = int(ground.places[int(place * len(ground.places))])
-    cells = np.append(begin, _shortest_way(ground.free, begin, end))
+    cells = _shortest_way(ground.free, begin, end, (p_WB - ground.grid.p_WG) / CELL, apart / CELL)
     points = np.vstack([p_WP, _centre(ground.grid, cells)])
+    robot = np.append(p_WB, p_WB)[None]
     # Straight from each to the farthest that can be gone to straight; to the next it always can.
     kept, i, need = [], 0, RADIUS + MARGIN - SLACK
     while i < len(points) - 1:
         lines = np.hstack([np.broadcast_to(points[i], (len(points) - i - 1, 2)), points[i + 1 :]])
-        open_ = np.flatnonzero(clearance(lines, ground.walls, need) >= need)
+        open_ = np.flatnonzero(
+            (clearance(lines, ground.walls, need) >= need) & (clearance(lines, robot, apart) >= apart)
+        )
         i += 1 + (int(open_[-1]) if len(open_) else 0)
         kept.append(points[i])
     return np.array(kept).reshape(-1, 2)
@@ -217,28 +229,33 @@ def _centre(grid: Grid, cells: IntArray) -> FloatArray:
 
 
 @njit(cache=True)
-def _shortest_way(free: BoolArray, begin: int, end: int) -> IntArray:
-    """Flat indices of the free cells on a shortest way by their sides, from the one after begin to end; both are free,
-    and such a way there is."""
+def _shortest_way(free: BoolArray, begin: int, end: int, robot: FloatArray, apart: float) -> IntArray:
+    """Flat indices of the free cells on a shortest way by their sides, from begin to end; none where there is no way.
+
+    robot: (2,) column and row that the way keeps off, `apart` cells; begin may be nearer.
+    """
     rows, columns = free.shape
     before = np.full(rows * columns, -1, dtype=np.int64)
     queue = np.empty(rows * columns, dtype=np.int64)
     # From the end, so that the way comes out from its beginning on.
     queue[0], before[end], first, last = end, end, 0, 1
     while before[begin] < 0:
+        if first == last:
+            return queue[:0].copy()
         cell = queue[first]
         first += 1
         row, column = cell // columns, cell % columns
         for side in range(4):
             r, c = row + (side == 0) - (side == 1), column + (side == 2) - (side == 3)
             near = r * columns + c
-            if 0 <= r < rows and 0 <= c < columns and before[near] < 0 and free[r, c]:
+            if not (0 <= r < rows and 0 <= c < columns and before[near] < 0 and free[r, c]):
+                continue
+            if near == begin or math.hypot(c - robot[0], r - robot[1]) >= apart:
                 before[near] = cell
                 queue[last] = near
                 last += 1
-    count, cell = 0, begin
-    while cell != end:
-        cell = before[cell]
-        queue[count] = cell
+    queue[0], count = begin, 1
+    while queue[count - 1] != end:
+        queue[count] = before[queue[count - 1]]
         count += 1
     return queue[:count].copy()

@@ -17,15 +17,18 @@ from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import taken
 from tfg_drake.tfg.surfaces import Surfaces
 
-# It stands at least this deep in what was seen to be free, m, and is at least this wide, m: a post may have been missed.
+# Some of it stands this deep in what was seen to be free, m, all of it at least that deep, and it is this wide, m: a
+# post may have been missed.
 DEPTH = 0.2
+SHALLOW = 0.06
 LEAST_WIDTH = 0.15
 # Goals farther away than this, m, are not asked.
 REACH = 6.0
 # Every so many bins are looked at first: two metres away somebody covers 28 of them.
 STRIDE = 4
-# Neighbouring points farther apart than this, m, are not of one body.
+# Neighbouring points farther apart than this, m, or with more bins between them that met nothing, are not of one body.
 SAME_BODY = 0.3
+GAP = 2
 
 
 def without_passers(
@@ -51,38 +54,45 @@ def without_passers(
     if not len(rows):
         return panorama
     offsets, vertices = taken(rows, stars[0], stars[1])
-    passing = _passing(transform(here, panorama.points), here[:2], offsets, vertices)
+    met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
+    passing = _passing(transform(here, met.points), here[:2], offsets, vertices)
     return replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)) if passing.any() else panorama
 
 
 @njit(cache=True)
 def _passing(points: FloatArray, p_MA: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
-    """Which of a panorama's points (b, 2), not finite where there is none, are of bodies that stand in the free ground
+    """Which of a panorama's points (b, 2), nan where there is none, are of bodies that stand in the free ground
     of a star that holds p_MA (2,)."""
     bins, k = len(points), len(star_offsets) - 1
     boxes = np.empty((k, 4))
     for j in range(k):
         star = star_vertices[star_offsets[j] : star_offsets[j + 1]]
-        boxes[j, 0], boxes[j, 1] = star[:, 0].min() + DEPTH, star[:, 0].max() - DEPTH
-        boxes[j, 2], boxes[j, 3] = star[:, 1].min() + DEPTH, star[:, 1].max() - DEPTH
+        boxes[j, 0], boxes[j, 1] = star[:, 0].min(), star[:, 0].max()
+        boxes[j, 2], boxes[j, 3] = star[:, 1].min(), star[:, 1].max()
         if not _deep(p_MA[0], p_MA[1], star, 0.0):
             boxes[j, 0] = np.inf
     result = np.zeros(bins, dtype=np.bool_)
     asked = np.zeros(bins, dtype=np.bool_)
     for b in range(0, bins, STRIDE):
-        if asked[b] or not _in_the_open(points[b], boxes, star_offsets, star_vertices):
+        if asked[b] or not _in_the_open(points[b], boxes, star_offsets, star_vertices, DEPTH):
             continue
         asked[b] = True
         ends = np.array([b, b])
         for side in range(2):
-            step = 2 * side - 1
-            while ends[1] - ends[0] < bins - 1:
-                at, following = ends[side] % bins, (ends[side] + step) % bins
+            step, skipped = 2 * side - 1, 0
+            while ends[1] - ends[0] + skipped < bins - 1 and skipped <= GAP:
+                at, following = ends[side] % bins, (ends[side] + step * (1 + skipped)) % bins
+                if np.isnan(points[following, 0]):
+                    skipped += 1
+                    continue
                 apart = np.hypot(points[following, 0] - points[at, 0], points[following, 1] - points[at, 1])
-                if not apart < SAME_BODY or not _in_the_open(points[following], boxes, star_offsets, star_vertices):
+                if not apart < SAME_BODY or not _in_the_open(
+                    points[following], boxes, star_offsets, star_vertices, SHALLOW
+                ):
                     break
-                ends[side] += step
+                ends[side] += step * (1 + skipped)
                 asked[following] = True
+                skipped = 0
         first, last = points[ends[0] % bins], points[ends[1] % bins]
         if np.hypot(last[0] - first[0], last[1] - first[1]) >= LEAST_WIDTH:
             for i in range(ends[0], ends[1] + 1):
@@ -91,13 +101,16 @@ def _passing(points: FloatArray, p_MA: FloatArray, star_offsets: IntArray, star_
 
 
 @njit(cache=True)
-def _in_the_open(point: FloatArray, boxes: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> bool:
-    """Whether a point lies DEPTH inside a star; boxes: (k, 4) x and y that such points lie between."""
+def _in_the_open(
+    point: FloatArray, boxes: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, depth: float
+) -> bool:
+    """Whether a point lies so deep (m) inside a star; boxes: (k, 4) x and y that such points lie between."""
     x, y = point[0], point[1]
     for j in range(len(boxes)):
-        if boxes[j, 0] <= x <= boxes[j, 1] and boxes[j, 2] <= y <= boxes[j, 3]:
-            if _deep(x, y, star_vertices[star_offsets[j] : star_offsets[j + 1]], DEPTH):
-                return True
+        if not (boxes[j, 0] + depth <= x <= boxes[j, 1] - depth and boxes[j, 2] + depth <= y <= boxes[j, 3] - depth):
+            continue
+        if _deep(x, y, star_vertices[star_offsets[j] : star_offsets[j + 1]], depth):
+            return True
     return False
 
 
