@@ -3,7 +3,7 @@ import pytest
 
 from tests.planning.test_roadmap import ROBOT
 from tfg_drake.messages import LaserScan, replace
-from tfg_drake.planning.path import STRAYS, path_is_free, seen_past, shortcut, unmapped_obstacles
+from tfg_drake.planning.path import BODY, STRAYS, path_is_free, seen_past, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import in_free_space
 from tfg_drake.tfg.graph import empty_map
 
@@ -27,7 +27,10 @@ def test_returns_of_one_obstacle_are_joined_and_those_of_mapped_walls_are_none()
     scan = LaserScan(0.0, angles, np.append(np.full(5, 1.5), 1.7), 10.0, 0.015)
     for mapped, count in ((wall, 5), (np.zeros((0, 4)), 6)):
         met = unmapped_obstacles(path, scan, np.zeros(3), ROBOT.radius, mapped)
-        assert len(met) == count
+        # Each with a body behind it.
+        met, bodies = met[:count], met[count:]
+        assert (bodies[:, :2] == met[:, :2]).all()
+        np.testing.assert_allclose(np.hypot(*bodies[:, 2:].T) - np.hypot(*bodies[:, :2].T), BODY)
         length = np.hypot(*(met[:, 2:] - met[:, :2]).T)
         np.testing.assert_allclose(length[:4], 2 * 1.5 * np.sin(0.025), rtol=1e-6)
         assert not length[4:].any()

@@ -32,7 +32,7 @@ def test_who_comes_after_a_place_was_seen_is_not_mapped_and_hides_nothing(rooms)
     alone = look(copy.deepcopy(rooms), [2.5, 3.0, 0.5], glance=True)
     among = look(rooms, [2.5, 3.0, 0.5], somebody(4.0, 3.2), somebody(3.0, 1.5), glance=True)
     assert surface_phantom(among.segments, rooms.building) == 0.0
-    assert among.frontier_length.sum() == pytest.approx(alone.frontier_length.sum(), abs=1.0)
+    assert among.frontier_length.sum() < alone.frontier_length.sum() + 0.2
     # What they hide was mapped before, and stays.
     assert surface_coverage(cut_walls(alone.segments)[0], among.segments) > 0.99
 
@@ -64,3 +64,10 @@ def test_a_post_that_was_too_thin_to_be_seen_from_afar_is_mapped(rooms):
     look(rooms, [1.0, 3.0, 0.0])
     near = look(rooms, [4.0, 3.0, 0.0], somebody(5.0, 3.0, radius=0.04))
     assert surface_phantom(near.segments, rooms.building) > 0.05
+
+
+def test_a_thin_wall_that_was_seen_edge_on_is_mapped(rooms):
+    rooms.building = np.vstack([rooms.building, [[3.0, 3.001, 4.0, 3.001]]])
+    look(rooms, [1.0, 3.0, 0.0])
+    found = look(rooms, [2.5, 1.5, 1.0])
+    assert surface_coverage(cut_walls(np.array([[3.0, 3.0, 4.0, 3.0]]))[0], found.segments) > 0.9

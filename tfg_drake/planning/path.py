@@ -46,7 +46,9 @@ STRAYS = 0.01
 # Returns this far off still belong to the obstacle that blocks the path, m.
 OBSTACLE_REACH = 1.0
 # An obstacle that a scan sees this far past, m, has gone.
-SEEN_PAST = 0.15
+SEEN_PAST = 0.08
+# What is not mapped is taken to be this deep, m: its far side is not seen, nor any of it from beside.
+BODY = 0.3
 # Neighbouring returns nearer to each other than this are of one obstacle: the robot does not fit between them, m.
 SAME_OBSTACLE = 0.33
 
@@ -324,7 +326,8 @@ def unmapped_obstacles(
     """What blocks a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
 
     The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains, or that
-    it may touch, neighbours too close for the robot to pass between them joined to a surface.
+    it may touch, neighbours too close for the robot to pass between them joined to a surface; behind the former, a
+    body.
     """
     reach = radius + OBSTACLE_REACH
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, reach)
@@ -334,7 +337,11 @@ def unmapped_obstacles(
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])
     joined = np.hypot(*(following - hits).T) < SAME_OBSTACLE
-    return lines_between(hits, np.where(joined[:, None], following, hits))
+    fronts = lines_between(hits, np.where(joined[:, None], following, hits))
+    front = hits[point_distance(hits, segments) > MAPPED_WITHIN]
+    away = front - X_MB[:2]
+    behind = front + BODY * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)[:, None]
+    return np.vstack([fronts, lines_between(front, behind)])
 
 
 def seen_past(obstacles: FloatArray, scan: LaserScan, X_MB: FloatArray) -> tuple[BoolArray, BoolArray]:

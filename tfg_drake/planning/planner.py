@@ -55,6 +55,8 @@ OBSTACLE_MEMORY = 10
 # Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
 PATIENCE = 8.0
 ASK_AGAIN = 0.5
+# A way that is barred as soon as it is found is followed by no other for so long, s: who walks in the way is not past.
+BREATH = 1.0
 
 
 @message
@@ -65,7 +67,7 @@ class PlannerState:
     the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
     goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against, look_stamp: of the newest
     one that the obstacles were. waiting_since: s, when every way to the goal was found barred by them, inf if none is,
-    asked: when last. driven: (d, 2) where the
+    asked: when a way was looked for last. driven: (d, 2) where the
     robot has been at this stage, m in M, from where the newest goal's observation began on; driven_before: m, until it
     ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
     """
@@ -137,8 +139,9 @@ def step(
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         return grow(state, working, parameters)
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
+    pause = BREATH if mission.replans and not math.isfinite(state.waiting_since) else ASK_AGAIN
     planned = (state.path.stage, state.replans) == (mission.stage, mission.replans)
-    if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + ASK_AGAIN:
+    if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + pause:
         nodes = state.nodes
         if not state.roadmap.reaches(np.array([goal.node]), working.reach)[0]:
             # A way as long as that may be shorter through what rests.
@@ -301,7 +304,7 @@ def _plan(
         points = np.zeros((0, 2))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
     status = PathStatus(path_id=path.id, free=True)
-    return replace(state, path=path, status=status, replans=mission.replans, waiting_since=np.inf, asked=-np.inf)
+    return replace(state, path=path, status=status, replans=mission.replans, waiting_since=np.inf, asked=pose.stamp)
 
 
 def _look(state: PlannerState, estimate: MapEstimate, pose: PoseEstimate, scan: LaserScan) -> PlannerState:

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from scipy import ndimage
 
-from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.distance import clearance, point_segment_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 from tfg_drake.world.reachability import CELL, Grid, free_cells, make_grid, reachable_cells
 from tfg_drake.world.world import World, WorldError
@@ -47,6 +47,8 @@ NOTICED = 1.2
 CURIOUS_SHARE = 0.15
 HEEDLESS_SHARE = 0.1
 LOOKING = 4.0
+# People mind where the robot is and where it will be in this time, s: it takes as long to stop.
+FORESIGHT = 0.6
 # A robot slower than this stands, m/s.
 ROBOT_STANDS = 0.01
 # Who bumps into the robot touches it this deep, m.
@@ -156,8 +158,13 @@ def step(
     standing, waited = np.maximum(people.standing - period, 0.0), people.waited.copy()
     noticed, heedless, ways = people.noticed.copy(), people.heedless.copy(), list(people.ways)
     touching = RADIUS + robot_radius
+    soon = robot[:2] + FORESIGHT * max(robot[3], 0.0) * np.array([math.cos(robot[2]), math.sin(robot[2])])
+
+    def gap_at(p: FloatArray) -> float:
+        return point_segment_distance(p[0], p[1], robot[0], robot[1], soon[0], soon[1]) - touching
+
     for i, (place, _speed, stands, how_long, mind) in enumerate(uniform):
-        gap = math.hypot(*(p_WP[i] - robot[:2])) - touching
+        gap = gap_at(p_WP[i])
         if gap > NOTICED:
             noticed[i] = heedless[i] = False
         elif not noticed[i]:
@@ -175,9 +182,9 @@ def step(
         towards = ways[i][0] - p_WP[i]
         left, length = math.hypot(*towards), people.speed[i] * period
         move = towards * min(1.0, length / max(left, 1e-9))
-        after = math.hypot(*(p_WP[i] + move - robot[:2])) - touching
+        after = gap_at(p_WP[i] + move)
         bumps = heedless[i] and abs(robot[3]) < ROBOT_STANDS
-        ahead = move @ (robot[:2] - p_WP[i]) > BESIDE * math.hypot(*move) * (gap + touching)
+        ahead = move @ (robot[:2] - p_WP[i]) > BESIDE * math.hypot(*move) * math.hypot(*(p_WP[i] - robot[:2]))
         if after < min(gap, COMFORT if ahead else PASSING) and not bumps:
             waited[i] += period
             if waited[i] >= PATIENCE:

@@ -17,11 +17,13 @@ from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import taken
 from tfg_drake.tfg.surfaces import Surfaces
 
-# Some of it stands this deep in what was seen to be free, m, all of it at least that deep, and it is this wide, m: a
-# post may have been missed.
+# It stands this deep in what was seen to be free, m, where it is at least so wide, m: a post may have been missed. What
+# hangs together with that belongs to it as long as it is that deep.
 DEPTH = 0.2
-SHALLOW = 0.06
 LEAST_WIDTH = 0.15
+# ... and this wide seen from where that was seen from, m.
+LEAST_VIEW = 0.1
+SHALLOW = 0.06
 # Goals farther away than this, m, are not asked.
 REACH = 6.0
 # Every so many bins are looked at first: two metres away somebody covers 28 of them.
@@ -55,63 +57,69 @@ def without_passers(
         return panorama
     offsets, vertices = taken(rows, stars[0], stars[1])
     met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
-    passing = _passing(transform(here, met.points), here[:2], offsets, vertices)
+    passing = _passing(transform(here, met.points), here[:2], offsets, vertices, stars[2][rows])
     return replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)) if passing.any() else panorama
 
 
 @njit(cache=True)
-def _passing(points: FloatArray, p_MA: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
-    """Which of a panorama's points (b, 2), nan where there is none, are of bodies that stand in the free ground
-    of a star that holds p_MA (2,)."""
-    bins, k = len(points), len(star_offsets) - 1
-    boxes = np.empty((k, 4))
-    for j in range(k):
-        star = star_vertices[star_offsets[j] : star_offsets[j + 1]]
-        boxes[j, 0], boxes[j, 1] = star[:, 0].min(), star[:, 0].max()
-        boxes[j, 2], boxes[j, 3] = star[:, 1].min(), star[:, 1].max()
+def _passing(
+    points: FloatArray, p_MA: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray
+) -> BoolArray:
+    """Which of a panorama's points (b, 2), nan where there is none, are of bodies that stand in the free ground of a
+    star that holds p_MA (2,)."""
+    bins = len(points)
+    result, asked = np.zeros(bins, dtype=np.bool_), np.empty(bins, dtype=np.bool_)
+    ends, deepest = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
+    for j in range(len(star_offsets) - 1):
+        star, center = star_vertices[star_offsets[j] : star_offsets[j + 1]], star_centers[j]
+        left, right, low, high = star[:, 0].min(), star[:, 0].max(), star[:, 1].min(), star[:, 1].max()
         if not _deep(p_MA[0], p_MA[1], star, 0.0):
-            boxes[j, 0] = np.inf
-    result = np.zeros(bins, dtype=np.bool_)
-    asked = np.zeros(bins, dtype=np.bool_)
-    for b in range(0, bins, STRIDE):
-        if asked[b] or not _in_the_open(points[b], boxes, star_offsets, star_vertices, DEPTH):
             continue
-        asked[b] = True
-        ends = np.array([b, b])
-        for side in range(2):
-            step, skipped = 2 * side - 1, 0
-            while ends[1] - ends[0] + skipped < bins - 1 and skipped <= GAP:
-                at, following = ends[side] % bins, (ends[side] + step * (1 + skipped)) % bins
-                if np.isnan(points[following, 0]):
-                    skipped += 1
-                    continue
-                apart = np.hypot(points[following, 0] - points[at, 0], points[following, 1] - points[at, 1])
-                if not apart < SAME_BODY or not _in_the_open(
-                    points[following], boxes, star_offsets, star_vertices, SHALLOW
-                ):
-                    break
-                ends[side] += step * (1 + skipped)
-                asked[following] = True
-                skipped = 0
-        first, last = points[ends[0] % bins], points[ends[1] % bins]
-        if np.hypot(last[0] - first[0], last[1] - first[1]) >= LEAST_WIDTH:
-            for i in range(ends[0], ends[1] + 1):
-                result[i % bins] = True
+        asked[:] = result
+        for b in range(0, bins, STRIDE):
+            x, y = points[b, 0], points[b, 1]
+            if asked[b] or not (left + DEPTH <= x <= right - DEPTH and low + DEPTH <= y <= high - DEPTH):
+                continue
+            if not _deep(x, y, star, DEPTH):
+                continue
+            ends[:], deepest[:] = b, b
+            for side in range(2):
+                step, skipped = 2 * side - 1, 0
+                while ends[1] - ends[0] + skipped < bins - 1 and skipped <= GAP:
+                    at, following = ends[side] % bins, (ends[side] + step * (1 + skipped)) % bins
+                    x, y = points[following, 0], points[following, 1]
+                    if np.isnan(x):
+                        skipped += 1
+                        continue
+                    if not np.hypot(x - points[at, 0], y - points[at, 1]) < SAME_BODY or not _deep(x, y, star, SHALLOW):
+                        break
+                    ends[side] += step * (1 + skipped)
+                    asked[following], skipped = True, 0
+                    if _deep(x, y, star, DEPTH):
+                        deepest[side] = ends[side]
+            if _shows(points, deepest[0], deepest[1], center):
+                for i in range(ends[0], ends[1] + 1):
+                    result[i % bins] = True
     return result
 
 
 @njit(cache=True)
-def _in_the_open(
-    point: FloatArray, boxes: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, depth: float
-) -> bool:
-    """Whether a point lies so deep (m) inside a star; boxes: (k, 4) x and y that such points lie between."""
-    x, y = point[0], point[1]
-    for j in range(len(boxes)):
-        if not (boxes[j, 0] + depth <= x <= boxes[j, 1] - depth and boxes[j, 2] + depth <= y <= boxes[j, 3] - depth):
-            continue
-        if _deep(x, y, star_vertices[star_offsets[j] : star_offsets[j + 1]], depth):
-            return True
-    return False
+def _shows(points: FloatArray, begin: int, end: int, center: FloatArray) -> bool:
+    """Whether what has the points from begin to end is LEAST_WIDTH wide, and wide enough seen from a center (2,) that
+    it could not be missed there: a thin wall shows nothing of itself edge-on."""
+    bins = len(points)
+    first, last = points[begin % bins], points[end % bins]
+    if np.hypot(last[0] - first[0], last[1] - first[1]) < LEAST_WIDTH:
+        return False
+    dx, dy = 0.5 * (first[0] + last[0]) - center[0], 0.5 * (first[1] + last[1]) - center[1]
+    distance = max(np.hypot(dx, dy), 1e-9)
+    least, most = np.inf, -np.inf
+    for i in range(begin, end + 1):
+        x, y = points[i % bins, 0] - center[0], points[i % bins, 1] - center[1]
+        if not np.isnan(x):
+            across = (dx * y - dy * x) / distance
+            least, most = min(least, across), max(most, across)
+    return bool(most - least >= LEAST_VIEW)
 
 
 @njit(cache=True)
