@@ -106,13 +106,22 @@ def test_nobody_walks_into_the_robot(floor):
 
 
 def test_who_has_the_robot_in_its_way_waits_and_then_walks_elsewhere(floor):
-    robot = np.array([1.5, 1.0, 0.0, 0.0, 0.0])
-    now = go_on(one([0.5, 1.0], [2.5, 1.0]), floor, robot, 8)
-    gap = 1.5 - now.p_WP[0, 0] - TOUCHING
-    assert now.v_WP.tolist() == [[0.0, 0.0]]
-    assert gap + 1e-9 >= COMFORT
-    later = go_on(now, floor, robot, round(PATIENCE / PERIOD))
-    assert (later.ways[0][-1:] != [[2.5, 1.0]]).any()
+    for speed, nearest in ((0.0, people.PASSING), (0.01, COMFORT)):
+        robot = np.array([1.5, 1.0, np.pi / 2, speed, 0.0])
+        now = go_on(one([0.5, 1.0], [2.5, 1.0]), floor, robot, 8)
+        gap = 1.5 - now.p_WP[0, 0] - TOUCHING
+        assert nearest - 1e-9 <= gap < nearest + 0.13
+        assert now.v_WP.tolist() == [[0.0, 0.0]]
+        later = go_on(now, floor, robot, round(PATIENCE / PERIOD))
+        assert (later.ways[0][-1:] != [[2.5, 1.0]]).any()
+
+
+def test_nobody_steps_in_front_of_a_robot_that_drives(floor):
+    robot = np.array([1.0, 1.0, 0.0, 0.5, 0.0])
+    way = [1.6, 3.0]
+    crossing = go_on(one([1.6, 2.0], [1.6, 0.5]), floor, robot, 16)
+    assert crossing.p_WP[0, 1] - 1.0 - TOUCHING >= COMFORT - 1e-9 or not (crossing.ways[0][0] == [1.6, 0.5]).all()
+    assert go_on(one([1.6, 2.0], way), floor, robot, 4).p_WP[0, 1] > 2.3
 
 
 def test_who_overlooks_a_robot_that_stands_touches_it_and_no_more(floor):

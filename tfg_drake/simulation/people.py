@@ -35,13 +35,11 @@ MARGIN = 0.06
 SLACK = 0.02
 # Nobody is first met nearer to the robot than this, m.
 FIRST_DISTANCE = 1.0
-# Nearer to the robot's outline than this, m, a person walks no farther towards it, nor nearer past it than that, m; it
-# waits so long, s, and walks elsewhere.
+# Nobody comes nearer to the outline of a robot that moves than this, m, nor to that of one that stands than that, m.
+# Whoever would waits so long, s, and walks elsewhere.
 COMFORT = 0.4
 PASSING = 0.15
 PATIENCE = 1.0
-# The robot is passed where it lies farther off the direction of the walk than the angle of this cosine.
-BESIDE = 0.7
 # From as near as this, m, the robot is noticed: some stop and look at it, and some overlook it if it stands.
 NOTICED = 1.2
 CURIOUS_SHARE = 0.15
@@ -158,6 +156,7 @@ def step(
     standing, waited = np.maximum(people.standing - period, 0.0), people.waited.copy()
     noticed, heedless, ways = people.noticed.copy(), people.heedless.copy(), list(people.ways)
     touching = RADIUS + robot_radius
+    stands_still = abs(robot[3]) < ROBOT_STANDS
     soon = robot[:2] + FORESIGHT * max(robot[3], 0.0) * np.array([math.cos(robot[2]), math.sin(robot[2])])
 
     def gap_at(p: FloatArray) -> float:
@@ -183,12 +182,10 @@ def step(
         left, length = math.hypot(*towards), people.speed[i] * period
         move = towards * min(1.0, length / max(left, 1e-9))
         after = gap_at(p_WP[i] + move)
-        bumps = heedless[i] and abs(robot[3]) < ROBOT_STANDS
-        ahead = move @ (robot[:2] - p_WP[i]) > BESIDE * math.hypot(*move) * math.hypot(*(p_WP[i] - robot[:2]))
-        if after < min(gap, COMFORT if ahead else PASSING) and not bumps:
+        if after < min(gap, PASSING if stands_still else COMFORT) and not (heedless[i] and stands_still):
             waited[i] += period
             if waited[i] >= PATIENCE:
-                ways[i], waited[i] = ways[i][:0], 0.0
+                ways[i], waited[i] = way_between(ground, p_WP[i], place, robot[:2], touching + PASSING), 0.0
             continue
         waited[i] = 0.0
         if after < min(gap, 0.0):
