@@ -13,11 +13,14 @@ def returns(distance, bearing=0.0, stamp=1.0):
     return LaserScan(stamp, angles, np.full(9, distance), 10.0, 0.015)
 
 
-@pytest.mark.parametrize(("distance", "free"), [(1.5, False), (2.5, True)])
-def test_a_path_is_watched_from_the_robot_on_two_metres_ahead(distance, free):
+@pytest.mark.parametrize(("distance", "free", "mapped"), [(1.1, False, False), (1.5, True, False), (1.5, False, True)])
+def test_a_path_is_watched_from_the_robot_on(distance, free, mapped):
+    """Two metres ahead where the map has a surface that is touched, less far where it has nothing."""
     path = np.stack([np.linspace(0.0, 6.0, 61), np.zeros(61)], axis=1)
     X_MB = np.array([3.0, 0.0, 0.0])
-    assert path_is_free(path, returns(distance), X_MB, ROBOT.radius, np.zeros((0, 4))) == free
+    surface = np.array([[4.5, -0.1, 4.5, 0.1]])[: int(mapped)]
+    assert path_is_free(path, returns(distance), X_MB, ROBOT.radius, surface) == free
+    assert path_is_free(path, returns(2.5), X_MB, ROBOT.radius, surface)
 
 
 def test_returns_of_one_obstacle_are_joined_and_those_of_mapped_walls_are_none():

@@ -129,7 +129,7 @@ def test_what_is_met_is_kept_where_it_stands_seen_from_the_newest_goal():
 def test_a_scan_is_placed_by_the_pose_at_its_stamp():
     path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
     # The robot turns to the left: what it sees to its right is on the path by then.
-    turning, scan = np.array([0.0, 1.0]), returns(1.2, bearing=-0.4, stamp=1.4)
+    turning, scan = np.array([0.0, 1.0]), returns(1.0, bearing=-0.4, stamp=1.4)
     assert not watched(path, np.zeros(3), turning, scan, np.zeros((1, 3)))[0].status.free
     assert watched(path, np.zeros(3), np.zeros(2), scan, np.zeros((1, 3)))[0].status.free
 

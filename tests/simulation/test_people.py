@@ -116,6 +116,14 @@ def test_who_has_the_robot_in_its_way_waits_and_then_walks_elsewhere(floor):
         assert (later.ways[0][-1:] != [[2.5, 1.0]]).any()
 
 
+def test_whom_the_robot_has_come_near_steps_back_and_walks_on(floor):
+    robot = np.array([1.5, 1.0, 0.0, 0.0, 0.0])
+    start = np.array([1.5 - TOUCHING - 0.001, 1.0])
+    now = go_on(one(start, [2.5, 1.0]), floor, robot, 3)
+    assert 1.5 - now.p_WP[0, 0] - TOUCHING >= people.PASSING
+    assert np.hypot(*(go_on(now, floor, robot, 30).p_WP[0] - start)) > 0.5
+
+
 def test_nobody_steps_in_front_of_a_robot_that_drives(floor):
     robot = np.array([1.0, 1.0, 0.0, 0.5, 0.0])
     way = [1.6, 3.0]

@@ -38,6 +38,8 @@ LACKING = 0.02
 WAYS_TRIED = 5
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
+# What is not mapped blocks it from as near as this, m: who walks across farther ahead will have passed.
+UNMAPPED_AHEAD = 1.2
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
 MAPPED_WITHIN = 0.08
 # The follower strays this far from a path, m, at full speed (99 % of its commands, benchmarks/tracking.py): what is
@@ -307,17 +309,21 @@ def path_is_free(
     """Whether the next two metres of a path (k, 2), m in M, are open to a disc of this radius (m) at pose X_MB (3,).
 
     Two returns of the scan that no mapped surface (segments (m, 4)) explains, nearer to the path than the radius and
-    2 cm, block it; so do returns of mapped surfaces, where the disc may touch them: a surface may go on a little beyond
-    its end in the map. bold: only where it would touch by 2 cm does anything block it.
+    2 cm and to the robot than UNMAPPED_AHEAD, block it; so do returns of mapped surfaces, where the disc may touch
+    them: a surface may go on a little beyond its end in the map. bold: only where it would touch by 2 cm does anything
+    block it.
     """
     near = radius + 0.02
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, near)
-    close = distance < near
-    if np.count_nonzero(close) < 2:
+    close = np.flatnonzero(distance < near)
+    if len(close) < 2:
         return True
-    if np.count_nonzero(distance < radius + (-0.02 if bold else STRAYS)) >= 2:
+    unmapped = point_distance(hits[close], segments) > MAPPED_WITHIN
+    here = ~unmapped | (np.hypot(*(hits[close] - X_MB[:2]).T) < UNMAPPED_AHEAD)
+    close, unmapped = close[here], unmapped[here]
+    if np.count_nonzero(distance[close] < radius + (-0.02 if bold else STRAYS)) >= 2:
         return False
-    return bold or int(np.count_nonzero(point_distance(hits[close], segments) > MAPPED_WITHIN)) < 2
+    return bold or int(np.count_nonzero(unmapped)) < 2
 
 
 def unmapped_obstacles(

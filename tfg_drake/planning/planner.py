@@ -53,7 +53,7 @@ BOLD_AFTER = 2
 # walk away.
 OBSTACLE_MEMORY = 10
 # Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
-PATIENCE = 8.0
+PATIENCE = 5.0
 ASK_AGAIN = 0.5
 # A way that is barred as soon as it is found is followed by no other for so long, s: who walks in the way is not past.
 BREATH = 1.0

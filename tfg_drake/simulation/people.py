@@ -172,6 +172,12 @@ def step(
                 standing[i] = LOOKING * (0.5 + how_long)
         if standing[i] > 0.0:
             continue
+        length = people.speed[i] * period
+        if gap < PASSING and not heedless[i]:
+            back = _step_back(p_WP[i], robot[:2], min(length, PASSING + SLACK - gap), ground.walls)
+            if back is not None:
+                ways[i], v_WP[i] = ways[i][:0], (back - p_WP[i]) / period
+                continue
         if not len(ways[i]):
             ways[i] = way_between(ground, p_WP[i], place, robot[:2], touching + PASSING)
             if stands < STANDING_SHARE:
@@ -179,7 +185,7 @@ def step(
             if standing[i] > 0.0 or not len(ways[i]):
                 continue
         towards = ways[i][0] - p_WP[i]
-        left, length = math.hypot(*towards), people.speed[i] * period
+        left = math.hypot(*towards)
         move = towards * min(1.0, length / max(left, 1e-9))
         after = gap_at(p_WP[i] + move)
         if after < min(gap, PASSING if stands_still else COMFORT) and not (heedless[i] and stands_still):
@@ -196,6 +202,14 @@ def step(
             ways[i] = ways[i][1:]
         v_WP[i] = move / period
     return People(time, p_WP, v_WP, people.speed, standing, waited, noticed, heedless, tuple(ways))
+
+
+def _step_back(p_WP: FloatArray, p_WB: FloatArray, length: float, walls: FloatArray) -> FloatArray | None:
+    """Where somebody at p_WP (2,) is after a step of this length (m) away from p_WB (2,); None if there is a wall."""
+    away = p_WP - p_WB
+    back = p_WP + length * away / max(math.hypot(*away), 1e-9)
+    room = clearance(np.append(p_WP, back)[None], walls, RADIUS + SLACK)[0]
+    return np.asarray(back) if room >= RADIUS + SLACK else None
 
 
 def way_between(ground: Ground, p_WP: FloatArray, place: float, p_WB: FloatArray, apart: float) -> FloatArray:
