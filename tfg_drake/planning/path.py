@@ -39,7 +39,7 @@ WAYS_TRIED = 5
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
 # What is not mapped blocks it from as near as this, m: who walks across farther ahead will have passed.
-UNMAPPED_AHEAD = 1.2
+UNMAPPED_AHEAD = 1.25
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
 MAPPED_WITHIN = 0.08
 # The follower strays this far from a path, m, at full speed (99 % of its commands, benchmarks/tracking.py): what is

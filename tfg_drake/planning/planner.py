@@ -139,7 +139,8 @@ def step(
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         return grow(state, working, parameters)
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
-    pause = BREATH if mission.replans and not math.isfinite(state.waiting_since) else ASK_AGAIN
+    in_the_way = mission.replans > 0 and len(state.obstacles) > 0
+    pause = ASK_AGAIN if math.isfinite(state.waiting_since) else BREATH * in_the_way
     planned = (state.path.stage, state.replans) == (mission.stage, mission.replans)
     if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + pause:
         nodes = state.nodes
