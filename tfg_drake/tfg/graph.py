@@ -171,16 +171,8 @@ def update(
         raise ValueError(f"The graph holds {graph.stage} goals: it cannot take stage {estimate.stage} of the map next.")
     goal = graph.stage
     X_MA = estimate.X_MA
-    earlier = np.arange(goal) if goals is None else goals
-    panorama = without_passers(
-        panorama,
-        graph.surfaces,
-        graph.tag_ids,
-        graph.tag_goal,
-        _place_stars(graph.star_offsets, graph.star_vertices, X_MA[earlier]),
-        earlier,
-        estimate,
-    )
+    earlier = X_MA[:-1] if goals is None else X_MA[goals]
+    panorama = without_passers(panorama, _place_stars(graph.star_offsets, graph.star_vertices, earlier), estimate)
     links = panorama_links(panorama)
     components = segment(panorama, links)
 

@@ -51,7 +51,7 @@ def standing(
     # As a rule there is nothing of the kind, and how the goals are tied does not matter.
     if not through(np.ones(count), none).any():
         return np.ones(count, dtype=np.bool_)
-    rank = distance_along_map(*saw(surfaces, tag_ids, tag_goal), star_goal, estimate)
+    rank = distance_along_map(*_saw(surfaces, tag_ids, tag_goal), star_goal, estimate)
     return np.asarray(~through(rank[surfaces.goal], rank[star_goal]))
 
 
@@ -79,7 +79,7 @@ def mapped_otherwise(
     if not landmarks.any():
         return nothing_otherwise(surfaces, estimate)
     known = estimate.is_local
-    goal, ids = saw(surfaces, tag_ids, tag_goal)
+    goal, ids = _saw(surfaces, tag_ids, tag_goal)
     row = np.searchsorted(estimate.ids, ids)
     these, others = (
         np.bincount(goal[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
@@ -109,7 +109,7 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
     return badly
 
 
-def saw(surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray) -> tuple[IntArray, IntArray]:
+def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray) -> tuple[IntArray, IntArray]:
     """Goals and landmarks (p,) that they saw, as far as surfaces tell and these landmarks with a goal each, (n,)."""
     goal = np.concatenate([np.repeat(surfaces.goal, 2), tag_goal])
     ids = np.concatenate([surfaces.ids.ravel(), tag_ids])

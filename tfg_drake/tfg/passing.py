@@ -12,10 +12,9 @@ from numba import njit
 from tfg_drake.geometry.distance import point_segment_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, replace
-from tfg_drake.tfg.overlap import saw
+from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import taken
-from tfg_drake.tfg.surfaces import Surfaces
 
 # It stands this deep in what was seen to be free, m, where it is at least so wide, m: a post may have been missed. What
 # hangs together with that belongs to it as long as it is that deep.
@@ -26,6 +25,8 @@ LEAST_VIEW = 0.1
 SHALLOW = 0.06
 # Goals farther away than this, m, are not asked.
 REACH = 6.0
+# A landmark is well known whose place seen from the robot has no larger standard deviation than this, m.
+WELL_KNOWN = 0.05
 # Every so many bins are looked at first: two metres away somebody covers 28 of them.
 STRIDE = 4
 # Neighbouring points farther apart than this, m, or with more bins between them that met nothing, are not of one body.
@@ -34,31 +35,31 @@ GAP = 2
 
 
 def without_passers(
-    panorama: Panorama,
-    surfaces: Surfaces,
-    tag_ids: IntArray,
-    tag_goal: IntArray,
-    stars: tuple[IntArray, FloatArray, FloatArray],
-    star_goal: IntArray,
-    estimate: MapEstimate,
+    panorama: Panorama, stars: tuple[IntArray, FloatArray, FloatArray], estimate: MapEstimate
 ) -> Panorama:
     """The newest goal's panorama, which is as good as not having looked where somebody stood; itself if nobody did.
 
-    Those goals are asked that have seen a landmark which the newest has seen, too, so that both are known relative to
-    each other, and that saw the ground where the robot is. surfaces, tag_ids, tag_goal: as in
-    `tfg_drake.tfg.overlap.standing`, before the newest goal. stars: of the goals star_goal (k,), in the map frame.
+    Those earlier goals are asked round which all landmarks are well known seen from the robot, and that saw the ground
+    where it is. stars: theirs, in the map frame, as in `tfg_drake.geometry.star`.
     """
     here = estimate.X_MA[-1]
-    goal, ids = saw(surfaces, tag_ids, tag_goal)
-    tied = np.zeros(len(estimate.X_MA), dtype=np.bool_)
-    tied[goal[np.isin(ids, estimate.observation.ids)]] = True
-    rows = np.flatnonzero(tied[star_goal] & (np.hypot(*(stars[2] - here[:2]).T) <= REACH))
+    rows = np.flatnonzero(np.hypot(*(stars[2] - here[:2]).T) <= REACH)
+    rows = rows[_well_known(stars[2][rows], estimate)]
     if not len(rows):
         return panorama
     offsets, vertices = taken(rows, stars[0], stars[1])
     met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
     passing = _passing(transform(here, met.points), here[:2], offsets, vertices, stars[2][rows])
     return replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)) if passing.any() else panorama
+
+
+def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
+    """Round which of places (n, 2), m in M, there are landmarks, all of them well known seen from the robot, (n,)."""
+    (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
+    badly = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) > WELL_KNOWN**2
+    offset = places[:, None] - estimate.local_p_ML
+    near = np.einsum("nki,nki->nk", offset, offset) <= NEIGHBOURHOOD**2
+    return np.asarray(near.any(axis=1) & ~near[:, badly].any(axis=1) & known_jointly(places, estimate))
 
 
 @njit(cache=True)
