@@ -51,7 +51,7 @@ DRIVEN_STEP = 0.1
 BOLD_AFTER = 2
 # What is met on the way is kept for this many stages, or until it is seen past: it may be too small for the map, or
 # walk away.
-OBSTACLE_MEMORY = 10
+OBSTACLE_MEMORY = 4
 # Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
 PATIENCE = 5.0
 ASK_AGAIN = 0.5
@@ -66,10 +66,10 @@ class PlannerState:
     parts: the roadmap itself. roadmap, path, status: what it says of what is near. replans: the mission's count when
     the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
     goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against, look_stamp: of the newest
-    one that the obstacles were. waiting_since: s, when every way to the goal was found barred by them, inf if none is,
-    asked: when a way was looked for last. driven: (d, 2) where the
-    robot has been at this stage, m in M, from where the newest goal's observation began on; driven_before: m, until it
-    ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
+    one that the obstacles were. waiting_since: s, when every way to the goal was found barred by them, inf if it is
+    not, asked: when a way was looked for last. driven: (d, 2) where the robot has been at this stage, m in M, from
+    where the newest goal's observation began on; driven_before: m, until it ended. open_length: m of frontier that was
+    live when the roadmap was extended, inf before.
     """
 
     parts: Parted[RoadmapState]
@@ -148,19 +148,7 @@ def step(
             # A way as long as that may be shorter through what rests.
             estimate, tfg = whole()
             nodes = whole_roadmap(state.parts, estimate.X_MA)
-        after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
-        if len(after.path.points) or not len(state.obstacles) or mission.drives:
-            return after
-        _, in_view = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
-        if not in_view.all():
-            # What the robot does not see may have gone; if not, it will see it on its way.
-            state = _keep_obstacles(state, in_view)
-            after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
-        since = min(state.waiting_since, pose.stamp)
-        if len(after.path.points) or not len(state.obstacles) or pose.stamp >= since + PATIENCE:
-            return after
-        # Who is in the way may go on.
-        return replace(state, waiting_since=since, asked=pose.stamp)
+        return _plan_or_wait(state, nodes, estimate, tfg, pose, goal, scan, mission, parameters)
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
         state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
@@ -284,6 +272,33 @@ def obstacles_in_map(state: PlannerState, estimate: MapEstimate) -> FloatArray:
 
 def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
     return replace(state, obstacles=state.obstacles[keep], obstacle_goal=state.obstacle_goal[keep])
+
+
+def _plan_or_wait(
+    state: PlannerState,
+    nodes: RoadmapState,
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    pose: PoseEstimate,
+    goal: GoalChoice,
+    scan: LaserScan,
+    mission: MissionStatus,
+    parameters: RoadmapParameters,
+) -> PlannerState:
+    """The state with a path or, while a robot that stands has every way barred by what it has met, without one."""
+    after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+    if len(after.path.points) or not len(state.obstacles) or mission.drives:
+        return after
+    _, in_view = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
+    if not in_view.all():
+        # What the robot does not see may have gone; if not, it will see it on its way.
+        state = _keep_obstacles(state, in_view)
+        after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+    since = min(state.waiting_since, pose.stamp)
+    if len(after.path.points) or not len(state.obstacles) or pose.stamp >= since + PATIENCE:
+        return after
+    # Who is in the way may go on.
+    return replace(state, waiting_since=since, asked=pose.stamp)
 
 
 def _plan(
