@@ -51,7 +51,7 @@ DRIVEN_STEP = 0.1
 BOLD_AFTER = 2
 # What is met on the way is kept for this many stages, or until it is seen past: it may be too small for the map, or
 # walk away.
-OBSTACLE_MEMORY = 4
+OBSTACLE_MEMORY = 10
 # Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
 PATIENCE = 5.0
 ASK_AGAIN = 0.5

@@ -24,7 +24,7 @@ LEAST_WIDTH = 0.15
 LEAST_VIEW = 0.1
 SHALLOW = 0.06
 # Goals farther away than this, m, are not asked.
-REACH = 6.0
+REACH = 8.0
 # A landmark is well known whose place seen from the robot has no larger standard deviation than this, m.
 WELL_KNOWN = 0.05
 # Every so many bins are looked at first: two metres away somebody covers 28 of them.
@@ -39,8 +39,8 @@ def without_passers(
 ) -> Panorama:
     """The newest goal's panorama, which is as good as not having looked where somebody stood; itself if nobody did.
 
-    Those earlier goals are asked round which all landmarks are well known seen from the robot, and that saw the ground
-    where it is. stars: theirs, in the map frame, as in `tfg_drake.geometry.star`.
+    Those earlier goals are asked round which all landmarks are well known seen from the robot. stars: theirs, in the
+    map frame, as in `tfg_drake.geometry.star`.
     """
     here = estimate.X_MA[-1]
     rows = np.flatnonzero(np.hypot(*(stars[2] - here[:2]).T) <= REACH)
@@ -49,7 +49,7 @@ def without_passers(
         return panorama
     offsets, vertices = taken(rows, stars[0], stars[1])
     met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
-    passing = _passing(transform(here, met.points), here[:2], offsets, vertices, stars[2][rows])
+    passing = _passing(transform(here, met.points), offsets, vertices, stars[2][rows])
     return replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)) if passing.any() else panorama
 
 
@@ -64,18 +64,16 @@ def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
 
 @njit(cache=True)
 def _passing(
-    points: FloatArray, p_MA: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray
+    points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray
 ) -> BoolArray:
     """Which of a panorama's points (b, 2), nan where there is none, are of bodies that stand in the free ground of a
-    star that holds p_MA (2,)."""
+    star."""
     bins = len(points)
     result, asked = np.zeros(bins, dtype=np.bool_), np.empty(bins, dtype=np.bool_)
     ends, deepest = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
     for j in range(len(star_offsets) - 1):
         star, center = star_vertices[star_offsets[j] : star_offsets[j + 1]], star_centers[j]
         left, right, low, high = star[:, 0].min(), star[:, 0].max(), star[:, 1].min(), star[:, 1].max()
-        if not _deep(p_MA[0], p_MA[1], star, 0.0):
-            continue
         asked[:] = result
         for b in range(0, bins, STRIDE):
             x, y = points[b, 0], points[b, 1]
