@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tfg_drake.config import TagSensorConfig
+from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import (
     BoolArray,
@@ -30,7 +31,7 @@ from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_goals, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
-from tfg_drake.planning.path import path_is_free, plan_path, seen_past, unmapped_obstacles
+from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     EFFORTS,
     RoadmapParameters,
@@ -139,7 +140,7 @@ def step(
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         return grow(state, working, parameters)
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
-    in_the_way = mission.replans > 0 and len(state.obstacles) > 0
+    in_the_way = mission.replans > 0 and _may_go(state, estimate, tfg)
     pause = ASK_AGAIN if math.isfinite(state.waiting_since) else BREATH * in_the_way
     planned = (state.path.stage, state.replans) == (mission.stage, mission.replans)
     if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + pause:
@@ -287,7 +288,7 @@ def _plan_or_wait(
 ) -> PlannerState:
     """The state with a path or, while a robot that stands has every way barred by what it has met, without one."""
     after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
-    if len(after.path.points) or not len(state.obstacles) or mission.drives:
+    if len(after.path.points) or mission.drives or not _may_go(state, estimate, tfg):
         return after
     _, in_view = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
     if not in_view.all():
@@ -321,6 +322,14 @@ def _plan(
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
     status = PathStatus(path_id=path.id, free=True)
     return replace(state, path=path, status=status, replans=mission.replans, waiting_since=np.inf, asked=pose.stamp)
+
+
+def _may_go(state: PlannerState, estimate: MapEstimate, tfg: TfgMap) -> bool:
+    """Whether any of what was met on the way is no surface of the map, and may walk away."""
+    if not len(state.obstacles):
+        return False
+    met = obstacles_in_map(state, estimate)
+    return bool((point_distance(0.5 * (met[:, :2] + met[:, 2:]), tfg.segments) > MAPPED_WITHIN).any())
 
 
 def _look(state: PlannerState, estimate: MapEstimate, pose: PoseEstimate, scan: LaserScan) -> PlannerState:
