@@ -81,6 +81,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "area_seen_s": None,
         "explored_s": mission.explored_time,
         "contacts": None,
+        "contacts_received": None,
         "min_clearance_m": None,
         "map_variables": _variables(mission, estimate),
         "map_bytes": map_bytes,
@@ -99,7 +100,12 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         if true_poses is not None:
             summary |= known.way_figures(mission, stamps, X_WB, *true_poses)
     if mission.truth is not None:
-        summary |= {"contacts": mission.truth.contacts, "min_clearance_m": mission.truth.clearance}
+        truth = mission.truth
+        summary |= {
+            "contacts": truth.contacts,
+            "contacts_received": truth.contacts_received,
+            "min_clearance_m": truth.clearance,
+        }
     summary = _null_where_not_finite(summary)
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     folder.attempt("summary.json", lambda path: write_atomic(path, text))

@@ -450,6 +450,12 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
 
 def _CheckWorld(scenario: Scenario, source: str) -> None:
     try:
-        check_world(MakeWorld(scenario.world), scenario.robot.radius)
+        world = MakeWorld(scenario.world)
+        check_world(world, scenario.robot.radius)
+        if scenario.reality.people:
+            # What few missions need, and what takes a while to be imported.
+            from tfg_drake.simulation.people import ground
+
+            ground(world, scenario.robot.radius)
     except WorldError as error:
         raise ScenarioError(f"{source}: {error}") from None

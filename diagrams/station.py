@@ -10,10 +10,11 @@ from pydrake.systems.primitives import RandomSource
 
 from tfg_drake.config import as_it_is
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
-from tfg_drake.systems import odometry
+from tfg_drake.systems import odometry, people
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.systems.odometry import Odometry
+from tfg_drake.systems.people import PeopleWalking
 from tfg_drake.systems.safety_filter import SafetyFilter
 from tfg_drake.systems.tag_sensor import TagSensor
 
@@ -45,14 +46,18 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         - truth.pose
         - truth.contacts
         - truth.clearance
+        - truth.contacts_received
+        - truth.people
 
     base.velocity_commanded: forward speed (m/s) and turn rate (rad/s); left unconnected, the base stands. base.enable:
     0: the base stands; another number enables it, once: it may stop by itself until there is yet another number. Left
     unconnected, a simulated base is enabled and a real one is not. base.enabled: 1 while the base may move, else 0.
     base.odometry, base.hazards, tags.detections and scan.ranges are messages: Odometry, Hazards, TagDetections,
     LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
-    contacts with walls so far. truth.clearance: least distance of the outline to any wall so far, m. A real robot's
-    station has no truth, and its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
+    contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
+    made. truth.clearance: least distance of the outline to any wall so far, m. truth.people: a People message, where
+    there are some. A real robot's station has no truth, and its time must keep to real time:
+    Simulator.set_target_realtime_rate(1.0).
 
     All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
     RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
@@ -101,6 +106,16 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         port = scanner.GetInputPort("ray_faults")
         _AddNoise(builder, "ray_faults", port, 1.0 / scenario.scan.rate, RandomDistribution.kUniform)
 
+    walking = None
+    if reality.people:
+        walking = builder.AddNamedSystem("people", PeopleWalking(world, scenario.robot.radius, reality.people))
+        _AddNoise(
+            builder, "people_numbers", walking.GetInputPort("numbers"), people.PERIOD, RandomDistribution.kUniform
+        )
+        builder.Connect(plant.GetOutputPort("pose"), walking.GetInputPort("pose"))
+        for system in (plant, tag_sensor, scanner):
+            builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
+
     if meshcat is not None:
         # Only a picture needs what this imports.
         from tfg_drake.systems.visualizer import TfgVisualizer
@@ -108,6 +123,8 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, "station")
         builder.AddNamedSystem("visualizer", picture)
         builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))
+        if walking is not None:
+            builder.Connect(walking.GetOutputPort("people"), picture.GetInputPort("people"))
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
@@ -121,6 +138,9 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     builder.ExportOutput(plant.GetOutputPort("pose"), "truth.pose")
     builder.ExportOutput(plant.GetOutputPort("contacts"), "truth.contacts")
     builder.ExportOutput(plant.GetOutputPort("clearance"), "truth.clearance")
+    builder.ExportOutput(plant.GetOutputPort("contacts_received"), "truth.contacts_received")
+    if walking is not None:
+        builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")
 
     station = builder.Build()
     station.set_name("station")

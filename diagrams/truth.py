@@ -14,18 +14,19 @@ from tfg_drake.messages import FloatArray
 class Truth:
     """What the truth ports of a simulated station say.
 
-    contacts: with walls so far. clearance: least distance of the outline to any wall so far, m; both as of the last
-    look.
+    contacts: so far with walls, and with people whom the robot moved towards. contacts_received: those that people
+    made. clearance: least distance of the outline to any wall so far, m. All as of the last look.
     """
 
     def __init__(self, station: System, log: VectorLogSink) -> None:
         """log: of the station's truth.pose."""
         self._station, self._log = station, log
-        self.contacts, self.clearance = 0, math.inf
+        self.contacts, self.contacts_received, self.clearance = 0, 0, math.inf
 
     def look(self, root: Context) -> None:
         """Takes note of contacts and clearance, so that they are known when the diagram has failed."""
         self.contacts = int(self._eval("truth.contacts", root)[0])
+        self.contacts_received = int(self._eval("truth.contacts_received", root)[0])
         self.clearance = float(self._eval("truth.clearance", root)[0])
 
     def position(self, root: Context) -> FloatArray:

@@ -10,8 +10,9 @@ from tfg_drake.config import DisturbanceConfig, RobotConfig
 from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.disturbance import displacement
+from tfg_drake.simulation.people import People, discs_at
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_output
+from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 from tfg_drake.world.world import World
 
 PERIOD = 1.0 / 32.0
@@ -25,15 +26,19 @@ class DifferentialDrivePlant(LeafSystem):
         name: DifferentialDrivePlant
         input_ports:
         - velocity_commanded
+        - people
         output_ports:
         - pose
         - hazards
         - contacts
         - clearance
+        - contacts_received
 
-    velocity_commanded: forward speed (m/s) and turn rate (rad/s). pose: x, y, theta of X_WB (m, rad), then speed and
+    velocity_commanded: forward speed (m/s) and turn rate (rad/s). people: a People message, left unconnected where
+    there are none. pose: x, y, theta of X_WB (m, rad), then speed and
     turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often the base began to
-    touch a wall. clearance: the least distance of its outline to any wall so far, m.
+    touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to any wall so far, m.
+    contacts_received: how often somebody else began to touch it.
     """
 
     def __init__(self, world: World, robot: RobotConfig, disturbances: Sequence[DisturbanceConfig] = ()):
@@ -41,6 +46,7 @@ class DifferentialDrivePlant(LeafSystem):
         super().__init__()
         self._walls, self._robot, self._disturbances = world.walls, robot, tuple(disturbances)
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
+        self._people = declare_message_input(self, "people")
         self.DeclareDiscreteState(drive.initial_state(world.start, world.walls, robot))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Step)
         state = self.xd_ticket()
@@ -48,6 +54,7 @@ class DifferentialDrivePlant(LeafSystem):
         declare_message_output(self, "hazards", self._Hazards, {state, self.time_ticket()})
         self.DeclareVectorOutputPort("contacts", 1, self._CalcContacts, {state})
         self.DeclareVectorOutputPort("clearance", 1, self._CalcClearance, {state})
+        self.DeclareVectorOutputPort("contacts_received", 1, self._CalcReceived, {state})
 
     @metered("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
@@ -55,7 +62,11 @@ class DifferentialDrivePlant(LeafSystem):
         moved = drive.UNMOVED
         if self._disturbances:
             moved = displacement(self._disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
-        update.set_value(drive.step(state, command, self._walls, self._robot, PERIOD, moved))
+        after = drive.step(state, command, self._walls, self._robot, PERIOD, moved)
+        if self._people.HasValue(context):
+            discs = discs_at(eval_message(self._people, context, People), after[drive.TIME])
+            after = drive.among(state, after, discs, self._robot)
+        update.set_value(after)
 
     def _State(self, context: Context) -> FloatArray:
         state: FloatArray = context.get_discrete_state_vector().value()
@@ -74,3 +85,6 @@ class DifferentialDrivePlant(LeafSystem):
 
     def _CalcClearance(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._State(context)[drive.CLEARANCE])
+
+    def _CalcReceived(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._State(context)[drive.RECEIVED])

@@ -12,7 +12,8 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import replace
 from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import set_state_message
+from tfg_drake.systems.people import people_at
+from tfg_drake.systems.ports import declare_message_input, set_state_message
 from tfg_drake.world.world import World
 
 
@@ -26,12 +27,13 @@ class LaserScanner(LeafSystem):
         - pose
         - noise
         - ray_faults
+        - people
         output_ports:
         - ranges
 
     pose: x, y, theta, v, w of the plant. noise: one standard normal number a ray, fresh every scan; ray_faults: one
-    uniform number a ray, likewise, left unconnected where in reality no ray fails. ranges: a LaserScan message; stamped
-    -inf and empty before the first scan.
+    uniform number a ray, likewise, left unconnected where in reality no ray fails. people: a People message, left
+    unconnected where there are none. ranges: a LaserScan message; stamped -inf and empty before the first scan.
     """
 
     def __init__(self, world: World, config: ScanConfig, reality: ScanRealityConfig | None = None):
@@ -46,6 +48,7 @@ class LaserScanner(LeafSystem):
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
         self._ray_faults = self.DeclareVectorInputPort("ray_faults", len(self._angles), RandomDistribution.kUniform)
+        self._people = declare_message_input(self, "people")
         self._message = self.DeclareAbstractState(AbstractValue.Make(no_scan(config)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Scan)
         self.DeclareStateOutputPort("ranges", self._message)
@@ -55,7 +58,8 @@ class LaserScanner(LeafSystem):
         X_WB = self._pose.Eval(context)[:3]
         X_WS = compose(X_WB, self._X_BS) if self._X_BS.any() else X_WB
         noise, stamp = self._noise.Eval(context), context.get_time() + self._reality.clock_offset
-        message = scan(self._walls, X_WS, stamp, self._angles, noise, self._config, self._stated)
+        discs = people_at(self._people, context)
+        message = scan(self._walls, X_WS, stamp, self._angles, noise, self._config, self._stated, discs)
         if self.has_ray_faults:
             message = spoilt(message, self._ray_faults.Eval(context), self._reality)
         set_state_message(state, self._message, message)

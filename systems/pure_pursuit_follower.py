@@ -90,7 +90,8 @@ class PurePursuitFollower(LeafSystem):
             turn_rate = self._Turn(x, mission, eval_message(self._goal, context, GoalChoice), pose)
         elif mission.drives:
             speed, turn_rate = self._Follow(x, eval_message(self._path, context, Path), pose.X_MB, moving[0])
-        if (speed == 0.0 and turn_rate == 0.0) or not at_rest(*moving):
+        # Who is told to drive does not by turning a little: a gyro's noise alone looks like that.
+        if (speed == 0.0 and turn_rate == 0.0) or not at_rest(moving[0], moving[1] if speed == 0.0 else 0.0):
             x[OBEYED] = x[STAMP]
         discrete.set_value(self._state, x)
         discrete.set_value(self._command, [speed, turn_rate])

@@ -13,7 +13,8 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import FloatArray, TagDetections, message
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, no_detections
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+from tfg_drake.systems.people import people_at
+from tfg_drake.systems.ports import declare_message_input, declare_message_output, set_state_message, state_message
 from tfg_drake.world.world import World
 
 
@@ -36,13 +37,14 @@ class TagSensor(LeafSystem):
         - noise
         - tag_errors
         - frame_noise
+        - people
         output_ports:
         - detections
 
     pose: x, y, theta, v, w of the plant. noise: NOISE_PER_TAG standard normal numbers for each of the world's tags,
     fresh every frame; tag_errors: 2 for each, the same all along; frame_noise: 2, fresh every frame. Where reality has
-    no use for the last two they may be left unconnected. detections: a TagDetections message; stamped -inf and empty
-    before the first frame.
+    no use for the last two they may be left unconnected. people: a People message, who hide tags; left unconnected
+    where there are none. detections: a TagDetections message; stamped -inf and empty before the first frame.
     """
 
     def __init__(self, world: World, config: TagSensorConfig, reality: TagRealityConfig | None = None):
@@ -57,6 +59,7 @@ class TagSensor(LeafSystem):
         self._noise = self.DeclareVectorInputPort("noise", NOISE_PER_TAG * n, gaussian)
         self._tag_errors = self.DeclareVectorInputPort("tag_errors", 2 * n, gaussian)
         self._frame_noise = self.DeclareVectorInputPort("frame_noise", 2, gaussian)
+        self._people = declare_message_input(self, "people")
         self.has_tag_errors = reality.tag_range_error > 0.0 or reality.tag_bearing_error > 0.0
         self.has_frame_noise = reality.clock_jitter > 0.0 or reality.frame_loss_probability > 0.0
         is_white = reality.correlation_time == 0.0
@@ -93,7 +96,8 @@ class TagSensor(LeafSystem):
             errors = self._tag_errors.Eval(context).reshape(-1, 2)
             errors = errors * np.array([reality.tag_range_error, reality.tag_bearing_error])
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
-        frame = detect(self._world, X_WS, stamp, fresh, self._config, self._stated, errors)
+        discs = people_at(self._people, context)
+        frame = detect(self._world, X_WS, stamp, fresh, self._config, self._stated, errors, discs)
         if blurred:
             none = np.zeros(0)
             frame = TagDetections(stamp, np.zeros(0, dtype=np.int64), none, none, none, none)

@@ -37,6 +37,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.palette import BARE_SURFACE, DOUBTFUL, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
 from tfg_drake.pose_prediction import pose_at
+from tfg_drake.simulation.people import RADIUS, People, places_at
 from tfg_drake.systems.picture import Picture, picture_of
 from tfg_drake.systems.ports import declare_message_input, eval_message
 from tfg_drake.world.world import World
@@ -56,6 +57,7 @@ PATH: Colour = (0.84, 0.15, 0.16)
 SCAN: Colour = (0.36, 0.72, 0.90)
 ROBOT: Colour = (0.10, 0.22, 0.42)
 GHOST: Colour = (0.45, 0.48, 0.53)
+PERSON: Colour = (0.62, 0.64, 0.68)
 
 FREE: Colour = (0.955, 0.965, 0.945)
 OCCUPIED: Colour = (0.16, 0.18, 0.22)
@@ -94,6 +96,7 @@ _LAYERS = (
     "ellipses",
     "landmarks",
     "path",
+    "people",
     "robot",
     "heading",
 )
@@ -107,6 +110,7 @@ _SLOW_INPUTS = {
     "path": Path,
     "grid": GridMap,
 }
+_FAST_INPUTS = ("pose", "mission", "scan", "people")
 
 
 class TfgVisualizer(LeafSystem):
@@ -126,11 +130,12 @@ class TfgVisualizer(LeafSystem):
         - scan
         - grid
         - truth
+        - people
 
-    Every port is optional and draws its own part. `truth` is the true pose (x, y, theta, v, w) in W. The robot, its
-    scan and the path are drawn at every picture, the rest when its message has changed: the state holds the messages
-    that the scene shows. Simulator publishes before it updates, so an unrestricted update at the same instant sees
-    exactly the inputs that the picture was made of. A forced publish draws everything.
+    Every port is optional and draws its own part. `truth` is the true pose (x, y, theta, v, w) in W, `people` a People
+    message. Robot, scan, path and people are drawn at every picture, the rest when its message has changed: the state
+    holds the messages that the scene shows. Simulator publishes before it updates, so an unrestricted update at the
+    same instant sees exactly the inputs that the picture was made of. A forced publish draws everything.
 
     Where the picture fails, see `tfg_drake.systems.picture`, nothing is drawn, and everything when it is back.
     """
@@ -155,7 +160,7 @@ class TfgVisualizer(LeafSystem):
         self._title = title
         self.word = ""  # in the caption instead of the mission's phase, if it is not ""
         self._captions, self._next_caption, self._grid = 0, 0.0, False
-        self._inputs = {name: declare_message_input(self, name) for name in (*_SLOW_INPUTS, "pose", "mission", "scan")}
+        self._inputs = {name: declare_message_input(self, name) for name in (*_SLOW_INPUTS, *_FAST_INPUTS)}
         self._truth = self.DeclareVectorInputPort("truth", 5).get_index()
         self._drawn = self.DeclareAbstractState(AbstractValue.Make(object()))
         self.DeclareInitializationPublishEvent(self._DrawEverything)
@@ -194,8 +199,9 @@ class TfgVisualizer(LeafSystem):
                 continue
             builder.Connect(explorer.GetOutputPort(name), self.GetInputPort(name))
         builder.Connect(station.GetOutputPort("scan.ranges"), self.GetInputPort("scan"))
-        if station.HasOutputPort("truth.pose"):
-            builder.Connect(station.GetOutputPort("truth.pose"), self.GetInputPort("truth"))
+        for name, port in (("truth.pose", "truth"), ("truth.people", "people")):
+            if station.HasOutputPort(name):
+                builder.Connect(station.GetOutputPort(name), self.GetInputPort(port))
 
     def ShowBeginning(self) -> None:
         """Shows what there is before there is a context: the caption with `word`, no more often than any other."""
@@ -336,6 +342,9 @@ class TfgVisualizer(LeafSystem):
         truth = self._Truth(context)
         if truth is not None:
             self._meshcat.SetTransform("/tfg/truth", _planar(truth))
+        people = self._Get(context, "people", People)
+        if people is not None:
+            self._ShowTriangles("people", discs(places_at(people, context.get_time()), RADIUS, _Z["people"]), PERSON)
 
     def _Truth(self, context: Context) -> FloatArray | None:
         port = self.get_input_port(self._truth)

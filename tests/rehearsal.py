@@ -76,6 +76,7 @@ def missions(folder: Path) -> Iterator[int]:
     run_commands(
         folder,
         ["explore", *SHORT, "30", "--world", room, "--tag-spacing", "1"],
+        ["explore", room, *SHORT, "10", *AT_ONCE, "--set", "reality.people=2"],
         ["explore", *SHORT, "3600", "--robot", f"replay:{run}"],
         *(["explore", "paper", *SHORT, "40", *AT_ONCE, "--method", name] for name in methods),
         *(["explore", "paper", *SHORT, "20", *AT_ONCE, "--set", f"explorer.gain={name}"] for name in GAINS[1:]),

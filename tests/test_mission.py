@@ -99,7 +99,13 @@ def test_a_bumper_hit_asks_for_a_new_path_once_the_reflex_is_over():
 def test_a_robot_that_is_held_up_gets_a_new_path():
     status = following(10.0)
     held = FollowerStatus(14.0, status.path_id, False, 0.0, False, stalled=True)
-    assert step(status, inputs(14.0, follower=held)).phase == "plan"
+    planned = step(status, inputs(14.0, follower=held))
+    assert (planned.phase, planned.replans) == ("plan", 1)
+    # Nothing is in the way, and it does not move: what it has not seen it looks at. Something is: there are other ways.
+    again = dataclasses.replace(status, replans=1)
+    assert step(again, inputs(14.0, follower=held)).phase == "observe"
+    blocked = PathStatus(status.path_id, free=False)
+    assert step(again, inputs(14.0, follower=held, path_status=blocked)).phase == "plan"
 
 
 def test_a_path_that_takes_far_too_long_is_planned_again():

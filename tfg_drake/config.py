@@ -218,6 +218,8 @@ class RealityConfig:
     tags: TagRealityConfig = dataclasses.field(default_factory=TagRealityConfig)
     odometry: OdometryRealityConfig = dataclasses.field(default_factory=OdometryRealityConfig)
     scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
+    # How many people walk about in the building.
+    people: int = 0
 
 
 def as_it_is(belief: S, reality: Any) -> S:

@@ -15,6 +15,8 @@ from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, 
 SETTLING_TIME = 0.125
 # New paths asked for at one stage before the robot observes where it stands instead.
 MAX_REPLANS = 5
+# The same where nothing is in the way, but the base does not move: it has not seen its way, and a look round shows it.
+MAX_STALLS = 1
 # Stages in a row without reaching the chosen goal before the mission is stuck.
 MAX_FAILURES = 6
 # A glance takes this long, s: a tag is seen in several frames, and the robot drives on.
@@ -145,17 +147,20 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     if not (late or _held_up(status, inputs)):
         return _begin(status, inputs, "glance", moving=True) if _glance_due(status, inputs) else status
-    if status.replans < MAX_REPLANS:
+    if status.replans < (MAX_REPLANS if _seen_or_felt(status, inputs) else MAX_STALLS):
         return _begin(status, inputs, "plan", replans=status.replans + 1)
     return _give_up_goal(status, inputs)
 
 
 def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
-    """Whether something is in the way, seen or felt."""
+    """Whether something is in the way, or the base does not move for whatever reason."""
     follower = inputs.follower
+    return _seen_or_felt(status, inputs) or (follower.path_id == status.path_id and follower.stalled)
+
+
+def _seen_or_felt(status: MissionStatus, inputs: MissionInputs) -> bool:
     blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
-    bumped = inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE
-    return blocked or bumped or (follower.path_id == status.path_id and follower.stalled)
+    return blocked or (inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE)
 
 
 def _glance_due(status: MissionStatus, inputs: MissionInputs) -> bool:

@@ -28,9 +28,10 @@ MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "
 MACHINE |= {"peak_rss_bytes", "stage_ms"}
 _FIELDS = """schema version scenario world seed method outcome reason sim_time_s wall_time_s cpu_time_s real_time_factor
 distance_m stages landmarks_present landmarks_reachable landmarks_mapped landmarks_doubtful landmarks_extra
-landmark_rmse_m landmark_rmse_aligned_m landmark_entropy_nats landmark_anees landmark_nees pose_anees position_error_m
-heading_error_rad surface_coverage surface_phantom_m area_coverage area_seen_s explored_s contacts min_clearance_m
-map_variables map_bytes estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
+landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m landmark_entropy_nats landmark_anees landmark_nees
+pose_anees position_error_m heading_error_rad surface_coverage surface_phantom_m area_coverage area_seen_s explored_s
+contacts contacts_received min_clearance_m map_variables map_bytes calibration estimator_cpu_s planner_cpu_s
+simulator_cpu_s peak_rss_bytes stage_ms"""
 FIELDS = _FIELDS.split()
 
 

@@ -24,7 +24,7 @@ world:
 explorer: {first_look: 8}
 """
 START = np.array([2.0, 1.5, 0.3])
-TRUTH = ["pose_anees", "area_coverage", "area_seen_s", "contacts", "min_clearance_m"]
+TRUTH = ["pose_anees", "area_coverage", "area_seen_s", "contacts", "contacts_received", "min_clearance_m"]
 WORLD = ["landmarks_present", "landmarks_reachable", "landmarks_extra", "landmark_rmse_m", "landmark_rmse_aligned_m"]
 WORLD += ["landmark_anees", "landmark_nees", "surface_coverage", "surface_phantom_m"]
 NOTHING = {"mean": None, "std": None, "max": None, "final": None}

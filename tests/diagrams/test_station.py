@@ -7,7 +7,8 @@ from pydrake.systems.analysis import InitializeParams, Simulator
 
 from tfg_drake.diagrams.scenario import Scenario, TagConfig, WorldConfig
 from tfg_drake.diagrams.station import MakeTurtlebotStation
-from tfg_drake.geometry.se2 import between, compose
+from tfg_drake.geometry.se2 import between, compose, transform
+from tfg_drake.simulation.people import RADIUS, places_at
 
 OUTPUTS = [
     "base.odometry",
@@ -18,6 +19,7 @@ OUTPUTS = [
     "truth.pose",
     "truth.contacts",
     "truth.clearance",
+    "truth.contacts_received",
 ]
 WORLD = WorldConfig(
     walls=[[-3, -3, 3, -3], [3, -3, 3, 3], [3, 3, -3, 3], [-3, 3, -3, -3]],
@@ -206,3 +208,64 @@ def test_an_unconnected_command_and_an_empty_world():
     assert read(empty, context, "truth.clearance").tolist() == [np.inf]
     assert read(empty, context, "tags.detections").ids.size == 0
     assert np.isinf(read(empty, context, "scan.ranges").ranges).all()
+
+
+def among_people(count, **reality):
+    scenario = make_scenario()
+    scenario.reality.people = count
+    for name, value in reality.items():
+        setattr(scenario.reality.scan, name, value)
+    return MakeTurtlebotStation(scenario)
+
+
+def test_people_walk_about_and_are_seen():
+    station = among_people(4)
+    assert [system.get_name() for system in station.GetSystems()][-2:] == ["people", "people_numbers"]
+    simulator = start(station, 1, command=(0.0, 0.8))
+    places, seen, X_WB = [], 0, np.array(WORLD.start)
+    for k in range(1, 81):
+        simulator.AdvanceTo(0.1 * k)
+        context = simulator.get_context()
+        # Taken where the robot was a scan's period ago.
+        message = read(station, context, "scan.ranges")
+        p_WP = places_at(read(station, context, "truth.people"), message.stamp)
+        places.append(p_WP)
+        rays = np.stack([np.cos(message.angles), np.sin(message.angles)], axis=1)
+        points = transform(X_WB, message.ranges[:, None] * rays)
+        off = np.abs(np.hypot(*(points[:, None] - p_WP).transpose(2, 0, 1)) - RADIUS).min(axis=1)
+        wall = np.abs(np.abs(points).max(axis=1) - 3.0)
+        # They have stepped on meanwhile.
+        assert (np.minimum(off, wall) < 0.2).all()
+        seen += np.count_nonzero(wall > 0.3)
+        X_WB = read(station, context, "truth.pose")[:3]
+    assert seen > 100
+    assert (np.ptp(places, axis=0) > 0.5).any()
+    assert np.abs(places).max() <= 3.0 - RADIUS
+
+
+def test_people_leave_all_other_numbers_as_they_are():
+    readings = []
+    for count in (0, 3):
+        # What only some scenarios have comes behind what every one has, and people last.
+        station = among_people(count, dropout_probability=0.1)
+        simulator = start(station, 2, command=(0.0, 0.3))
+        simulator.AdvanceTo(0.05)
+        readings.append([*everything_but_contacts(station, simulator.get_context())])
+    assert readings[0] == readings[1]
+
+
+def everything_but_contacts(station, context):
+    for name in ("base.odometry", "tags.detections", "scan.ranges"):
+        for part in vars(read(station, context, name)).values():
+            yield np.ravel(part).tolist()
+
+
+def test_the_seed_decides_the_walk():
+    walks = []
+    for seed in (1, 1, 2):
+        station = among_people(2)
+        simulator = start(station, seed)
+        simulator.AdvanceTo(6.0)
+        walks.append(read(station, simulator.get_context(), "truth.people").p_WP.tolist())
+    assert walks[0] == walks[1]
+    assert walks[0] != walks[2]

@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tfg_drake.geometry.visibility import cast_rays, line_of_sight, surely_visible
+from tfg_drake.geometry.visibility import cast_rays, disc_distances, line_of_sight, surely_visible
 
 SQUARE = np.array([[-1.0, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])
 
@@ -80,3 +80,24 @@ def test_line_of_sight_without_points_or_walls():
     assert line_of_sight(SQUARE, np.zeros(2), np.zeros((0, 2))).shape == (0,)
     assert line_of_sight(np.zeros((0, 4)), np.zeros(2), np.ones((2, 2))).all()
     assert line_of_sight(SQUARE, np.zeros(2), np.zeros((1, 2))).tolist() == [True]
+
+
+def test_rays_meet_a_disc_where_its_circle_is():
+    rng = np.random.default_rng(5)
+    discs = np.column_stack([rng.uniform(-5, 5, (6, 2)), rng.uniform(0.1, 0.5, 6)])
+    angles = rng.uniform(-np.pi, np.pi, 500)
+    origin = np.array([0.3, -0.2])
+    distance = disc_distances(discs, origin, angles)
+    for angle, found in zip(angles, distance, strict=True):
+        ray = shapely.LineString([origin, origin + 20.0 * np.array([np.cos(angle), np.sin(angle)])])
+        circles = [shapely.Point(x, y).buffer(r, quad_segs=2000) for x, y, r in discs]
+        meets = [shapely.Point(origin).distance(ray.intersection(c)) for c in circles if ray.intersects(c)]
+        assert found == pytest.approx(min(meets, default=np.inf), abs=1e-5)
+
+
+def test_from_inside_a_disc_nothing_else_is_seen_and_behind_one_nothing():
+    ahead, behind = np.array([[1.0, 0.0, 0.25]]), np.array([[-1.0, 0.0, 0.25]])
+    assert disc_distances(ahead, np.zeros(2), np.zeros(1)).tolist() == [0.75]
+    assert disc_distances(behind, np.zeros(2), np.zeros(1)).tolist() == [np.inf]
+    assert disc_distances(ahead, np.array([1.1, 0.0]), np.array([0.0, 2.0])).tolist() == [0.0, 0.0]
+    assert disc_distances(np.zeros((0, 3)), np.zeros(2), np.zeros(2)).tolist() == [np.inf, np.inf]

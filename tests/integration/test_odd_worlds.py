@@ -52,6 +52,13 @@ def test_a_robot_boxed_in_says_so(tool, scenario, spacing):
     assert "outcome     stuck: The robot cannot reach any other place." in out
 
 
+def test_where_there_is_no_room_for_people_it_is_said(tool, scenario):
+    cell = BOX.replace("0.5", "0.28")
+    code, _, err, summary = tool(scenario(f"start: [0, 0, 0], walls: {cell}"), "--set", "reality.people=1")
+    assert (code, summary) == (2, None)
+    assert "reality.people: nowhere in this world is there room for people; set it to 0" in err
+
+
 def test_walls_without_tags_are_a_map_too(tool, scenario):
     code, _, err, summary = tool(scenario(f"start: [2, 1.5, 0.3], walls: {ROOM}"))
     assert (code, err, summary["outcome"]) == (0, "", "complete")

@@ -3,7 +3,7 @@ import pytest
 
 from tests.planning.test_roadmap import ROBOT
 from tfg_drake.messages import LaserScan, replace
-from tfg_drake.planning.path import STRAYS, path_is_free, shortcut, unmapped_obstacles
+from tfg_drake.planning.path import BODY, STRAYS, path_is_free, seen_past, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import in_free_space
 from tfg_drake.tfg.graph import empty_map
 
@@ -13,11 +13,14 @@ def returns(distance, bearing=0.0, stamp=1.0):
     return LaserScan(stamp, angles, np.full(9, distance), 10.0, 0.015)
 
 
-@pytest.mark.parametrize(("distance", "free"), [(1.5, False), (2.5, True)])
-def test_a_path_is_watched_from_the_robot_on_two_metres_ahead(distance, free):
+@pytest.mark.parametrize(("distance", "free", "mapped"), [(1.1, False, False), (1.5, True, False), (1.5, False, True)])
+def test_a_path_is_watched_from_the_robot_on(distance, free, mapped):
+    """Two metres ahead where the map has a surface that is touched, less far where it has nothing."""
     path = np.stack([np.linspace(0.0, 6.0, 61), np.zeros(61)], axis=1)
     X_MB = np.array([3.0, 0.0, 0.0])
-    assert path_is_free(path, returns(distance), X_MB, ROBOT.radius, np.zeros((0, 4))) == free
+    surface = np.array([[4.5, -0.1, 4.5, 0.1]])[: int(mapped)]
+    assert path_is_free(path, returns(distance), X_MB, ROBOT.radius, surface) == free
+    assert path_is_free(path, returns(2.5), X_MB, ROBOT.radius, surface)
 
 
 def test_returns_of_one_obstacle_are_joined_and_those_of_mapped_walls_are_none():
@@ -27,7 +30,10 @@ def test_returns_of_one_obstacle_are_joined_and_those_of_mapped_walls_are_none()
     scan = LaserScan(0.0, angles, np.append(np.full(5, 1.5), 1.7), 10.0, 0.015)
     for mapped, count in ((wall, 5), (np.zeros((0, 4)), 6)):
         met = unmapped_obstacles(path, scan, np.zeros(3), ROBOT.radius, mapped)
-        assert len(met) == count
+        # Each with a body behind it.
+        met, bodies = met[:count], met[count:]
+        assert (bodies[:, :2] == met[:, :2]).all()
+        np.testing.assert_allclose(np.hypot(*bodies[:, 2:].T) - np.hypot(*bodies[:, :2].T), BODY)
         length = np.hypot(*(met[:, 2:] - met[:, :2]).T)
         np.testing.assert_allclose(length[:4], 2 * 1.5 * np.sin(0.025), rtol=1e-6)
         assert not length[4:].any()
@@ -58,3 +64,20 @@ def test_a_shortcut_does_not_lead_through_what_was_never_seen():
     )
     short = shortcut(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]), tfg, np.zeros((0, 4)), 0.35)
     assert in_free_space(np.hstack([short[:-1], short[1:]]), tfg).all()
+
+
+def test_an_obstacle_is_gone_when_a_scan_sees_past_it():
+    obstacles = np.array([[1.0, -0.1, 1.0, 0.1], [1.0, 2.0, 1.2, 2.2], [-1.0, 0.0, -1.0, 0.2]])
+    angles = np.linspace(-1.0, 1.0, 201)
+    pose = np.array([0.5, 0.0, 0.3])
+
+    def gone(distance):
+        return seen_past(obstacles, LaserScan(0.0, angles, np.full(201, distance), 10.0, 0.015), pose)[0].tolist()
+
+    # The second is out of view, the third behind.
+    assert gone(0.55) == [False] * 3
+    assert gone(0.7) == gone(np.inf) == [True, False, False]
+    assert gone(np.nan) == [False] * 3
+    # Half of the rays still end at it.
+    ranges = np.where(angles + 0.3 < 0.0, 0.5, 3.0)
+    assert seen_past(obstacles, LaserScan(0.0, angles, ranges, 10.0, 0.015), pose)[0].tolist() == [False] * 3

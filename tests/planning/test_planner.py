@@ -5,7 +5,7 @@ import numpy as np
 from tests.planning.test_path import returns
 from tests.planning.test_roadmap import PARAMETERS, build, known, nearest, two_rooms
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import MissionStatus, PoseEstimate, Roadmap, WorkingMap, replace
+from tfg_drake.messages import LaserScan, MissionStatus, PoseEstimate, Roadmap, WorkingMap, replace
 from tfg_drake.planning import planner
 from tfg_drake.planning.candidates import frontier_in_sight
 from tfg_drake.planning.goal_choice import empty_choice
@@ -120,7 +120,8 @@ def test_what_is_met_is_kept_where_it_stands_seen_from_the_newest_goal():
     state, estimate = watched(path, np.array([2.0, 1.5, 0.5 * np.pi]), np.zeros(2), returns(1.2), X_MA)
     assert not state.status.free
     met = obstacles_in_map(state, estimate)
-    assert np.hypot(*(met.reshape(-1, 2) - [2.0, 2.7]).T).max() < 0.1
+    fronts = met[: len(met) // 2]
+    assert np.hypot(*(fronts.reshape(-1, 2) - [2.0, 2.7]).T).max() < 0.1
     moved = replace(estimate, X_MA=X_MA + np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]))
     np.testing.assert_allclose(obstacles_in_map(state, moved), np.add(met, [0.5, 0.0, 0.5, 0.0]), atol=1e-9)
 
@@ -128,7 +129,7 @@ def test_what_is_met_is_kept_where_it_stands_seen_from_the_newest_goal():
 def test_a_scan_is_placed_by_the_pose_at_its_stamp():
     path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
     # The robot turns to the left: what it sees to its right is on the path by then.
-    turning, scan = np.array([0.0, 1.0]), returns(1.2, bearing=-0.4, stamp=1.4)
+    turning, scan = np.array([0.0, 1.0]), returns(1.0, bearing=-0.4, stamp=1.4)
     assert not watched(path, np.zeros(3), turning, scan, np.zeros((1, 3)))[0].status.free
     assert watched(path, np.zeros(3), np.zeros(2), scan, np.zeros((1, 3)))[0].status.free
 
@@ -144,3 +145,56 @@ def test_the_way_home_is_measured_from_where_the_robot_began():
         if return_home:
             assert roadmap.home_length[began] < 0.5 < 7.0 < roadmap.home_length[here]
             assert roadmap.home_time[began] < 5.0 < 14.0 < roadmap.home_time[here]
+
+
+def before_a_door(blocked):
+    """A robot that is to go from one room of two to the other, as a function of the time (s) and of how far a scan
+    straight ahead sees (m): the planner's state. blocked: something stood in the door when it was met."""
+    goals = [(-3.0, 0.0, 0.0), (3.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]
+    state = initial_state()
+    for k in range(1, len(goals) + 1):
+        estimate, tfg = known(two_rooms(), goals[:k])
+        working = WorkingMap(estimate, tfg, np.ones(k, dtype=bool))
+        state = grow(state, working, PARAMETERS)
+    in_A = np.array([[2.0, -0.4, 2.0, 0.4]])
+    if blocked:
+        state = replace(state, obstacles=in_A, obstacle_goal=np.array([2]))
+    goal = replace(
+        empty_choice(), stage=3, node=int(state.nodes.ids[nearest(state.nodes, (3.0, 0.0))]), p_MG=np.array([3.0, 0.0])
+    )
+    none = np.zeros(0, dtype=np.int64)
+
+    def step_at(time, distance, bearing=0.0):
+        nonlocal state
+        X_MB = np.array([-2.0, 0.0, bearing])
+        pose = PoseEstimate(time, X_MB, np.eye(3), np.zeros(2), 3, none, np.zeros((0, 2)))
+        mission = MissionStatus("plan", 3, 0.0, path_id=state.path.id)
+        angles = np.linspace(-1.0, 1.0, 201)
+        scan = LaserScan(time, angles, np.full(201, distance), 10.0, 0.015)
+        state = step(state, working, lambda: (estimate, tfg), pose, goal, scan, mission, PARAMETERS)
+        return state
+
+    return step_at
+
+
+def test_where_somebody_bars_the_only_way_the_robot_waits_until_he_has_gone():
+    assert len(before_a_door(blocked=False)(0.0, 2.0).path.points)
+    look = before_a_door(blocked=True)
+    for time in np.arange(0.0, 4.0, 0.25):
+        assert look(time, 2.0).path.id == 0
+    assert not len(look(4.0, 6.0).obstacles)
+    gone = look(4.5, 6.0)
+    assert gone.path.id == 1
+    assert gone.path.points[-1, 0] > 2.0
+
+
+def test_the_robot_does_not_wait_for_ever():
+    look = before_a_door(blocked=True)
+    times = np.arange(0.0, 12.0, 0.25)
+    answered = [look(time, 2.0).path.id for time in times]
+    assert times[answered.index(1)] == planner.PATIENCE
+    assert not len(look(12.0, 2.0).path.points)
+
+
+def test_what_is_out_of_view_bars_no_way():
+    assert len(before_a_door(blocked=True)(0.0, 2.0, bearing=2.0).path.points)

@@ -95,3 +95,45 @@ def test_the_outline_never_enters_a_wall(heading, speed, turn_rate, seed):
 
 def test_initial_clearance():
     assert drive.initial_state(np.zeros(3), ROOM[:4], ROBOT)[drive.CLEARANCE] == pytest.approx(2.0 - ROBOT.radius)
+
+
+def drive_among(command, disc, steps, disc_velocity=(0.0, 0.0)):
+    """The states (k, STATE_SIZE) of a base that starts at the origin, with a disc (3,) that moves at m/s."""
+    states, disc = [drive.initial_state(np.zeros(3), NO_WALLS, ROBOT)], np.array(disc)
+    for _ in range(steps):
+        disc = disc + PERIOD * np.append(disc_velocity, 0.0)
+        after = drive.step(states[-1], np.array(command), NO_WALLS, ROBOT, PERIOD)
+        states.append(drive.among(states[-1], after, disc[None], ROBOT))
+    return np.array(states)
+
+
+def test_a_base_that_drives_into_somebody_stops_there_and_has_made_a_contact():
+    last = drive_among([0.3, 0.0], [1.0, 0.0, 0.25], 400)[-1]
+    assert 1.0 - 0.25 - ROBOT.radius - 0.01 < last[drive.X] <= 1.0 - 0.25 - ROBOT.radius
+    assert last[drive.SPEED] < 0.01
+    assert (last[drive.CONTACTS], last[drive.RECEIVED], last[drive.BUMPER]) == (1, 0, 2)
+    assert last[drive.CLEARANCE] == np.inf
+
+
+def test_a_base_that_stands_or_turns_receives_a_contact_and_is_not_pushed():
+    states = drive_among([0.0, 0.5], [0.5, 0.0, 0.25], 20, disc_velocity=[-0.3, 0.0])
+    last = states[-1]
+    assert (last[drive.CONTACTS], last[drive.RECEIVED], last[drive.BUMPER]) == (0, 1, 2)
+    assert (states[:, drive.X : drive.Y + 1] == 0.0).all()
+    assert last[drive.THETA] > 0.1
+    # Who is behind it presses no bumper.
+    behind = drive_among([0.0, 0.0], [-0.5, 0.0, 0.25], 20, disc_velocity=[0.3, 0.0])[-1]
+    assert (behind[drive.CONTACTS], behind[drive.RECEIVED], behind[drive.BUMPER]) == (0, 1, 0)
+
+
+def test_a_base_that_is_touched_and_then_drives_on_has_made_a_contact_too():
+    touched = drive_among([0.0, 0.0], [0.43, 0.0, 0.25], 20, disc_velocity=[-0.001, 0.0])[-1]
+    assert (touched[drive.CONTACTS], touched[drive.RECEIVED]) == (0, 1)
+    state, disc = touched, np.array([[0.4299, 0.0, 0.25]])
+    for _ in range(10):
+        state = drive.among(state, drive.step(state, np.array([0.3, 0.0]), NO_WALLS, ROBOT, PERIOD), disc, ROBOT)
+    assert (state[drive.CONTACTS], state[drive.RECEIVED]) == (1, 1)
+    for _ in range(40):
+        state = drive.among(state, drive.step(state, np.array([-0.3, 0.0]), NO_WALLS, ROBOT, PERIOD), disc, ROBOT)
+    assert (state[drive.CONTACTS], state[drive.TOUCHES], state[drive.BUMPER]) == (1, 0, 0)
+    assert state[drive.X] < -0.05

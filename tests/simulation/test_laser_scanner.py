@@ -62,3 +62,13 @@ def test_rays_that_fail():
     others = np.setdiff1d(np.arange(60), [3, edge])
     assert (found.ranges[others] == whole.ranges[others]).all()
     assert found.stamp == 1.0
+
+
+def test_rays_end_at_people_in_front_of_the_wall():
+    angles = np.array([-0.3, 0.0, 0.3])
+    discs = np.array([[2.0, 0.0, 0.25], [5.0, 2.0, 0.25]])
+    noise = np.array([0.0, 1.0, 0.0])
+    found = scan(WALL, np.zeros(3), 0.0, angles, noise, CONFIG, discs=discs)
+    alone = scan(WALL, np.zeros(3), 0.0, angles, noise, CONFIG)
+    assert found.ranges[1] == pytest.approx(1.75 + CONFIG.noise)
+    assert (found.ranges[[0, 2]] == alone.ranges[[0, 2]]).all()

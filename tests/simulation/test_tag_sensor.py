@@ -145,3 +145,16 @@ def test_noise_that_is_correlated_in_time():
     assert np.mean(noise[0] * noise[-1]) == pytest.approx(np.exp(-1.0), abs=0.07)
     fresh = rng.normal(size=5)
     assert correlated(np.ones(5), fresh, 0.1, 0.0) == pytest.approx(fresh)
+
+
+def test_a_tag_behind_somebody_is_not_seen():
+    world = make_world([[1, 4, 0, np.pi], [2, 4, 1, np.pi], [3, 4, 0.2, np.pi]])
+    told = np.zeros((3, NOISE_PER_TAG))
+
+    def seen(*discs):
+        return detect(world, np.zeros(3), 0.0, told, CONFIG, discs=np.array(discs).reshape(-1, 3))
+
+    assert seen([2.0, 0.0, 0.25]).ids.tolist() == [2]
+    assert seen([5.0, 0.0, 0.25], [-2.0, 0.0, 0.25]).ids.tolist() == [1, 2, 3]
+    alone = detect(world, np.zeros(3), 0.0, told, CONFIG)
+    assert seen([2.0, 0.0, 0.25]).range == pytest.approx(alone.range[1:2], abs=0.0)

@@ -14,7 +14,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.planning.planner import BOLD_AFTER, OBSTACLE_MEMORY, initial_state, step
+from tfg_drake.planning.planner import BOLD_AFTER, BREATH, OBSTACLE_MEMORY, initial_state, step
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
@@ -141,6 +141,9 @@ def test_roadmap_then_path_then_a_watch_on_it():
 
     planner.set(mission=MissionStatus("plan", 1, 0.0, replans=1, path_id=1))
     planner.run()
+    assert planner.output("path").id == 1
+    planner.set(pose=replace(pose(1), stamp=pose(1).stamp + BREATH))
+    planner.run()
     around = planner.output("path")
     assert around.id == 2
     assert planner.output("path_status").free
@@ -194,7 +197,7 @@ def test_a_robot_that_fails_again_and_again_forgets_what_it_met():
             lambda: (estimate, tfg),
             pose(2),
             empty_choice(),
-            scan(1.0),
+            scan(-np.inf),
             mission,
             parameters,
         )

@@ -17,6 +17,7 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
 )
+from tfg_drake.simulation.people import People
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
 
@@ -143,6 +144,16 @@ def test_draws_everything_that_is_there(meshcat):
     Simulator(make_diagram(meshcat, make_messages(), make_world())).AdvanceTo(1.0)
     for path in [*STAGE_PATHS, "walls", "map/robot", "map/scan", "truth", "caption", "map/ellipses", "map/path/goal"]:
         assert meshcat.HasPath(f"/tfg/{path}"), path
+
+
+def test_draws_who_walks_about(meshcat):
+    none, nobody = np.zeros(2), np.zeros(2, dtype=bool)
+    p_WP = np.array([[1.0, 2.0], [3.0, 4.0]])
+    people = People(0.0, p_WP, np.zeros((2, 2)), none, none, none, nobody, nobody, (np.zeros((0, 2)),) * 2)
+    Simulator(make_diagram(meshcat, {"people": people}, make_world())).AdvanceTo(0.5)
+    assert meshcat.HasPath("/tfg/people")
+    Simulator(make_diagram(meshcat, make_messages(), make_world())).AdvanceTo(0.5)
+    assert not meshcat.HasPath("/tfg/people")
 
 
 def test_empty_messages_leave_nothing_behind(meshcat):

@@ -97,6 +97,21 @@ def line_of_sight(segments: FloatArray, p_from: FloatArray, p_to: FloatArray, to
     return visible
 
 
+def disc_distances(discs: FloatArray, origin: FloatArray, angles: FloatArray) -> FloatArray:
+    """Distance (k,), m, to the first of the discs (n, 3), centre and radius in m, along each ray; inf where it meets
+    none, 0 where it begins in one.
+
+    origin: (2,) m. angles: (k,) rad, directions of the rays in the discs' frame.
+    """
+    x, y, radius = (discs - np.append(origin, 0.0)).T[:, :, None]
+    c, s = np.cos(angles), np.sin(angles)
+    # Half of the chord that a disc cuts out of a ray's line, squared, and how far along the ray its middle is.
+    half, middle = radius**2 - (c * y - s * x) ** 2, c * x + s * y
+    half = np.where(half >= 0.0, np.sqrt(np.maximum(half, 0.0)), -np.inf)
+    distance = np.where(middle + half >= 0.0, np.maximum(middle - half, 0.0), np.inf)
+    return np.asarray(distance.min(axis=0, initial=np.inf))
+
+
 def surely_visible(segments: FloatArray, p_from: FloatArray, p_to: FloatArray, graze: float) -> BoolArray:
     """Which points p_to (n, 2) can be seen from p_from (2,), m, (n,), and not only just past one end of a segment: were
     they this much (m) to either side, both or neither could.

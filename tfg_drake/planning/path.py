@@ -9,7 +9,7 @@ from numba import njit
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance, room_beside
-from tfg_drake.geometry.se2 import compose
+from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.star import line_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
@@ -38,6 +38,8 @@ LACKING = 0.02
 WAYS_TRIED = 5
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
+# What is not mapped blocks it from as near as this, m: who walks across farther ahead will have passed.
+UNMAPPED_AHEAD = 1.25
 # A return is of an unmapped obstacle when no mapped surface is within this of it, m.
 MAPPED_WITHIN = 0.08
 # The follower strays this far from a path, m, at full speed (99 % of its commands, benchmarks/tracking.py): what is
@@ -45,6 +47,10 @@ MAPPED_WITHIN = 0.08
 STRAYS = 0.01
 # Returns this far off still belong to the obstacle that blocks the path, m.
 OBSTACLE_REACH = 1.0
+# An obstacle that a scan sees this far past, m, has gone.
+SEEN_PAST = 0.08
+# What is not mapped is taken to be this deep, m: its far side is not seen, nor any of it from beside.
+BODY = 0.3
 # Neighbouring returns nearer to each other than this are of one obstacle: the robot does not fit between them, m.
 SAME_OBSTACLE = 0.33
 
@@ -303,17 +309,21 @@ def path_is_free(
     """Whether the next two metres of a path (k, 2), m in M, are open to a disc of this radius (m) at pose X_MB (3,).
 
     Two returns of the scan that no mapped surface (segments (m, 4)) explains, nearer to the path than the radius and
-    2 cm, block it; so do returns of mapped surfaces, where the disc may touch them: a surface may go on a little beyond
-    its end in the map. bold: only where it would touch by 2 cm does anything block it.
+    2 cm and to the robot than UNMAPPED_AHEAD, block it; so do returns of mapped surfaces, where the disc may touch
+    them: a surface may go on a little beyond its end in the map. bold: only where it would touch by 2 cm does anything
+    block it.
     """
     near = radius + 0.02
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, near)
-    close = distance < near
-    if np.count_nonzero(close) < 2:
+    close = np.flatnonzero(distance < near)
+    if len(close) < 2:
         return True
-    if np.count_nonzero(distance < radius + (-0.02 if bold else STRAYS)) >= 2:
+    unmapped = point_distance(hits[close], segments) > MAPPED_WITHIN
+    here = ~unmapped | (np.hypot(*(hits[close] - X_MB[:2]).T) < UNMAPPED_AHEAD)
+    close, unmapped = close[here], unmapped[here]
+    if np.count_nonzero(distance[close] < radius + (-0.02 if bold else STRAYS)) >= 2:
         return False
-    return bold or int(np.count_nonzero(point_distance(hits[close], segments) > MAPPED_WITHIN)) < 2
+    return bold or int(np.count_nonzero(unmapped)) < 2
 
 
 def unmapped_obstacles(
@@ -322,7 +332,8 @@ def unmapped_obstacles(
     """What blocks a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
 
     The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains, or that
-    it may touch, neighbours too close for the robot to pass between them joined to a surface.
+    it may touch, neighbours too close for the robot to pass between them joined to a surface; behind the former, a
+    body.
     """
     reach = radius + OBSTACLE_REACH
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, reach)
@@ -332,4 +343,19 @@ def unmapped_obstacles(
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])
     joined = np.hypot(*(following - hits).T) < SAME_OBSTACLE
-    return lines_between(hits, np.where(joined[:, None], following, hits))
+    fronts = lines_between(hits, np.where(joined[:, None], following, hits))
+    front = hits[point_distance(hits, segments) > MAPPED_WITHIN]
+    away = front - X_MB[:2]
+    behind = front + BODY * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)[:, None]
+    return np.vstack([fronts, lines_between(front, behind)])
+
+
+def seen_past(obstacles: FloatArray, scan: LaserScan, X_MB: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Which obstacles (b,) of those met on the way (b, 4), m in M, a scan taken at pose X_MB (3,) sees past, by the ray
+    to the middle of each and its neighbours, and which are in its view at all."""
+    middle = transform(inverse(X_MB), 0.5 * (obstacles[:, :2] + obstacles[:, 2:]))
+    bearing, distance = np.arctan2(middle[:, 1], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 1])
+    ray = np.searchsorted(scan.angles, bearing)
+    in_view = (ray > 1) & (ray < len(scan.angles) - 1)
+    least = scan.ranges[np.where(in_view, ray, 2)[:, None] + np.arange(-2, 2)].min(axis=1)
+    return in_view & (least > distance + SEEN_PAST), in_view

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tfg_drake.config import TagSensorConfig
+from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import (
     BoolArray,
@@ -30,7 +31,7 @@ from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_goals, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
-from tfg_drake.planning.path import path_is_free, plan_path, unmapped_obstacles
+from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     EFFORTS,
     RoadmapParameters,
@@ -49,8 +50,14 @@ DRIVEN_STEP = 0.1
 # After this many goals in a row that could not be reached, what was met on the way is forgotten, and only what the
 # robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
 BOLD_AFTER = 2
-# What is met on the way is kept for this many stages: it may be too small for the map, or walk away.
+# What is met on the way is kept for this many stages, or until it is seen past: it may be too small for the map, or
+# walk away.
 OBSTACLE_MEMORY = 10
+# Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
+PATIENCE = 5.0
+ASK_AGAIN = 0.5
+# A way that is barred as soon as it is found is followed by no other for so long, s: who walks in the way is not past.
+BREATH = 1.0
 
 
 @message
@@ -59,9 +66,11 @@ class PlannerState:
 
     parts: the roadmap itself. roadmap, path, status: what it says of what is near. replans: the mission's count when
     the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
-    goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against. driven: (d, 2) where the
-    robot has been at this stage, m in M, from where the newest goal's observation began on; driven_before: m, until it
-    ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
+    goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against, look_stamp: of the newest
+    one that the obstacles were. waiting_since: s, when every way to the goal was found barred by them, inf if it is
+    not, asked: when a way was looked for last. driven: (d, 2) where the robot has been at this stage, m in M, from
+    where the newest goal's observation began on; driven_before: m, until it ended. open_length: m of frontier that was
+    live when the roadmap was extended, inf before.
     """
 
     parts: Parted[RoadmapState]
@@ -72,6 +81,9 @@ class PlannerState:
     obstacles: FloatArray
     obstacle_goal: IntArray
     scan_stamp: float
+    look_stamp: float
+    waiting_since: float
+    asked: float
     driven: FloatArray
     driven_before: float
     open_length: float
@@ -96,6 +108,9 @@ def initial_state() -> PlannerState:
         obstacles=np.zeros((0, 4)),
         obstacle_goal=np.zeros(0, dtype=np.int64),
         scan_stamp=-np.inf,
+        look_stamp=-np.inf,
+        waiting_since=np.inf,
+        asked=-np.inf,
         driven=np.zeros((0, 2)),
         driven_before=0.0,
         open_length=np.inf,
@@ -118,18 +133,23 @@ def step(
     a way longer than that reaches leads to it.
     """
     estimate, tfg = working.estimate, working.tfg
+    if len(state.obstacles) and scan.stamp > state.look_stamp:
+        state = _look(state, estimate, pose, scan)
     if working.stage > state.nodes.stage:
         if mission.failures >= BOLD_AFTER:
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
         return grow(state, working, parameters)
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
-    if mission.phase == "plan" and chosen and (state.path.stage, state.replans) != (mission.stage, mission.replans):
+    in_the_way = mission.replans > 0 and _may_go(state, estimate, tfg)
+    pause = ASK_AGAIN if math.isfinite(state.waiting_since) else BREATH * in_the_way
+    planned = (state.path.stage, state.replans) == (mission.stage, mission.replans)
+    if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + pause:
         nodes = state.nodes
         if not state.roadmap.reaches(np.array([goal.node]), working.reach)[0]:
             # A way as long as that may be shorter through what rests.
             estimate, tfg = whole()
             nodes = whole_roadmap(state.parts, estimate.X_MA)
-        return _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+        return _plan_or_wait(state, nodes, estimate, tfg, pose, goal, scan, mission, parameters)
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
         state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
@@ -198,6 +218,8 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
         open_length=open_length,
+        waiting_since=np.inf,
+        asked=-np.inf,
     )
 
 
@@ -253,6 +275,33 @@ def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
     return replace(state, obstacles=state.obstacles[keep], obstacle_goal=state.obstacle_goal[keep])
 
 
+def _plan_or_wait(
+    state: PlannerState,
+    nodes: RoadmapState,
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    pose: PoseEstimate,
+    goal: GoalChoice,
+    scan: LaserScan,
+    mission: MissionStatus,
+    parameters: RoadmapParameters,
+) -> PlannerState:
+    """The state with a path or, while a robot that stands has every way barred by what it has met, without one."""
+    after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+    if len(after.path.points) or mission.drives or not _may_go(state, estimate, tfg):
+        return after
+    _, in_view = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
+    if not in_view.all():
+        # What the robot does not see may have gone; if not, it will see it on its way.
+        state = _keep_obstacles(state, in_view)
+        after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+    since = min(state.waiting_since, pose.stamp)
+    if len(after.path.points) or not len(state.obstacles) or pose.stamp >= since + PATIENCE:
+        return after
+    # Who is in the way may go on.
+    return replace(state, waiting_since=since, asked=pose.stamp)
+
+
 def _plan(
     state: PlannerState,
     nodes: RoadmapState,
@@ -271,7 +320,22 @@ def _plan(
     if _length(state.driven, X_MB[:2]) + np.hypot(*np.diff(points, axis=0).T).sum() > goal.longest_way:
         points = np.zeros((0, 2))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
-    return replace(state, path=path, status=PathStatus(path_id=path.id, free=True), replans=mission.replans)
+    status = PathStatus(path_id=path.id, free=True)
+    return replace(state, path=path, status=status, replans=mission.replans, waiting_since=np.inf, asked=pose.stamp)
+
+
+def _may_go(state: PlannerState, estimate: MapEstimate, tfg: TfgMap) -> bool:
+    """Whether any of what was met on the way is no surface of the map, and may walk away."""
+    if not len(state.obstacles):
+        return False
+    met = obstacles_in_map(state, estimate)
+    return bool((point_distance(0.5 * (met[:, :2] + met[:, 2:]), tfg.segments) > MAPPED_WITHIN).any())
+
+
+def _look(state: PlannerState, estimate: MapEstimate, pose: PoseEstimate, scan: LaserScan) -> PlannerState:
+    """The state without the obstacles that the scan sees past."""
+    gone, _ = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
+    return replace(_keep_obstacles(state, ~gone) if gone.any() else state, look_stamp=scan.stamp)
 
 
 def _watch(

@@ -12,12 +12,16 @@ from numba import njit
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.distance import nearest_on_segment
+from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray
 
 # Entries of the state: the time (s) it holds at, the pose X_WB, forward speed and turn rate, rising edges of contact so
-# far, whether the base touches a wall, least clearance of the outline so far (m), and the bumper's bits.
-TIME, X, Y, THETA, SPEED, TURN_RATE, CONTACTS, IN_CONTACT, CLEARANCE, BUMPER = range(10)
-STATE_SIZE = 10
+# far, whether the base touches a wall, least clearance of the outline from walls so far (m), the bumper's bits, rising
+# edges of contact that somebody else made, and whether the base touches somebody (0, or one of the two below).
+TIME, X, Y, THETA, SPEED, TURN_RATE, CONTACTS, IN_CONTACT, CLEARANCE, BUMPER, RECEIVED, TOUCHES = range(12)
+STATE_SIZE = 12
+# The base is touched, or has itself moved towards whom it touches.
+TOUCHED, PRESSED = 1.0, 2.0
 
 # A contact ends when the outline is this far from the wall again, m.
 _RELEASE = 0.01
@@ -26,6 +30,9 @@ _BUMPER_HALF_WIDTH = 0.5 * math.pi
 _CENTRE_HALF_WIDTH = math.pi / 6.0
 # Penetration that is rounding, m.
 _ROUNDING = 1e-9
+
+# A base that gets nearer to somebody by no more than this in a step, m, stands.
+_STANDS = 1e-4
 
 # Nothing but its wheels moves the base.
 UNMOVED = np.zeros(4)
@@ -198,6 +205,43 @@ def step(
         robot.max_turn_acceleration,
     )
     return after
+
+
+def among(before: FloatArray, after: FloatArray, discs: FloatArray, robot: RobotConfig) -> FloatArray:
+    """The state (STATE_SIZE,) after a step with discs (d, 3) in the way, centre and radius in m at its end.
+
+    before, after: the states before and after the step among walls alone. The base cannot push a disc, and a disc does
+    not push it: where the step would take it into one, or farther in, it stays where it was. A contact in which it was
+    the base that moved is counted in CONTACTS, any other in RECEIVED; it lasts until the outline is 1 cm clear.
+    """
+    offset = discs[:, :2] - after[X : Y + 1]
+    gap = np.hypot(*offset.T) - discs[:, 2] - robot.radius
+    if gap.min(initial=np.inf) > _RELEASE:
+        if after[TOUCHES] == 0.0:
+            return after
+        result = after.copy()
+        result[TOUCHES] = 0.0
+        return result
+    result, deep = after.copy(), gap < 0.0
+    nearer = np.hypot(*(discs[:, :2] - before[X : Y + 1]).T) - discs[:, 2] - robot.radius - gap
+    pressed = bool((deep & (nearer > _STANDS)).any())
+    if pressed:
+        result[X : Y + 1], result[SPEED] = before[X : Y + 1], 0.0
+        offset = discs[:, :2] - result[X : Y + 1]
+    if pressed and before[TOUCHES] != PRESSED:
+        result[CONTACTS] += 1.0
+    elif deep.any() and before[TOUCHES] == 0.0:
+        result[RECEIVED] += 1.0
+    result[TOUCHES] = PRESSED if pressed else max(before[TOUCHES], TOUCHED * deep.any())
+    if result[TOUCHES]:
+        bits = int(result[BUMPER])
+        for bearing in wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - result[THETA])[gap <= _RELEASE].tolist():
+            if abs(bearing) <= _CENTRE_HALF_WIDTH:
+                bits |= 2
+            elif abs(bearing) <= _BUMPER_HALF_WIDTH:
+                bits |= 4 if bearing > 0.0 else 1
+        result[BUMPER] = float(bits)
+    return result
 
 
 def initial_state(X_WS: FloatArray, walls: FloatArray, robot: RobotConfig) -> FloatArray:

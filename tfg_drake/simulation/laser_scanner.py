@@ -8,11 +8,13 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig
-from tfg_drake.geometry.visibility import cast_rays
+from tfg_drake.geometry.visibility import cast_rays, disc_distances
 from tfg_drake.messages import FloatArray, LaserScan, replace
 
 # Two neighbouring rays that differ by more than this met surfaces one behind the other, m.
 EDGE = 0.1
+
+_NOTHING = np.zeros(0)
 
 
 def ray_angles(config: ScanConfig) -> FloatArray:
@@ -29,14 +31,16 @@ def scan(
     standard_normal: FloatArray,
     config: ScanConfig,
     stated: ScanConfig | None = None,
+    discs: FloatArray | None = None,
 ) -> LaserScan:
     """One scan of the walls (n, 4) from the scanner's true pose X_WS (3,).
 
     angles: (m,) rad from straight ahead. standard_normal: (m,) numbers. config: what the scanner does; `stated`: its
-    data sheet, config where there is none. A return that noise carries beyond the range is inf, one nearer than the
-    least range nan.
+    data sheet, config where there is none. discs: (d, 3) what else there is, centre and radius in m. A return that
+    noise carries beyond the range is inf, one nearer than the least range nan.
     """
-    ranges = _measured(walls, X_WS, angles, standard_normal, config.range, config.noise, config.least_range)
+    nearest = disc_distances(discs, X_WS[:2], angles + X_WS[2]) if discs is not None else _NOTHING
+    ranges = _measured(walls, X_WS, angles, standard_normal, nearest, config.range, config.noise, config.least_range)
     return LaserScan(stamp, angles, ranges, config.range, (stated or config).noise)
 
 
@@ -60,11 +64,15 @@ def _measured(
     X_WB: FloatArray,
     angles: FloatArray,
     normal: FloatArray,
+    nearest: FloatArray,
     range_max: float,
     noise: float,
     least_range: float,
 ) -> FloatArray:
+    """nearest: (m,) m, what else each ray meets; empty if there is nothing else."""
     ranges = cast_rays(walls, X_WB[:2], angles + X_WB[2], range_max)
+    for k in range(len(nearest)):
+        ranges[k] = min(ranges[k], nearest[k])
     for k in range(len(ranges)):
         ranges[k] = max(0.0, ranges[k] + noise * normal[k])
         if ranges[k] > range_max:

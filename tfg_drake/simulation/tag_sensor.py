@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.geometry.visibility import disc_distances, line_of_sight
 from tfg_drake.messages import FloatArray, IntArray, TagDetections
 from tfg_drake.world.world import World
 
@@ -125,15 +125,17 @@ def detect(
     config: TagSensorConfig,
     stated: TagSensorConfig | None = None,
     tag_errors: FloatArray | None = None,
+    discs: FloatArray | None = None,
 ) -> TagDetections:
     """One frame of the sensor at its true pose X_WS (3,), the true ids ascending.
 
     standard_normal: (n, NOISE_PER_TAG) numbers, row for row with world.tag_ids. config: what the sensor does. The
     standard deviations told are those of the data sheet `stated`, config's where there is none: range_noise +
     range_noise_per_metre * r at the measured range r, and bearing_noise; gross errors and misread ids come on top.
-    tag_errors: (n, 2) constant errors of each tag's range, m, and bearing, rad.
+    tag_errors: (n, 2) constant errors of each tag's range, m, and bearing, rad. discs: (d, 3) what else hides tags,
+    centre and radius in m.
     """
-    rows, (east, north, measured) = _sighted(
+    rows, told = _sighted(
         world.p_WT,
         world.tag_facing,
         world.tag_ids,
@@ -148,6 +150,10 @@ def detect(
         config.range_noise,
         config.range_noise_per_metre,
     )
+    if discs is not None:
+        clear = disc_distances(discs, X_WS[:2], np.arctan2(told[1], told[0])) > np.hypot(told[0], told[1])
+        rows, told = rows[clear], told[:, clear]
+    east, north, measured = told
     bearing = np.arctan2(north, east) - X_WS[2] + config.bearing_noise * standard_normal[rows, 1]
     if tag_errors is not None:
         measured += tag_errors[rows, 0]

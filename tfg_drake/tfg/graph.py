@@ -49,6 +49,7 @@ from tfg_drake.tfg.frontier import (
 )
 from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, nothing_otherwise, standing
 from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.passing import without_passers
 from tfg_drake.tfg.polyline import segments_of, taken
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
@@ -170,6 +171,8 @@ def update(
         raise ValueError(f"The graph holds {graph.stage} goals: it cannot take stage {estimate.stage} of the map next.")
     goal = graph.stage
     X_MA = estimate.X_MA
+    earlier = X_MA[:-1] if goals is None else X_MA[goals]
+    panorama = without_passers(panorama, _place_stars(graph.star_offsets, graph.star_vertices, earlier), estimate)
     links = panorama_links(panorama)
     components = segment(panorama, links)
 

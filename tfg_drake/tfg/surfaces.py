@@ -44,6 +44,8 @@ OVERLAP = 0.06
 REFUTED_DEPTH = 0.15
 # An edge falls only where that much of it was, m.
 REFUTED_LENGTH = 0.15
+# Of a loose surface that much of which was nothing is left: somebody stood there.
+REFUTED_SHARE = 0.4
 # Neighbouring bins that must agree to that.
 REFUTED_BINS = 2
 # Greatest angle between the line of sight and its normal, rad.
@@ -361,7 +363,10 @@ def _trim(
     points, normals, owner, start, stop = sample(*draft.packed(rows), SPACING)
     drop = covered(points, normals, segments, np.full(len(points), distance))
     if refuted_by is not None and estimate is not None:
-        drop |= _refuted(points, normals, draft.numbers(rows)[owner, 1:3], refuted_by, estimate)
+        numbers = draft.numbers(rows)
+        refuted = _refuted(points, normals, numbers[owner, 1:3], refuted_by, estimate)
+        gone = np.bincount(owner[refuted], minlength=len(rows)) >= REFUTED_SHARE * np.bincount(owner)
+        drop |= refuted | (gone & (numbers[:, 0] == LOOSE))[owner]
     less = np.bincount(owner[drop], minlength=len(rows)).tolist()
     length = np.zeros(len(rows))
     length[owner] = stop

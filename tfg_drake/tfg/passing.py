@@ -1,0 +1,138 @@
+"""Who passes by: what stands where an earlier goal saw free ground has come there since, and is no part of a building.
+
+The robot's way past it is the scan's affair, see `tfg_drake.planning.path`. What was there when a place was first seen
+is mapped like a wall, until it is seen past (`tfg_drake.tfg.surfaces`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.geometry.distance import point_segment_distance
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, replace
+from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
+from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.polyline import taken
+
+# It stands this deep in what was seen to be free, m, where it is at least so wide, m: a post may have been missed. What
+# hangs together with that belongs to it as long as it is that deep.
+DEPTH = 0.2
+LEAST_WIDTH = 0.15
+# ... and this wide seen from where that was seen from, m.
+LEAST_VIEW = 0.1
+SHALLOW = 0.06
+# Goals farther away than this, m, are not asked.
+REACH = 8.0
+# A landmark is well known whose place seen from the robot has no larger standard deviation than this, m.
+WELL_KNOWN = 0.05
+# Every so many bins are looked at first: two metres away somebody covers 28 of them.
+STRIDE = 4
+# Neighbouring points farther apart than this, m, or with more bins between them that met nothing, are not of one body.
+SAME_BODY = 0.3
+GAP = 2
+
+
+def without_passers(
+    panorama: Panorama, stars: tuple[IntArray, FloatArray, FloatArray], estimate: MapEstimate
+) -> Panorama:
+    """The newest goal's panorama, which is as good as not having looked where somebody stood; itself if nobody did.
+
+    Those earlier goals are asked round which all landmarks are well known seen from the robot. stars: theirs, in the
+    map frame, as in `tfg_drake.geometry.star`.
+    """
+    here = estimate.X_MA[-1]
+    rows = np.flatnonzero(np.hypot(*(stars[2] - here[:2]).T) <= REACH)
+    rows = rows[_well_known(stars[2][rows], estimate)]
+    if not len(rows):
+        return panorama
+    offsets, vertices = taken(rows, stars[0], stars[1])
+    met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
+    passing = _passing(transform(here, met.points), offsets, vertices, stars[2][rows])
+    return replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)) if passing.any() else panorama
+
+
+def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
+    """Round which of places (n, 2), m in M, there are landmarks, all of them well known seen from the robot, (n,)."""
+    (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
+    badly = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) > WELL_KNOWN**2
+    offset = places[:, None] - estimate.local_p_ML
+    near = np.einsum("nki,nki->nk", offset, offset) <= NEIGHBOURHOOD**2
+    return np.asarray(near.any(axis=1) & ~near[:, badly].any(axis=1) & known_jointly(places, estimate))
+
+
+@njit(cache=True)
+def _passing(
+    points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray
+) -> BoolArray:
+    """Which of a panorama's points (b, 2), nan where there is none, are of bodies that stand in the free ground of a
+    star."""
+    bins = len(points)
+    result, asked = np.zeros(bins, dtype=np.bool_), np.empty(bins, dtype=np.bool_)
+    ends, deepest = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
+    for j in range(len(star_offsets) - 1):
+        star, center = star_vertices[star_offsets[j] : star_offsets[j + 1]], star_centers[j]
+        left, right, low, high = star[:, 0].min(), star[:, 0].max(), star[:, 1].min(), star[:, 1].max()
+        asked[:] = result
+        for b in range(0, bins, STRIDE):
+            x, y = points[b, 0], points[b, 1]
+            if asked[b] or not (left + DEPTH <= x <= right - DEPTH and low + DEPTH <= y <= high - DEPTH):
+                continue
+            if not _deep(x, y, star, DEPTH):
+                continue
+            ends[:], deepest[:] = b, b
+            for side in range(2):
+                step, skipped = 2 * side - 1, 0
+                while ends[1] - ends[0] + skipped < bins - 1 and skipped <= GAP:
+                    at, following = ends[side] % bins, (ends[side] + step * (1 + skipped)) % bins
+                    x, y = points[following, 0], points[following, 1]
+                    if np.isnan(x):
+                        skipped += 1
+                        continue
+                    if not np.hypot(x - points[at, 0], y - points[at, 1]) < SAME_BODY or not _deep(x, y, star, SHALLOW):
+                        break
+                    ends[side] += step * (1 + skipped)
+                    asked[following], skipped = True, 0
+                    if _deep(x, y, star, DEPTH):
+                        deepest[side] = ends[side]
+            if _shows(points, deepest[0], deepest[1], center):
+                for i in range(ends[0], ends[1] + 1):
+                    result[i % bins] = True
+    return result
+
+
+@njit(cache=True)
+def _shows(points: FloatArray, begin: int, end: int, center: FloatArray) -> bool:
+    """Whether what has the points from begin to end is LEAST_WIDTH wide, and wide enough seen from a center (2,) that
+    it could not be missed there: a thin wall shows nothing of itself edge-on."""
+    bins = len(points)
+    first, last = points[begin % bins], points[end % bins]
+    if np.hypot(last[0] - first[0], last[1] - first[1]) < LEAST_WIDTH:
+        return False
+    dx, dy = 0.5 * (first[0] + last[0]) - center[0], 0.5 * (first[1] + last[1]) - center[1]
+    distance = max(np.hypot(dx, dy), 1e-9)
+    least, most = np.inf, -np.inf
+    for i in range(begin, end + 1):
+        x, y = points[i % bins, 0] - center[0], points[i % bins, 1] - center[1]
+        if not np.isnan(x):
+            across = (dx * y - dy * x) / distance
+            least, most = min(least, across), max(most, across)
+    return bool(most - least >= LEAST_VIEW)
+
+
+@njit(cache=True)
+def _deep(x: float, y: float, star: FloatArray, depth: float) -> bool:
+    """Whether a point lies inside a polygon (v, 2), and at least depth (m) from its outline."""
+    odd, xj, yj = False, star[-1, 0], star[-1, 1]
+    for i in range(len(star)):
+        xi, yi = star[i, 0], star[i, 1]
+        if (yi > y) != (yj > y) and x < xi + (y - yi) / (yj - yi) * (xj - xi):
+            odd = not odd
+        xj, yj = xi, yi
+    if not odd:
+        return False
+    for i in range(len(star) if depth > 0.0 else 0):
+        if point_segment_distance(x, y, star[i - 1, 0], star[i - 1, 1], star[i, 0], star[i, 1]) < depth:
+            return False
+    return True
