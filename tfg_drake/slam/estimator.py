@@ -326,8 +326,9 @@ def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorStat
     """The state with what a turn or piece tells of camera and noise by itself; what the yaw does to how they fit
     together is the graph's to tell."""
     yaw = np.array([solution.camera.yaw, solution.camera.sigma[0]])
-    graph = replace(state.graph, yaw_prior=yaw)
-    return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph)
+    graph, later = replace(state.graph, yaw_prior=yaw), state.camera.offset - solution.camera.offset
+    pending = tuple(replace(frame, stamp=frame.stamp + later) for frame in state.pending)
+    return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph, pending=pending)
 
 
 def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
