@@ -96,7 +96,9 @@ def test_the_folder_is_whole(finished):
 def test_the_trajectories_share_a_frame_and_end_together(finished):
     stamps, X_WB = read_tum(finished.folder / "trajectory.tum")
     true_stamps, X_WB_true = read_tum(finished.folder / "truth.tum")
-    np.testing.assert_allclose(X_WB[0], [2.0, 1.5, 0.3], atol=1e-6)
+    np.testing.assert_allclose(X_WB[0, :2], [2.0, 1.5], atol=1e-6)
+    # The camera's yaw was not known then.
+    assert X_WB[0, 2] == pytest.approx(0.3, abs=0.02)
     assert true_stamps[-1] <= finished.summary["sim_time_s"] <= true_stamps[-1] + 0.1
     truth = X_WB_true[np.searchsorted(true_stamps, stamps)]
     error = np.linalg.norm(X_WB[:, :2] - truth[:, :2], axis=1)

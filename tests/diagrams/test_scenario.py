@@ -25,8 +25,10 @@ SHIPPED = (
     "corridor_push",
     "corridor_slip",
     "house",
+    "house_real",
     "office",
     "paper",
+    "paper_real",
     "paper_white",
 )
 FACTS = """

@@ -422,8 +422,8 @@ def test_an_unmapped_box_on_the_path_blocks_it_and_is_planned_round(offset, free
     node = nearest(state, (-1.2, 0))
     X_MB = np.array([-5.0, 0.0, 0.0])
     path = plan_path(state, estimate, tfg, X_MB, node, PARAMETERS)
-    y = np.interp(-3.6, path[:, 0], path[:, 1]) + offset
-    box = np.array([[-3.6, y - 0.15, -3.6, y + 0.15], [-3.6, y + 0.15, -3.3, y + 0.15]])
+    y = np.interp(-4.0, path[:, 0], path[:, 1]) + offset
+    box = np.array([[-4.0, y - 0.15, -4.0, y + 0.15], [-4.0, y + 0.15, -3.7, y + 0.15]])
     X_MB = np.array([*path[0], np.arctan2(*(path[5] - path[0])[::-1])])
     assert path_is_free(path, scan_of(tfg.segments, X_MB), X_MB, ROBOT.radius, tfg.segments)
     scan = scan_of(np.vstack([tfg.segments, box]), X_MB)
@@ -445,8 +445,8 @@ def test_returns_of_a_mapped_wall_do_not_block_a_door():
 
 
 def test_to_a_bold_robot_only_what_it_would_touch_is_in_the_way():
-    X_MB = np.array([-2.0, 0.0, 0.0])
-    path = np.stack([np.linspace(-2.0, 2.0, 41), np.zeros(41)], axis=1)
+    X_MB = np.array([-1.0, 0.0, 0.0])
+    path = np.stack([np.linspace(-1.0, 2.0, 31), np.zeros(31)], axis=1)
     # A door as narrow as the robot and two centimetres, 10 cm from where the map has one.
     for door, free in ((0.38, True), (0.26, False)):
         scan = scan_of(two_rooms(door), X_MB)

@@ -11,7 +11,7 @@ grows with the building, and little with the time that the robot drives about in
 from __future__ import annotations
 
 import math
-from typing import overload
+from typing import TypeVar
 
 import numpy as np
 
@@ -56,6 +56,9 @@ class Keyframe:
         """(2n + 3, 2n + 3), of (p_AL row by row, X_AD)."""
         covariance = np.linalg.inv(self.information)
         return 0.5 * (covariance + covariance.T)
+
+
+Seen = TypeVar("Seen", Keyframe, GoalObservation)
 
 
 @message
@@ -156,11 +159,7 @@ def keyframe(observation: GoalObservation) -> Keyframe:
     )
 
 
-@overload
-def at_yaw(one: Keyframe, yaw: float) -> Keyframe: ...
-@overload
-def at_yaw(one: GoalObservation, yaw: float) -> GoalObservation: ...
-def at_yaw(one: Keyframe | GoalObservation, yaw: float) -> Keyframe | GoalObservation:
+def at_yaw(one: Seen, yaw: float) -> Seen:
     """The same with the camera's yaw taken to be another one, rad."""
     if not len(one.on_yaw) or one.yaw == yaw:
         return replace(one, yaw=yaw)

@@ -184,7 +184,7 @@ def test_the_socket_says_what_the_sensors_see():
     assert tags[0]["ids"] == [5]
     assert tags[0]["range"] == pytest.approx([1.0], abs=0.2)
     assert tags[0]["bearing"] == pytest.approx([0.0], abs=0.06)
-    assert tags[0]["sigma_range"] == pytest.approx([0.03])
+    assert tags[0]["sigma_range"] == pytest.approx([0.03], abs=0.002)
     middle = len(scans[0]["angles"]) // 2
     assert scans[0]["ranges"][middle] == pytest.approx(1.0, abs=0.1)
     assert scans[0]["ranges"][0] is None
