@@ -5,7 +5,7 @@ import pytest
 
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan
-from tfg_drake.tfg.panorama import BINS, build_panorama
+from tfg_drake.tfg.panorama import BINS, build_panorama, without_dropouts
 
 START = np.array([2.0, 3.0, 0.3])
 
@@ -72,3 +72,12 @@ def test_a_panorama_needs_poses_and_scans() -> None:
         build_panorama([], np.zeros(0), np.zeros((0, 3)))
     with pytest.raises(ValueError, match="scan"):
         build_panorama([], np.zeros(1), np.zeros((1, 3)))
+
+
+def test_rays_that_are_swallowed_are_no_free_ground():
+    inf, nan = np.inf, np.nan
+    ranges = np.array([inf, 2.0, inf, 2.0, inf, inf, 2.1, inf, inf, inf, 3.0, nan, inf])
+    expected = [inf, 2.0, nan, 2.0, nan, nan, 2.1, inf, inf, inf, 3.0, nan, inf]
+    np.testing.assert_array_equal(without_dropouts(ranges), expected)
+    for few in ([], [inf], [2.0, inf]):
+        np.testing.assert_array_equal(without_dropouts(np.array(few)), few)

@@ -97,6 +97,20 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
     return angles, merged
 
 
+def without_dropouts(ranges: FloatArray) -> FloatArray:
+    """A scan's ranges (n,), nan where one ray or two meet nothing between two that do.
+
+    Glass and black walls swallow single rays, which would be free ground through a wall; a gap so narrow is no way.
+    """
+    hit, nothing = np.isfinite(ranges), np.isinf(ranges)
+    lost = np.zeros(len(ranges), dtype=np.bool_)
+    lost[1:-1] = nothing[1:-1] & hit[:-2] & hit[2:]
+    two = nothing[1:-2] & nothing[2:-1] & hit[:-3] & hit[3:]
+    lost[1:-2] |= two
+    lost[2:-1] |= two
+    return np.where(lost, np.nan, ranges) if lost.any() else ranges
+
+
 def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatArray) -> Panorama:
     """The panorama of a turn.
 
@@ -117,7 +131,7 @@ def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatAr
     poses = np.stack([np.interp(at, stamps, of) for of in (X_AB[:, 0], X_AB[:, 1], heading)])
     x, y, turned = np.repeat(poses, [len(scan.angles) for scan in scans], axis=1)
     angles = np.concatenate([np.zeros(0), *(scan.angles for scan in scans)])
-    ranges = np.concatenate([np.zeros(0), *(scan.ranges for scan in scans)])
+    ranges = np.concatenate([np.zeros(0), *(without_dropouts(scan.ranges) for scan in scans)])
     looked = ~np.isnan(ranges)
     x, y, angles, ranges = x[looked], y[looked], angles[looked] + turned[looked], ranges[looked]
     hit = np.isfinite(ranges)
