@@ -44,6 +44,21 @@ def test_a_folder_is_read_plain_and_gzipped(folder):
     np.testing.assert_array_equal(run.truth.X_WB[-1], [1.0, 0.0, 0.0])
 
 
+def test_rows_out_of_order_are_sorted(folder):
+    clean = load_mrclam(folder, 1)
+    head, *rows = ODOMETRY.splitlines()
+    (folder / "Robot1_Odometry.dat").write_text("\r\n".join([head, *rows[::-1], rows[0], ""]))
+    head, *rows = TRUTH.splitlines()
+    (folder / "Robot1_Groundtruth.dat").write_text("\n".join([*rows[::-1], "15.0 1.0"]))
+    run = load_mrclam(folder, 1)
+    assert [one.stamp for one in run.odometry] == [one.stamp for one in clean.odometry]
+    np.testing.assert_array_equal([one.X_OB for one in run.odometry], [one.X_OB for one in clean.odometry])
+    np.testing.assert_array_equal(run.truth.stamps, clean.truth.stamps)
+    odometry = "Robot1_Odometry.dat: line ends CRLF, read as such; 1 row twice, left out; 3 rows out of order, sorted"
+    truth = "Robot1_Groundtruth.dat: the last row cut off, left out; 1 row out of order, sorted"
+    assert run.notes == (odometry, *clean.notes, truth)
+
+
 def test_commands_are_integrated_exactly_on_arcs(folder):
     run = load_mrclam(folder, 1)
     assert (SPEED_SCALE, TURN_SCALE) == (1.05, 1.09)
@@ -103,8 +118,14 @@ def test_without_truth_there_is_none(folder):
         ("Robot1_Odometry.dat", "# empty\n", "{}/Robot1_Odometry.dat: no odometry in it; copy it again"),
         (
             "Robot1_Odometry.dat",
-            "2.0 0 0\n1.0 0 0\n",
-            "{}/Robot1_Odometry.dat: time runs backwards after 2.000 s; sort the rows by time",
+            "1.0 0 0\n2.0 x 0\n3.0 0 0\n",
+            "{}/Robot1_Odometry.dat, line 2: 'x' is not a finite number below 1e+18; mend the line",
+        ),
+        (
+            "Robot1_Odometry.dat",
+            "1.0 0 0\n2.0 0\n3.0 0 0\n",
+            "{}/Robot1_Odometry.dat, line 2: 3 numbers expected (time, forward speed, turn rate), 2 found; mend the"
+            " line",
         ),
         ("Robot1_Odometry.dat", b"\xff\xfe", "{}/Robot1_Odometry.dat: not a text file; is it what its name says?"),
     ],
