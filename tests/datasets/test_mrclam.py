@@ -59,6 +59,17 @@ def test_rows_out_of_order_are_sorted(folder):
     assert run.notes == (odometry, *clean.notes, truth)
 
 
+def test_a_robot_whose_rows_are_missing_has_not_turned_all_the_while(folder):
+    (folder / "Robot1_Odometry.dat").write_text("0 0.105 0.109\n0 0.105 0.109\n20 0.105 0\n30 0 0\n")
+    (folder / "Robot1_Measurement.dat.gz").write_bytes(gzip.compress(b""))
+    run = load_mrclam(folder, 1)
+    hole = "no rows for 20.0 s after 0.0, 10.0 s after 20.0; the motion then is a guess"
+    assert run.notes == (f"Robot1_Odometry.dat: 1 row twice, left out; {hole}",)
+    # 2 s on an arc of 0.1 rad/s, then straight ahead at 0.1 m/s.
+    expected = [np.sin(0.2) + 2.8 * np.cos(0.2), 1.0 - np.cos(0.2) + 2.8 * np.sin(0.2), 0.2]
+    np.testing.assert_allclose(run.odometry[-1].X_OB, expected, atol=1e-9)
+
+
 def test_commands_are_integrated_exactly_on_arcs(folder):
     run = load_mrclam(folder, 1)
     assert (SPEED_SCALE, TURN_SCALE) == (1.05, 1.09)

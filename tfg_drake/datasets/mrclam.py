@@ -31,6 +31,10 @@ COMMAND_LATENCY = 0.2
 # No odometry message later than this after the one before, s, where the file has rows enough.
 LONGEST_MESSAGE = 0.25
 
+# A command is repeated or followed by another within this time, s. Where none is, rows are missing; a robot turns for
+# moments only, so it is taken to have driven on straight ahead.
+LONGEST_HELD = 2.0
+
 
 def odometry_model() -> OdometryConfig:
     """What fits the odometry of every run, the commands' mean scale taken out."""
@@ -49,9 +53,12 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
         raise DatasetError(f"--robot {robot}: MR.CLAM has robots 1 to 5")
     odometry_file = find_file(folder, f"Robot{robot}_Odometry.dat")
     odometry, mended = read_table(odometry_file, ("time", "forward speed", "turn rate"))
-    notes += mended
     if not len(odometry):
         raise DatasetError(f"{odometry_file}: no odometry in it; copy it again")
+    odometry, missing = _without_long_turns(odometry)
+    if missing:
+        mended = ("; ".join([*mended, missing]),) if mended else (f"{odometry_file.name}: {missing}",)
+    notes += mended
     at_first = (odometry[0, 0], 0.0, 0.0)
     commands = odometry / (1.0, SPEED_SCALE, TURN_SCALE) + (COMMAND_LATENCY, 0.0, 0.0)
     messages = integrate_commands(np.vstack([at_first, commands]))
@@ -76,8 +83,8 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
         SIGMA_RANGE * ones,
         SIGMA_BEARING * ones,
     )
-    truth, mended = _truth(folder, robot)
-    notes += mended
+    truth, told = _truth(folder, robot)
+    notes += told
     return Recording(
         name=f"{folder.resolve().name}-robot{robot}",
         odometry=messages,
@@ -114,6 +121,18 @@ def integrate_commands(rows: FloatArray) -> tuple[Odometry, ...]:
             at_rest = not messages[-1].V_B.any()
             messages.append(Odometry(stamp=stamps[i], X_OB=X_OB[i], V_B=rows[i, 1:], at_rest=at_rest))
     return tuple(messages)
+
+
+def _without_long_turns(rows: FloatArray) -> tuple[FloatArray, str]:
+    """The commands (n, 3), none of which turns for longer than LONGEST_HELD, and what is said of the holes."""
+    dt = np.diff(rows[:, 0])
+    holes = np.flatnonzero(dt > LONGEST_HELD)
+    if not len(holes):
+        return rows, ""
+    straight = rows[holes] * (1.0, 1.0, 0.0) + (LONGEST_HELD, 0.0, 0.0)
+    at = ", ".join(f"{dt[i]:.1f} s after {rows[i, 0]:.1f}" for i in holes[:5].tolist())
+    more = f" and {len(holes) - 5} times more" if len(holes) > 5 else ""
+    return np.insert(rows, holes + 1, straight, axis=0), f"no rows for {at}{more}; the motion then is a guess"
 
 
 def _truth(folder: Path, robot: int) -> tuple[GroundTruth | None, list[str]]:
