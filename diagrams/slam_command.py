@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import math
 import threading
 import time
@@ -27,6 +28,8 @@ from tfg_drake.files import write_atomic
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.trajectory import write_tum
+
+_log = logging.getLogger("tfg_drake.slam_command")
 
 SCHEMA = 1
 # What a graph without a robot's way in it is solved by.
@@ -79,6 +82,8 @@ def run_slam(
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
+        for note in loaded.notes:
+            _log.info("%s", note)
         if isinstance(loaded, PoseGraph):
             figures = _solve_graph(loaded, dataset, name, folder.path, report)
         else:
@@ -209,7 +214,7 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
         "calibration": None,
         "online_cpu_s": None,
         "batch_cpu_s": time.process_time() - start,
-        "notes": [],
+        "notes": [*graph.notes],
     }
 
 

@@ -179,7 +179,8 @@ def test_what_is_written_is_read_again_to_the_bit(tmp_path):
     graph = read_g2o(loop(tmp_path, noise=0.1)[0])
     write_g2o(tmp_path / "copy.g2o", graph)
     copy = read_g2o(tmp_path / "copy.g2o")
-    for name in vars(graph):
+    assert copy.notes == ()
+    for name in vars(graph).keys() - {"notes"}:
         np.testing.assert_array_equal(getattr(copy, name), getattr(graph, name))
 
 

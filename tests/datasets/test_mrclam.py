@@ -44,6 +44,32 @@ def test_a_folder_is_read_plain_and_gzipped(folder):
     np.testing.assert_array_equal(run.truth.X_WB[-1], [1.0, 0.0, 0.0])
 
 
+def test_rows_out_of_order_are_sorted(folder):
+    clean = load_mrclam(folder, 1)
+    head, *rows = ODOMETRY.splitlines()
+    (folder / "Robot1_Odometry.dat").write_text("\r\n".join([head, *rows[::-1], rows[0], ""]))
+    head, *rows = TRUTH.splitlines()
+    (folder / "Robot1_Groundtruth.dat").write_text("\n".join([*rows[::-1], "15.0 1.0"]))
+    run = load_mrclam(folder, 1)
+    assert [one.stamp for one in run.odometry] == [one.stamp for one in clean.odometry]
+    np.testing.assert_array_equal([one.X_OB for one in run.odometry], [one.X_OB for one in clean.odometry])
+    np.testing.assert_array_equal(run.truth.stamps, clean.truth.stamps)
+    odometry = "Robot1_Odometry.dat: line ends CRLF, read as such; 1 row twice, left out; 3 rows out of order, sorted"
+    truth = "Robot1_Groundtruth.dat: the last row cut off, left out; 1 row out of order, sorted"
+    assert run.notes == (odometry, *clean.notes, truth)
+
+
+def test_a_robot_whose_rows_are_missing_has_not_turned_all_the_while(folder):
+    (folder / "Robot1_Odometry.dat").write_text("0 0.105 0.109\n0 0.105 0.109\n20 0.105 0\n30 0 0\n")
+    (folder / "Robot1_Measurement.dat.gz").write_bytes(gzip.compress(b""))
+    run = load_mrclam(folder, 1)
+    hole = "no rows for 20.0 s after 0.0, 10.0 s after 20.0; the motion then is a guess"
+    assert run.notes == (f"Robot1_Odometry.dat: 1 row twice, left out; {hole}",)
+    # 2 s on an arc of 0.1 rad/s, then straight ahead at 0.1 m/s.
+    expected = [np.sin(0.2) + 2.8 * np.cos(0.2), 1.0 - np.cos(0.2) + 2.8 * np.sin(0.2), 0.2]
+    np.testing.assert_allclose(run.odometry[-1].X_OB, expected, atol=1e-9)
+
+
 def test_commands_are_integrated_exactly_on_arcs(folder):
     run = load_mrclam(folder, 1)
     assert (SPEED_SCALE, TURN_SCALE) == (1.05, 1.09)
@@ -103,8 +129,14 @@ def test_without_truth_there_is_none(folder):
         ("Robot1_Odometry.dat", "# empty\n", "{}/Robot1_Odometry.dat: no odometry in it; copy it again"),
         (
             "Robot1_Odometry.dat",
-            "2.0 0 0\n1.0 0 0\n",
-            "{}/Robot1_Odometry.dat: time runs backwards after 2.000 s; sort the rows by time",
+            "1.0 0 0\n2.0 x 0\n3.0 0 0\n",
+            "{}/Robot1_Odometry.dat, line 2: 'x' is not a finite number below 1e+18; mend the line",
+        ),
+        (
+            "Robot1_Odometry.dat",
+            "1.0 0 0\n2.0 0\n3.0 0 0\n",
+            "{}/Robot1_Odometry.dat, line 2: 3 numbers expected (time, forward speed, turn rate), 2 found; mend the"
+            " line",
         ),
         ("Robot1_Odometry.dat", b"\xff\xfe", "{}/Robot1_Odometry.dat: not a text file; is it what its name says?"),
     ],

@@ -110,6 +110,20 @@ def test_a_jump_of_the_odometry_is_taken_out_and_named(folder):
     np.testing.assert_allclose(run.odometry[-1].X_OB, clean.odometry[-1].X_OB, atol=0.01)
 
 
+def test_tables_without_header_and_out_of_order_are_read(folder):
+    clean = load_tagslam(folder)
+    for name in ("vio_odometry.csv", "tag_corners.csv"):
+        file = folder / name
+        _, *rows = file.read_text().splitlines()
+        file.write_text("\r\n".join([*rows[5:], rows[8], *rows[:5], rows[0][:40]]))
+    run = load_tagslam(folder)
+    np.testing.assert_array_equal([one.X_OB for one in run.odometry], [one.X_OB for one in clean.odometry])
+    np.testing.assert_array_equal([one.range for one in run.detections], [one.range for one in clean.detections])
+    mended = "the last row cut off, left out; 1 row twice, left out; 5 rows out of order, sorted"
+    assert [note.split("; ", 2)[2] for note in run.notes] == [mended, mended]
+    assert run.notes[0].startswith("vio_odometry.csv: line ends CRLF, read as such; no header, columns read as stamp_s")
+
+
 @pytest.mark.parametrize(
     ("file", "change", "complaint"),
     [
@@ -118,6 +132,11 @@ def test_a_jump_of_the_odometry_is_taken_out_and_named(folder):
             "vio_odometry.csv",
             ("x_m", "east"),
             "{}/vio_odometry.csv: no column 'x_m' in the first line; name the columns there",
+        ),
+        (
+            "vio_odometry.csv",
+            ("\n0.050000,0", "\n0.000000,0"),
+            "{}/vio_odometry.csv: two different poses at 0.000 s; leave one of them out",
         ),
         (
             "tag_corners.csv",

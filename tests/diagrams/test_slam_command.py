@@ -35,6 +35,17 @@ def mrclam(tmp_path):
     return folder
 
 
+def test_what_was_mended_of_a_recording_is_said_once(call, tmp_path, mrclam):
+    file = mrclam / "Robot1_Measurement.dat"
+    rows = file.read_text().splitlines()
+    file.write_text("\n".join([*rows[100:], *rows[:100], "59.75 56"]))
+    code, printed, complaint = call("slam", str(mrclam), "--out", str(tmp_path / "run"))
+    assert (code, complaint) == (0, "")
+    mended = "Robot1_Measurement.dat: the last row cut off, left out; 100 rows out of order, sorted"
+    assert printed.count(mended) == 1
+    assert mended in (tmp_path / "run" / "log.txt").read_text()
+
+
 def test_a_recording_is_run_judged_and_kept(call, tmp_path, mrclam):
     out = tmp_path / "run"
     code, printed, complaint = call("slam", str(mrclam), "--out", str(out), "--json")

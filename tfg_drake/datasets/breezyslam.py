@@ -14,7 +14,8 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, ScanLog
-from tfg_drake.datasets.text import parse_numbers, read_text
+from tfg_drake.datasets.rows import Rows, ShortRowError
+from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
 
@@ -42,22 +43,24 @@ def load_breezyslam(path: Path) -> ScanLog:
     """The run in a file, which may be gzipped. The body's origin is the scanner, its odometry the wheels' alone.
 
     Raises:
-        DatasetError: the file cannot be read, a line is broken, time runs backwards, or there is but one scan.
+        DatasetError: the file cannot be read, a line is broken, two scans are at one time, or there is but one.
     """
-    rows = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        words = line.split()
-        if not words:
-            continue
+    rows = Rows(path)
+
+    def parse(number: int, words: list[str]) -> tuple[float, ...]:
         if len(words) < _FIRST + RAYS:
-            raise DatasetError(f"{path}, line {number}: {_FIRST + RAYS} columns expected, {len(words)} found; mend it")
-        told = [words[0], *words[2:4], *words[_FIRST : _FIRST + RAYS]]
-        rows.append(parse_numbers(path, number, told))
-        if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
-            raise DatasetError(f"{path}, line {number}: time does not grow; sort the lines by their first column")
-    if len(rows) < 2:
+            complaint = f"{_FIRST + RAYS} columns expected, {len(words)} found; mend it"
+            raise ShortRowError(f"{path}, line {number}: {complaint}")
+        return tuple(parse_numbers(path, number, [words[0], *words[2:4], *words[_FIRST : _FIRST + RAYS]]))
+
+    read = rows.once(rows.read(parse))
+    if len(read) < 2:
         raise DatasetError(f"{path}: fewer than two scans in it; copy it again")
-    table = np.array(rows)
+    table = np.array(read)
+    table = table[rows.in_order(table[:, 0])]
+    same = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    if len(same):
+        raise DatasetError(f"{path}: two different scans at {table[same[0], 0]:.0f} us; leave one of them out")
     stamps = 1e-6 * (table[:, 0] - table[0, 0])
     seen = slice(_OWN, RAYS - _OWN)
     angles = ((np.arange(RAYS) + 0.5) / RAYS - 0.5)[seen] * FIELD_OF_VIEW
@@ -72,6 +75,7 @@ def load_breezyslam(path: Path) -> ScanLog:
         scans=tuple(scans),
         model=odometry_model(),
         truth=None,
+        notes=rows.notes,
     )
 
 

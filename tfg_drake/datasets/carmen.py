@@ -14,7 +14,8 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, ScanLog
-from tfg_drake.datasets.text import parse_numbers, read_text
+from tfg_drake.datasets.rows import Rows, ShortRowError
+from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
 from tfg_drake.simulation import odometry
 
@@ -37,15 +38,15 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float =
     Raises:
         DatasetError: the file cannot be read, a line is broken, or there are fewer than two scans in it.
     """
+    rows = Rows(path)
+    read = rows.read(lambda number, words: _scan_line(path, number, words) if words[0] == "FLASER" else None)
     stamps: list[float] = []
     poses, scans = [], []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        words = line.split()
-        if not words or words[0] != "FLASER":
-            continue
-        ranges, X_WB, stamp = _scan_line(path, number, words)
+    for numbers in rows.once(read):
+        values = np.array(numbers)
+        ranges, stamp = values[:-4], float(values[-1])
         stamps.append(max(stamp, stamps[-1] + LEAST_STEP) if stamps else stamp)
-        poses.append(X_WB)
+        poses.append(values[-4:-1])
         angles = (np.arange(len(ranges)) / len(ranges) - 0.5) * math.pi
         met = (ranges > 0.0) & (ranges < NO_RETURN)
         within = np.where(ranges[met] <= range_max, ranges[met], math.inf)
@@ -60,18 +61,19 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float =
         scans=tuple(scans),
         model=model,
         truth=GroundTruth(np.array(stamps), X_WB, nothing, np.empty((0, 2))),
+        notes=rows.notes,
     )
 
 
-def _scan_line(path: Path, number: int, words: list[str]) -> tuple[FloatArray, FloatArray, float]:
+def _scan_line(path: Path, number: int, words: list[str]) -> tuple[float, ...]:
     """Ranges, pose and stamp of a FLASER line."""
     count = len(words) - 2 - _TAIL
     if count < 1 or words[1] != str(count):
-        raise DatasetError(f"{path}, line {number}: not a whole FLASER line; copy the file again")
-    told = words[2 : 2 + count + 3]
-    stamp = words[2 + count + 6]
-    values = np.array(parse_numbers(path, number, [*told, stamp]))
-    return values[:count], values[count:-1], float(values[-1])
+        # Three digits more than any scanner has rays.
+        told = int(words[1]) if len(words) > 1 and words[1].isdecimal() and len(words[1]) < 8 else count
+        kind = ShortRowError if len(words) < 3 or count < told else DatasetError
+        raise kind(f"{path}, line {number}: not a whole FLASER line; copy the file again")
+    return tuple(parse_numbers(path, number, [*words[2 : 2 + count + 3], words[2 + count + 6]]))
 
 
 def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:

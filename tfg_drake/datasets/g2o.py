@@ -6,6 +6,7 @@ EDGE_SE2_XY i j x y likewise. LANDMARK2, as GTSAM's own files call it, is EDGE_S
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from scipy.sparse.csgraph import connected_components
 
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.datasets.text import parse_numbers, read_text
+from tfg_drake.datasets.rows import Rows, ShortRowError
+from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray
 
@@ -37,17 +39,10 @@ def read_g2o(path: Path) -> PoseGraph:
     Raises:
         DatasetError: the file cannot be read, a line is broken, or the graph is not planar or holds no edge.
     """
+    file = Rows(path)
     rows: dict[str, list[tuple[int, list[int], list[float]]]] = {tag: [] for tag in _FORMAT}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        if words[0] not in _FORMAT:
-            known = "VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY and FIX"
-            raise DatasetError(f"{path}, line {number}: {words[0][:40]} is not supported; planar graphs of {known} are")
-        ids, numbers = _FORMAT[words[0]]
-        row = _parse_line(path, number, words, ids, numbers)
-        rows["EDGE_SE2_XY" if words[0] == "LANDMARK2" else words[0]].append((number, *row))
+    for number, tag, ids, numbers in file.once(file.read(partial(_parse_line, path)), lambda row: row[1:]):
+        rows[tag].append((number, list(ids), list(numbers)))
 
     poses = {row[1][0]: row[2] for row in rows["VERTEX_SE2"]}
     landmarks = {row[1][0]: row[2] for row in rows["VERTEX_XY"]}
@@ -83,6 +78,7 @@ def read_g2o(path: Path) -> PoseGraph:
         sightings=np.array([row[1] for row in sightings], dtype=np.int64).reshape(-1, 2),
         p_BL=np.array([row[2][:2] for row in sightings]).reshape(-1, 2),
         sighting_information=_informations(path, sightings, 2),
+        notes=file.notes,
     )
 
 
@@ -126,17 +122,29 @@ def write_g2o(path: Path, graph: PoseGraph) -> None:
     write_atomic(path, "\n".join(lines) + "\n")
 
 
-def _parse_line(path: Path, number: int, words: list[str], ids: int, numbers: int) -> tuple[list[int], list[float]]:
-    """The ids and the numbers after a line's tag, so many of each; raises DatasetError."""
+def _parse_line(path: Path, number: int, words: list[str]) -> tuple[int, str, tuple[int, ...], tuple[float, ...]]:
+    """The line's number, its tag, and the ids and numbers after it, as many as the tag takes; raises DatasetError."""
+    tag = words[0]
+    if tag not in _FORMAT:
+        known = "VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY and FIX"
+        kind = ShortRowError if len(words) == 1 and any(one.startswith(tag) for one in _FORMAT) else DatasetError
+        raise kind(f"{path}, line {number}: {tag[:40]} is not supported; planar graphs of {known} are")
+    ids, numbers = _FORMAT[tag]
     if len(words) != 1 + ids + numbers:
-        raise DatasetError(
-            f"{path}, line {number}: {words[0]} takes {ids + numbers} numbers, {len(words) - 1} found; mend the line"
-        )
+        complaint = f"{tag} takes {ids + numbers} numbers, {len(words) - 1} found; mend the line"
+        kind = ShortRowError if len(words) < 1 + ids + numbers else DatasetError
+        raise kind(f"{path}, line {number}: {complaint}")
     for word in words[1 : 1 + ids]:
         if not word.isdecimal() or len(word) > _ID_DIGITS:
             complaint = f"{word[:40]!r} is not an id; ids are whole numbers of at most {_ID_DIGITS} digits"
             raise DatasetError(f"{path}, line {number}: {complaint}")
-    return [int(word) for word in words[1 : 1 + ids]], parse_numbers(path, number, words[1 + ids :])
+    values = parse_numbers(path, number, words[1 + ids :])
+    return (
+        number,
+        "EDGE_SE2_XY" if tag == "LANDMARK2" else tag,
+        tuple(int(word) for word in words[1 : 1 + ids]),
+        tuple(values),
+    )
 
 
 def _informations(path: Path, rows: list[tuple[int, list[int], list[float]]], size: int) -> FloatArray:

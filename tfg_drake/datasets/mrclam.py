@@ -13,7 +13,8 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
-from tfg_drake.datasets.text import find_file, read_table
+from tfg_drake.datasets.rows import read_table
+from tfg_drake.datasets.text import find_file
 from tfg_drake.messages import FloatArray, Odometry
 
 # Subjects 1 to 5 are robots, 6 to 20 landmarks.
@@ -30,6 +31,10 @@ COMMAND_LATENCY = 0.2
 # No odometry message later than this after the one before, s, where the file has rows enough.
 LONGEST_MESSAGE = 0.25
 
+# A command is repeated or followed by another within this time, s. Where none is, rows are missing; a robot turns for
+# moments only, so it is taken to have driven on straight ahead.
+LONGEST_HELD = 2.0
+
 
 def odometry_model() -> OdometryConfig:
     """What fits the odometry of every run, the commands' mean scale taken out."""
@@ -42,23 +47,27 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
     Raises:
         DatasetError: a file is missing or broken, or there is no such robot.
     """
-    barcodes = read_table(find_file(folder, "Barcodes.dat"), ("subject", "barcode")).astype(np.int64)
+    table, mended = read_table(find_file(folder, "Barcodes.dat"), ("subject", "barcode"), timed=False)
+    notes, barcodes = [*mended], table.astype(np.int64)
     if robot not in ROBOTS:
         raise DatasetError(f"--robot {robot}: MR.CLAM has robots 1 to 5")
     odometry_file = find_file(folder, f"Robot{robot}_Odometry.dat")
-    odometry = read_table(odometry_file, ("time", "forward speed", "turn rate"))
+    odometry, mended = read_table(odometry_file, ("time", "forward speed", "turn rate"))
     if not len(odometry):
         raise DatasetError(f"{odometry_file}: no odometry in it; copy it again")
-    _check_order(odometry_file, odometry[:, 0])
+    odometry, missing = _without_long_turns(odometry)
+    if missing:
+        mended = ("; ".join([*mended, missing]),) if mended else (f"{odometry_file.name}: {missing}",)
+    notes += mended
     at_first = (odometry[0, 0], 0.0, 0.0)
     commands = odometry / (1.0, SPEED_SCALE, TURN_SCALE) + (COMMAND_LATENCY, 0.0, 0.0)
     messages = integrate_commands(np.vstack([at_first, commands]))
 
     file = find_file(folder, f"Robot{robot}_Measurement.dat")
-    sightings = read_table(file, ("time", "barcode", "range", "bearing"))
+    sightings, mended = read_table(file, ("time", "barcode", "range", "bearing"))
+    notes += mended
     subjects = dict(zip(barcodes[:, 1].tolist(), barcodes[:, 0].tolist(), strict=True))
     subject = np.array([subjects.get(int(code), 0) for code in sightings[:, 1]], dtype=np.int64)
-    notes = []
     unknown = int(np.count_nonzero(subject == 0))
     if unknown:
         notes.append(f"{unknown} measurements of barcodes that Barcodes.dat does not list were left out")
@@ -74,12 +83,14 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
         SIGMA_RANGE * ones,
         SIGMA_BEARING * ones,
     )
+    truth, told = _truth(folder, robot)
+    notes += told
     return Recording(
         name=f"{folder.resolve().name}-robot{robot}",
         odometry=messages,
         detections=frames,
         model=odometry_model(),
-        truth=_truth(folder, robot),
+        truth=truth,
         notes=tuple(notes),
     )
 
@@ -112,25 +123,34 @@ def integrate_commands(rows: FloatArray) -> tuple[Odometry, ...]:
     return tuple(messages)
 
 
-def _check_order(file: Path, stamps: FloatArray) -> None:
-    back = np.flatnonzero(np.diff(stamps) < 0.0)
-    if len(back):
-        raise DatasetError(f"{file}: time runs backwards after {stamps[back[0]]:.3f} s; sort the rows by time")
+def _without_long_turns(rows: FloatArray) -> tuple[FloatArray, str]:
+    """The commands (n, 3), none of which turns for longer than LONGEST_HELD, and what is said of the holes."""
+    dt = np.diff(rows[:, 0])
+    holes = np.flatnonzero(dt > LONGEST_HELD)
+    if not len(holes):
+        return rows, ""
+    straight = rows[holes] * (1.0, 1.0, 0.0) + (LONGEST_HELD, 0.0, 0.0)
+    at = ", ".join(f"{dt[i]:.1f} s after {rows[i, 0]:.1f}" for i in holes[:5].tolist())
+    more = f" and {len(holes) - 5} times more" if len(holes) > 5 else ""
+    return np.insert(rows, holes + 1, straight, axis=0), f"no rows for {at}{more}; the motion then is a guess"
 
 
-def _truth(folder: Path, robot: int) -> GroundTruth | None:
+def _truth(folder: Path, robot: int) -> tuple[GroundTruth | None, list[str]]:
+    """What is known of it, and what was mended in its files."""
+    notes: list[str] = []
     stamps, X_WB = np.empty(0), np.empty((0, 3))
     ids, p_WL = np.empty(0, dtype=np.int64), np.empty((0, 2))
     if any((folder / f"Robot{robot}_Groundtruth.dat{end}").is_file() for end in ("", ".gz")):
         file = find_file(folder, f"Robot{robot}_Groundtruth.dat")
-        poses = read_table(file, ("time", "x", "y", "heading"))
-        _check_order(file, poses[:, 0])
+        poses, mended = read_table(file, ("time", "x", "y", "heading"))
+        notes += mended
         stamps, X_WB = poses[:, 0], poses[:, 1:]
     if any((folder / f"Landmark_Groundtruth.dat{end}").is_file() for end in ("", ".gz")):
         file = find_file(folder, "Landmark_Groundtruth.dat")
-        landmarks = read_table(file, ("subject", "x", "y", "sigma x", "sigma y"))
+        landmarks, mended = read_table(file, ("subject", "x", "y", "sigma x", "sigma y"), timed=False)
+        notes += mended
         landmarks = landmarks[np.argsort(landmarks[:, 0])]
         ids, p_WL = landmarks[:, 0].astype(np.int64), landmarks[:, 1:3]
     if not len(stamps) and not len(ids):
-        return None
-    return GroundTruth(stamps=stamps, X_WB=X_WB, ids=ids, p_WL=p_WL)
+        return None, notes
+    return GroundTruth(stamps=stamps, X_WB=X_WB, ids=ids, p_WL=p_WL), notes

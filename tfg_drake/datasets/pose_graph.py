@@ -24,6 +24,7 @@ class PoseGraph:
 
     edges: (e, 2) ids of poses i, j; X_ij: (e, 3) the pose of j in i; edge_information: (e, 3, 3) of (x, y, theta) of
     X_ij^-1 X_i^-1 X_j. sightings: (s, 2) ids of pose and landmark; p_BL: (s, 2) m; sighting_information: (s, 2, 2).
+    notes: what a user should know of the data, a sentence each.
     """
 
     pose_ids: IntArray
@@ -37,6 +38,7 @@ class PoseGraph:
     sightings: IntArray
     p_BL: FloatArray
     sighting_information: FloatArray
+    notes: tuple[str, ...] = ()
 
 
 def half_chi_square(graph: PoseGraph) -> float:

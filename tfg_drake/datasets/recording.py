@@ -47,7 +47,7 @@ class ScanLog:
     """One robot's run with a laser scanner, the body's origin at the scanner.
 
     name. odometry, scans: each in the order of their stamps. model: what a filter believes of the odometry. truth: the
-    best known poses at the scans' stamps, None where nothing is known.
+    best known poses at the scans' stamps, None where nothing is known. notes: as in Recording.
     """
 
     name: str
@@ -55,6 +55,7 @@ class ScanLog:
     scans: tuple[LaserScan, ...]
     model: OdometryConfig
     truth: GroundTruth | None
+    notes: tuple[str, ...] = ()
 
 
 def make_frames(

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
+from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.square_pnp import square_centers, undistort
 from tfg_drake.datasets.text import GREATEST, find_file, parse_numbers, read_text
 from tfg_drake.messages import FloatArray, IntArray, Odometry
@@ -36,6 +37,9 @@ LEAST_RANGE = 0.3
 
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "xy")
+# The columns of a table without a header.
+_POSE_COLUMNS = ("stamp_s", *_POSE)
+_TAG_COLUMNS = ("stamp_s", "camera", "tag_id", "hamming", *_CORNERS)
 
 
 def odometry_model() -> OdometryConfig:
@@ -50,20 +54,21 @@ def load_tagslam(folder: Path) -> Recording:
         DatasetError: a file is missing or broken, or the files do not belong together.
     """
     setup = _Setup(folder)
-    stamps, R_VR, p_VR = _rig_poses(folder, "vio_odometry.csv", setup.R_RO, setup.p_RO)
+    notes: list[str] = []
+    stamps, R_VR, p_VR = _rig_poses(folder, "vio_odometry.csv", setup.R_RO, setup.p_RO, notes)
     heading = _heading(R_VR)
     odometry, jumps = _planar_odometry(stamps, p_VR[:, :2], heading)
-    notes = []
     if jumps:
         at = ", ".join(f"{jump - stamps[0]:.1f}" for jump in jumps)
         notes.append(f"the odometry jumps at {at} s: there the motion before the jump was put in its place")
     found = _detections(folder, setup, stamps, R_VR, heading, notes)
+    truth = _truth(folder, setup, notes)
     return Recording(
         name=folder.resolve().name,
         odometry=odometry,
         detections=make_frames(*found),
         model=odometry_model(),
-        truth=_truth(folder, setup),
+        truth=truth,
         notes=tuple(notes),
     )
 
@@ -148,7 +153,8 @@ def _detections(
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Stamps, ids, range, bearing and their deviations, a row a sighting, as make_frames takes them."""
     file = find_file(folder, "tag_corners.csv")
-    names, table = _read_csv(file, ("stamp_s", "tag_id", "hamming", *_CORNERS), "camera")
+    names, table, mended = _read_csv(file, ("stamp_s", "tag_id", "hamming", *_CORNERS), _TAG_COLUMNS, "camera")
+    notes += mended
     ids = table[:, 1].astype(np.int64)
     for row, name in enumerate(names):
         if setup.camera(name) is None:
@@ -195,11 +201,11 @@ def _detections(
     return table[kept, 0], ids[kept], distance, np.arctan2(p[:, 1], p[:, 0]), sigma_range, sigma_bearing
 
 
-def _truth(folder: Path, setup: _Setup) -> GroundTruth | None:
+def _truth(folder: Path, setup: _Setup, notes: list[str]) -> GroundTruth | None:
     """The survey and the reference trajectory; not independent of the detections, but all there is."""
     stamps, X_WB = np.empty(0), np.empty((0, 3))
     if any((folder / f"tagslam_reference.csv{end}").is_file() for end in ("", ".gz")):
-        stamps, R_WR, p_WR = _rig_poses(folder, "tagslam_reference.csv", np.eye(3), np.zeros(3))
+        stamps, R_WR, p_WR = _rig_poses(folder, "tagslam_reference.csv", np.eye(3), np.zeros(3), notes)
         X_WB = np.column_stack([p_WR[:, :2], _heading(R_WR)])
     if not len(stamps) and not len(setup.surveyed_ids):
         return None
@@ -207,16 +213,17 @@ def _truth(folder: Path, setup: _Setup) -> GroundTruth | None:
 
 
 def _rig_poses(
-    folder: Path, name: str, R_RO: FloatArray, p_RO: FloatArray
+    folder: Path, name: str, R_RO: FloatArray, p_RO: FloatArray, notes: list[str]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """stamps (n,), R_VR (n, 3, 3), p_VR (n, 3) from a table of poses of the frame O that sits in the rig at X_RO."""
     file = find_file(folder, name)
-    _, table = _read_csv(file, ("stamp_s", *_POSE))
+    _, table, mended = _read_csv(file, _POSE_COLUMNS, _POSE_COLUMNS)
+    notes += mended
     if len(table) < 2:
         raise DatasetError(f"{file}: fewer than two poses in it; copy it again")
-    back = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
-    if len(back):
-        raise DatasetError(f"{file}: time does not grow after {table[back[0], 0]:.3f} s; sort the rows by time")
+    same = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    if len(same):
+        raise DatasetError(f"{file}: two different poses at {table[same[0], 0]:.3f} s; leave one of them out")
     if np.any(np.linalg.norm(table[:, 4:], axis=1) < 0.5):
         raise DatasetError(f"{file}: a quaternion is not of length one; copy it again")
     R_VR = Rotation.from_quat(table[:, 4:]).as_matrix() @ R_RO.T
@@ -261,23 +268,35 @@ def _read_yaml(file: Path) -> dict[str, Any]:
     return tree
 
 
-def _read_csv(file: Path, columns: tuple[str, ...], label: str | None = None) -> tuple[list[str], FloatArray]:
-    """The label column, if one is asked for, and the columns named as finite numbers (n, len(columns))."""
-    lines = read_text(file).splitlines()
-    header = lines[0].split(",") if lines else []
+def _read_csv(
+    file: Path, columns: tuple[str, ...], usual: tuple[str, ...], label: str | None = None
+) -> tuple[list[str], FloatArray, tuple[str, ...]]:
+    """The label column, if one is asked for, the columns named as finite numbers (n, len(columns)), and what was
+    mended, a line or none.
+
+    usual: the columns of a file that has no header. The rows are sorted by their first column named, time, s.
+    """
+    rows = Rows(file, ",")
+    first, header = rows.first()
+    if header:
+        header[0] = header[0].removeprefix("#").strip()
+    if len(header) == len(usual) and not set(header) & set(usual):
+        rows.mended(f"no header, columns read as {', '.join(usual[:3])} and so on")
+        first, header = 0, list(usual)
     for column in (*columns, *([label] if label else [])):
         if column not in header:
             raise DatasetError(f"{file}: no column {column!r} in the first line; name the columns there")
     at = [header.index(column) for column in columns]
-    labels, rows = [], []
-    for number, line in enumerate(lines[1:], start=2):
-        if not line:
-            continue
-        words = line.split(",")
+
+    def parse(number: int, words: list[str]) -> tuple[str, tuple[float, ...]]:
         if len(words) != len(header):
-            raise DatasetError(
-                f"{file}, line {number}: {len(header)} values expected, {len(words)} found; mend the line"
-            )
-        rows.append(parse_numbers(file, number, [words[i] for i in at]))
-        labels.append(words[header.index(label)] if label else "")
-    return labels, np.array(rows).reshape(-1, len(columns))
+            complaint = f"{len(header)} values expected, {len(words)} found; mend the line"
+            kind = ShortRowError if len(words) < len(header) else DatasetError
+            raise kind(f"{file}, line {number}: {complaint}")
+        numbers = parse_numbers(file, number, [words[i] for i in at])
+        return words[header.index(label)] if label else "", tuple(numbers)
+
+    found = rows.once(rows.read(parse, after=first))
+    table = np.array([numbers for _, numbers in found]).reshape(-1, len(columns))
+    order = rows.in_order(table[:, 0])
+    return [found[i][0] for i in order.tolist()], table[order], rows.notes

@@ -1,4 +1,4 @@
-"""Tables of numbers in text files, plain or gzipped, with complaints that name file and line."""
+"""Text files, plain or gzipped, and numbers in them, with complaints that name file and line."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import gzip
 import math
 from pathlib import Path
 
-import numpy as np
-
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.files import read_bytes
-from tfg_drake.messages import FloatArray
 
 # The longest text that is read, bytes; the longest public log that we know of has 10 MB.
 _LONGEST = 64 * 2**20
@@ -52,26 +49,6 @@ def read_text(path: Path) -> str:
         raise DatasetError(f"{path}: not a whole gzip file; copy it again") from error
     except OSError as error:
         raise DatasetError(f"{path}: {(error.strerror or str(error)).lower()}") from error
-
-
-def read_table(path: Path, columns: tuple[str, ...]) -> FloatArray:
-    """Finite numbers (n, len(columns)) separated by white space; lines that are empty or begin with '#' are skipped.
-
-    Raises:
-        DatasetError: the file cannot be read, or a line of it is broken.
-    """
-    rows = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        if len(words) != len(columns):
-            raise DatasetError(
-                f"{path}, line {number}: {len(columns)} numbers expected ({', '.join(columns)}), {len(words)} found;"
-                " mend the line"
-            )
-        rows.append(parse_numbers(path, number, words))
-    return np.array(rows).reshape(-1, len(columns))
 
 
 def parse_numbers(path: Path, line: int, words: list[str]) -> list[float]:

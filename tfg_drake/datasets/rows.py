@@ -1,0 +1,194 @@
+"""The rows of a text file as they come, mended where what is meant is plain; what was mended is counted and told.
+
+Read as they are: other line ends, blank lines, a heading without '#', rows out of order, rows that are there twice, and
+a last row that was cut off. A row that is wrong in any other way is refused by its reader.
+"""
+
+from __future__ import annotations
+
+import bisect
+import re
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from tfg_drake.datasets.recording import DatasetError
+from tfg_drake.datasets.text import parse_numbers, read_text
+from tfg_drake.messages import FloatArray, IntArray
+
+# A heading without '#' has at most so many lines.
+HEADING = 4
+# The last rows that show how many decimals a file writes.
+DECIMALS_OF = 20
+# What is left of a number that was cut off, and no number.
+_CUT_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d*)?([eE][+-]?)?")
+
+Row = TypeVar("Row")
+
+
+class ShortRowError(DatasetError):
+    """A row that ends too early: as the last of a file it was cut off."""
+
+
+class Rows:
+    """The rows of one file: `read`, then perhaps `in_order` and `once`, then `notes`."""
+
+    def __init__(self, path: Path, separator: str | None = None) -> None:
+        """path: plain, or gzipped with a name in .gz. separator: between the words of a row; None is white space.
+
+        Raises:
+            DatasetError: the file cannot be read.
+        """
+        self.path, self._separator = path, separator
+        text = read_text(path).removeprefix("\ufeff")
+        self._ended = text.endswith(("\n", "\r"))
+        self._lines = text.splitlines()
+        self._mended: list[str] = []
+        kinds = {"CRLF": text.count("\r\n"), "CR": text.count("\r"), "LF": text.count("\n")}
+        kinds["CR"] -= kinds["CRLF"]
+        kinds["LF"] -= kinds["CRLF"]
+        found = [kind for kind, count in kinds.items() if count]
+        if found and found != ["LF"]:
+            self._mended.append(f"line ends {' and '.join(found)}, read as such")
+        while self._lines and not self._lines[-1].strip():
+            self._lines.pop()
+        if blank := sum(not line.strip() for line in self._lines):
+            self._mended.append(f"{_count(blank, 'blank line')} skipped")
+
+    def first(self) -> tuple[int, list[str]]:
+        """The number (from 1) and the words of the first line that is not blank; 0 and none of an empty file."""
+        return next(self._split(), (0, []))
+
+    def read(self, parse: Callable[[int, list[str]], Row | None], after: int = 0) -> list[Row]:
+        """What parse makes of the number (from 1) and the words of every line; lines of which it makes None are no row.
+
+        parse: raises DatasetError where a row is broken, and ShortRowError where words are missing at its end. after:
+        lines up to this number are left out. Blank lines and lines that begin with '#' are left out, too; so is the
+        last row where it was cut off, unless it is the only one.
+
+        Raises:
+            DatasetError: by parse, of any other row.
+        """
+        rows: list[Row] = []
+        ends: deque[str] = deque(maxlen=DECIMALS_OF)
+        for number, words in self._split():
+            if number <= after or words[0].startswith("#"):
+                continue
+            last = number == len(self._lines)
+            try:
+                row = parse(number, words)
+            except DatasetError as error:
+                if not rows or not last or not self._cut_off(error, words):
+                    raise
+                self._mended.append("the last row cut off, left out")
+                break
+            if row is None:
+                continue
+            if last and not self._ended and _lacks_decimals(words[-1], ends):
+                self._mended.append("the last row cut off, left out")
+                break
+            rows.append(row)
+            ends.append(words[-1])
+        return rows
+
+    def mended(self, what: str) -> None:
+        """Note what else was mended."""
+        self._mended.append(what)
+
+    def once(self, rows: Sequence[Row], key: Callable[[Row], object] = lambda row: row) -> list[Row]:
+        """The rows without those that are, by their keys (hashable), there already."""
+        found: dict[object, Row] = {}
+        for row in rows:
+            found.setdefault(key(row), row)
+        kept = list(found.values())
+        if twice := len(rows) - len(kept):
+            self._mended.append(f"{_count(twice, 'row')} twice, left out")
+        return kept
+
+    def in_order(self, stamps: FloatArray) -> IntArray:
+        """(n,) what puts stamps (n,) in order; those that are equal stay as they are."""
+        if (np.diff(stamps) >= 0.0).all():
+            return np.arange(len(stamps))
+        self._mended.append(f"{_count(_out_of_order(stamps), 'row')} out of order, sorted")
+        return np.argsort(stamps, kind="stable")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A line that says what was mended in the file, or none."""
+        return (f"{self.path.name}: {'; '.join(self._mended)}",) if self._mended else ()
+
+    def _split(self) -> Iterator[tuple[int, list[str]]]:
+        for number, line in enumerate(self._lines, start=1):
+            if line.strip():
+                yield number, [word.strip() for word in line.strip().split(self._separator)]
+
+    def _cut_off(self, error: DatasetError, words: list[str]) -> bool:
+        if isinstance(error, ShortRowError):
+            return True
+        return not self._ended and _CUT_NUMBER.fullmatch(words[-1]) is not None and not _is_number(words[-1])
+
+
+def read_table(path: Path, columns: tuple[str, ...], timed: bool = True) -> tuple[FloatArray, tuple[str, ...]]:
+    """Finite numbers (n, len(columns)) separated by white space, and what was mended, a line or none.
+
+    timed: the first column is time, s, and sorts the rows.
+
+    Raises:
+        DatasetError: the file cannot be read, or a line of it is broken.
+    """
+    rows = Rows(path)
+    read, heading = False, 0
+
+    def parse(number: int, words: list[str]) -> tuple[float, ...] | None:
+        nonlocal read, heading
+        if not read and heading < HEADING and is_heading(words, len(columns)):
+            heading += 1
+            return None
+        if len(words) != len(columns):
+            complaint = f"{len(columns)} numbers expected ({', '.join(columns)}), {len(words)} found; mend the line"
+            kind = ShortRowError if len(words) < len(columns) else DatasetError
+            raise kind(f"{path}, line {number}: {complaint}")
+        read = True
+        return tuple(parse_numbers(path, number, words))
+
+    found = rows.read(parse)
+    if heading:
+        rows.mended(f"{_count(heading, 'line')} of a heading without '#', skipped")
+    table = np.array(rows.once(found)).reshape(-1, len(columns))
+    return (table[rows.in_order(table[:, 0])] if timed else table), rows.notes
+
+
+def is_heading(words: list[str], columns: int) -> bool:
+    """Whether the words of a line are names where numbers should be, so many of them."""
+    numbers = [_is_number(word) for word in words]
+    return not any(numbers) or (not numbers[0] and len(words) != columns)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _lacks_decimals(word: str, others: Collection[str]) -> bool:
+    """Whether a file's last word has fewer decimals than the words that end the rows before, which all have as many."""
+    decimals = {len(one.partition(".")[2]) for one in others}
+    return len(others) > 2 and len(decimals) == 1 and len(word.partition(".")[2]) < decimals.pop()
+
+
+def _out_of_order(stamps: FloatArray) -> int:
+    """How few stamps of (n,) have to be moved until the others are in order."""
+    ends: list[float] = []  # Of the runs in order of every length, the least last stamp.
+    for stamp in stamps.tolist():
+        at = bisect.bisect_right(ends, stamp)
+        ends[at : at + 1] = [stamp]
+    return len(stamps) - len(ends)
