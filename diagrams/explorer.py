@@ -42,7 +42,7 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
         goal_selector = InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer, scenario.seed)
     return AssembleExplorer(
         {
-            "slam_estimator": SlamEstimator(scenario.odometry, explorer.path_keyframe_period),
+            "slam_estimator": SlamEstimator(scenario.odometry, scenario.tags, explorer.path_keyframe_period),
             "tfg_builder": TfgBuilder(scenario.tags, scenario.scan, robot, explorer),
             "goal_selector": goal_selector,
             "prm_planner": PrmPlanner(

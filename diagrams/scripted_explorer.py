@@ -24,7 +24,7 @@ def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
     )
     return AssembleExplorer(
         {
-            "slam_estimator": SlamEstimator(scenario.odometry, explorer.path_keyframe_period),
+            "slam_estimator": SlamEstimator(scenario.odometry, scenario.tags, explorer.path_keyframe_period),
             "tfg_builder": TfgBuilder(scenario.tags, scenario.scan, robot, explorer),
             "scripted_driver": ScriptedDriver(p_MG),
             "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
-from tfg_drake.slam.camera_model import unknown_camera
+from tfg_drake.slam.camera_model import camera_model
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
@@ -53,8 +53,8 @@ class SlamEstimator(LeafSystem):
     stage plus one. Messages are taken once each, by their stamps.
     """
 
-    def __init__(self, odometry_config: OdometryConfig, path_keyframe_period: float) -> None:
-        """odometry_config: what the estimator believes of the odometry. path_keyframe_period: s, see
+    def __init__(self, odometry_config: OdometryConfig, sensor: TagSensorConfig, path_keyframe_period: float) -> None:
+        """odometry_config, sensor: what the estimator believes of odometry and camera. path_keyframe_period: s, see
         `tfg_drake.slam.estimator_state.initial_state`."""
         super().__init__()
         self.set_name("slam_estimator")
@@ -63,7 +63,7 @@ class SlamEstimator(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         self._state = self.DeclareAbstractState(
-            AbstractValue.Make(initial_state(odometry_config, path_keyframe_period, unknown_camera()))
+            AbstractValue.Make(initial_state(odometry_config, path_keyframe_period, camera_model(sensor)))
         )
         self._detections_stamp = self.DeclareAbstractState(AbstractValue.Make(-float("inf")))
         depends = {self.abstract_state_ticket(self._state)}

@@ -8,9 +8,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.slam.test_robustness import Tour
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
-from tfg_drake.slam.camera_model import unknown_camera
+from tfg_drake.slam.camera_model import camera_model
 from tfg_drake.slam.estimator import begin_turn, end_turn, process_odometry, settled
 from tfg_drake.slam.estimator_state import initial_state, known_camera
 from tfg_drake.slam.odometry_model import arc, odometry_model, predict_increment
@@ -60,7 +61,7 @@ def by_least_squares(model, camera, begin, frames, end):
 
 def test_the_camera_is_an_unknown_of_a_turn(drive):
     robot = drive(np.random.default_rng(4).uniform(-6.0, 6.0, (9, 2)), 4, 1.0)
-    camera = replace(unknown_camera(), mean=np.array([0.01, 0.02]))
+    camera = replace(camera_model(TagSensorConfig()), mean=np.array([0.01, 0.02]))
     begin, twist = robot.instant(), np.array([0.3, 0.4])
     frames = tuple(replace(one, twist=twist, offset=0.03) for one in robot.frames(*twist, 16)[1:])
     model, end = odometry_model(robot.config), robot.instant()
@@ -87,7 +88,7 @@ def test_a_drive_tells_yaw_and_clock(drive, yaw, offset):
         return dataclasses.replace(detections, stamp=detections.stamp + offset, bearing=detections.bearing - yaw)
 
     tour = Tour(drive, 3, period=2.0, spoil=otherwise)
-    start = initial_state(tour.robot.config, 2.0, unknown_camera())
+    start = initial_state(tour.robot.config, 2.0, camera_model(TagSensorConfig()))
     tour.state = process_odometry(start, tour.robot.odometry())
     # A base has to speed up: between a frame's own instant and its stamp the twist hardly changes.
     rates = np.concatenate(

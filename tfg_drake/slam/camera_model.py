@@ -12,11 +12,9 @@ import math
 
 import numpy as np
 
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.messages import FloatArray, message
 
-# Prior standard deviations of the yaw, rad, and of the clock's offset, s.
-YAW_SIGMA = math.radians(1.0)
-OFFSET_SIGMA = 0.05
 # A known constant is still an unknown: least standard deviations of both.
 LEAST_SIGMA = 1e-6
 
@@ -44,9 +42,10 @@ class CameraModel:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def unknown_camera() -> CameraModel:
-    """Before the first turn: it looks ahead and its clock is right, within the priors."""
-    return CameraModel(np.zeros(2), np.diag(np.square([YAW_SIGMA, OFFSET_SIGMA])))
+def camera_model(sensor: TagSensorConfig) -> CameraModel:
+    """Before the first turn: it looks ahead and its clock is the base's, as surely as the data sheet says."""
+    sigma = np.maximum([sensor.yaw_deviation, sensor.clock_deviation], LEAST_SIGMA)
+    return CameraModel(np.zeros(2), np.diag(sigma**2))
 
 
 def exact_camera() -> CameraModel:
