@@ -79,7 +79,7 @@ class TagSensorConfig:
     # Ratio of measured to true range (1: none). The estimator is not told.
     range_scale: float = 1.0
     # How far the camera may look aside, rad, and its clock be off the base's, s, as standard deviations. Both are
-    # learnt with the map; 0 where they are known, that makes the map a third more accurate.
+    # learnt with the map; 0 where they are known.
     yaw_deviation: float = 0.0175
     clock_deviation: float = 0.05
 
