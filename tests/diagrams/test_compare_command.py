@@ -40,7 +40,8 @@ def test_bad_input_is_one_line_and_exit_code_2(call, arguments, complaint):
 
 def test_an_unknown_method_is_told_the_names(call):
     code, out, err = call("compare", "--methods", "tfg,gird-nearest")
-    assert (code, out) == (2, "")
+    # On a busy machine it says that it is loading.
+    assert (code, re.sub(r"loading \(\d+ s\)\n", "", out)) == (2, "")
     assert re.fullmatch(r"tfg-drake: --methods gird-nearest: no such method; name a .py file or one of tfg, .*\n", err)
 
 
@@ -50,12 +51,14 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
     arguments += ["--seeds", "1", "--max-time", "9", "--out", str(out)]
     code, printed, err = call(*arguments)
     assert (code, err) == (0, "")
-    # Every other second a line in between says how far it is.
-    lines = [line for line in printed.splitlines() if not re.match(r"\d of 2 runs", line)][-5:]
-    assert lines[0].startswith("tfg, seed 0: time_limit; 1 of 2 runs, about ")
-    assert lines[1] == "tfg-nearest, seed 0: time_limit; 2 of 2 runs"
-    assert lines[2].startswith("tfg           1 time_limit; time 9 s, position error 0.0")
-    assert lines[4] == f"report: {out / 'report.html'}"
+    # In between it may say how far it is.
+    expected = [
+        r"tfg, seed 0: time_limit; 1 of 2 runs, about .*",
+        r"tfg-nearest, seed 0: time_limit; 2 of 2 runs",
+        r"tfg           1 time_limit; time 9 s, position error 0\.0.*",
+        re.escape(f"report: {out / 'report.html'}"),
+    ]
+    assert re.fullmatch(r"(?:.*\n)*" + r"\n(?:.*\n)*".join(expected) + r"\n", printed), printed
     for name in ("errors", "coverage", "maps", "costs"):
         assert (out / f"{name}.png").stat().st_size > 5000
         assert (out / f"{name}.pdf").stat().st_size > 2000

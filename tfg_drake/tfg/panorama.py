@@ -15,6 +15,8 @@ BINS = 720
 STAMP_TOLERANCE = 1e-3
 # Rays within this many standard deviations of their bin's median range fell on the same surface.
 SAME_SURFACE = 4.0
+# Where no more rays than this meet nothing, between neighbours that meet something, they may have been lost.
+MOST_LOST = 2
 # So many numbers are sorted soonest by putting one after the other in its place.
 FEW = 16
 
@@ -73,7 +75,7 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         order[filled[index[i]]], by_bin[filled[index[i]]] = i, ranges[i]
         filled[index[i]] += 1
     angles = np.empty(bins)
-    merged = np.full(bins, np.nan)
+    merged, lost = np.full(bins, np.nan), np.zeros(bins, dtype=np.bool_)
     for b in range(bins):
         rays = order[start[b] : start[b + 1]]
         angles[b] = (b + 0.5) * width
@@ -83,7 +85,7 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         # surfaces, and only rays of that surface are averaged: no point floats between the two.
         median = _sorted(by_bin[start[b] : start[b + 1]])[(len(rays) - 1) // 2]
         if median == np.inf:
-            merged[b] = np.inf
+            merged[b], lost[b] = np.inf, len(rays) <= MOST_LOST
             continue
         x, y, count = 0.0, 0.0, 0
         for i in rays:
@@ -94,21 +96,11 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         merged[b] = np.hypot(x, y) / count
         # Within the bin however rounding falls, so that bearings stay in order.
         angles[b] = min(max(np.arctan2(y, x) % (2.0 * np.pi), (b + 1e-6) * width), (b + 1 - 1e-6) * width)
+    # Glass and black walls swallow single rays, which would be free ground through a wall.
+    for b in range(bins):
+        if lost[b] and np.isfinite(merged[b - 1]) and np.isfinite(merged[(b + 1) % bins]):
+            merged[b] = np.nan
     return angles, merged
-
-
-def without_dropouts(ranges: FloatArray) -> FloatArray:
-    """A scan's ranges (n,), nan where one ray or two meet nothing between two that do.
-
-    Glass and black walls swallow single rays, which would be free ground through a wall; a gap so narrow is no way.
-    """
-    hit, nothing = np.isfinite(ranges), np.isinf(ranges)
-    lost = np.zeros(len(ranges), dtype=np.bool_)
-    lost[1:-1] = nothing[1:-1] & hit[:-2] & hit[2:]
-    two = nothing[1:-2] & nothing[2:-1] & hit[:-3] & hit[3:]
-    lost[1:-2] |= two
-    lost[2:-1] |= two
-    return np.where(lost, np.nan, ranges) if lost.any() else ranges
 
 
 def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatArray) -> Panorama:
@@ -131,7 +123,7 @@ def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatAr
     poses = np.stack([np.interp(at, stamps, of) for of in (X_AB[:, 0], X_AB[:, 1], heading)])
     x, y, turned = np.repeat(poses, [len(scan.angles) for scan in scans], axis=1)
     angles = np.concatenate([np.zeros(0), *(scan.angles for scan in scans)])
-    ranges = np.concatenate([np.zeros(0), *(without_dropouts(scan.ranges) for scan in scans)])
+    ranges = np.concatenate([np.zeros(0), *(scan.ranges for scan in scans)])
     looked = ~np.isnan(ranges)
     x, y, angles, ranges = x[looked], y[looked], angles[looked] + turned[looked], ranges[looked]
     hit = np.isfinite(ranges)
