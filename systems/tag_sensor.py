@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from tfg_drake.config import TagRealityConfig, TagSensorConfig, as_it_is
 from tfg_drake.geometry.se2 import compose
-from tfg_drake.messages import FloatArray, TagDetections, message
+from tfg_drake.messages import FloatArray, TagDetections, message, replace
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, no_detections
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.people import people_at
@@ -90,7 +90,9 @@ class TagSensor(LeafSystem):
             if ndtr(lost) < reality.frame_loss_probability:
                 return EventStatus.DidNothing()
             stamp += reality.clock_jitter * late
-        blurred = 0.0 < reality.blurring_turn_rate < abs(pose[4])
+        if 0.0 < reality.blurring_turn_rate < abs(pose[4]):
+            set_state_message(state, self._state, _SensorState(replace(no_detections(), stamp=stamp), noise))
+            return EventStatus.Succeeded()
         errors = None
         if self.has_tag_errors:
             errors = self._tag_errors.Eval(context).reshape(-1, 2)
@@ -98,8 +100,5 @@ class TagSensor(LeafSystem):
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
         discs = people_at(self._people, context)
         frame = detect(self._world, X_WS, stamp, fresh, self._config, self._stated, errors, discs)
-        if blurred:
-            none = np.zeros(0)
-            frame = TagDetections(stamp, np.zeros(0, dtype=np.int64), none, none, none, none)
         set_state_message(state, self._state, _SensorState(frame, noise))
         return EventStatus.Succeeded()

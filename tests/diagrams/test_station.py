@@ -148,6 +148,20 @@ def test_the_world_may_be_otherwise_than_believed():
     assert np.isinf(other_ranges.ranges).mean() == pytest.approx(0.3, abs=0.1)
 
 
+def test_the_image_of_a_robot_that_turns_fast_is_blurred():
+    scenario = make_scenario(noise=False)
+    scenario.reality.tags.blurring_turn_rate = 0.4
+    station = MakeTurtlebotStation(scenario)
+    seen = []
+    for turn_rate in (0.0, 0.5):
+        simulator = start(station, command=(0.0, turn_rate))
+        simulator.AdvanceTo(1.05)
+        frame = read(station, simulator.get_context(), "tags.detections")
+        assert frame.stamp == pytest.approx(1.0)
+        seen.append(len(frame.ids))
+    assert seen == [1, 0]
+
+
 def test_the_seed_decides_the_run(station):
     runs = {}
     for key, seed in (("first", 1), ("again", 1), ("other", 2)):

@@ -2,8 +2,8 @@
 
 The camera's yaw y in the body frame cannot be told from the tags, for it turns all that is seen about the camera. So it
 is the camera's heading that the estimator knows the robot by, and in that the robot drives to -y. Its clock is ahead of
-the base's by t: a frame stamped s shows what there was at s - t. What a turn or a piece of the way tells of both is the
-prior of all that comes after, as with the odometry's calibration.
+the base's by t: a frame stamped s shows what there was at s - t. What a turn or a piece of the way tells of t is the
+prior of all that comes after, as with the odometry's calibration; y is an unknown of the keyframe graph.
 """
 
 from __future__ import annotations
@@ -40,6 +40,10 @@ class CameraModel:
     def sigma(self) -> FloatArray:
         """(2,) standard deviations, rad and s."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def with_yaw(self, yaw: FloatArray) -> CameraModel:
+        """The same clock with another yaw: (2,) mean and standard deviation, rad, independent of it."""
+        return CameraModel(np.array([yaw[0], self.offset]), np.diag([yaw[1] ** 2, self.covariance[1, 1]]))
 
 
 def camera_model(sensor: TagSensorConfig) -> CameraModel:

@@ -120,14 +120,12 @@ def initial_state(
 
 def known_camera(state: EstimatorState) -> CameraModel:
     """All that is known of the camera: its clock by the turns and pieces, its yaw by all that they say together."""
-    (yaw, sigma), (_, clock) = state.graph.yaw, state.camera.sigma
-    return CameraModel(np.array([yaw, state.camera.offset]), np.diag(np.square([sigma, clock])))
+    return state.camera.with_yaw(state.graph.yaw)
 
 
 def camera_prior(state: EstimatorState) -> CameraModel:
     """What is known of the camera without how the keyframes fit together."""
-    (yaw, sigma), (_, clock) = state.graph.yaw_prior, state.camera.sigma
-    return CameraModel(np.array([yaw, state.camera.offset]), np.diag(np.square([sigma, clock])))
+    return state.camera.with_yaw(state.graph.yaw_prior)
 
 
 def instant(state: EstimatorState) -> TurnFrame:
