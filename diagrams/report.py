@@ -85,7 +85,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "min_clearance_m": None,
         "map_variables": _variables(mission, estimate),
         "map_bytes": map_bytes,
-        "calibration": _calibration(mission),
+        "calibration": _calibration(mission, estimate),
         "estimator_cpu_s": mission.estimator_cpu,
         "planner_cpu_s": mission.planner_cpu,
         "simulator_cpu_s": mission.cpu_time - mission.estimator_cpu - mission.planner_cpu,  # all the rest
@@ -118,13 +118,15 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     return summary
 
 
-def _calibration(mission: Mission) -> dict[str, Any]:
-    """What the estimator has learnt of the camera."""
-    camera = mission.camera
+def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, Any]:
+    """What the estimator has learnt of camera and tags."""
+    camera, errors = mission.camera, np.zeros(2) if estimate is None else estimate.tag_error
     yaw, offset = camera.sigma.tolist()
     return {
         "camera_yaw_rad": {"value": camera.yaw, "deviation": yaw},
         "camera_clock_offset_s": {"value": camera.offset, "deviation": offset},
+        "tag_range_error_m": float(errors[0]),
+        "tag_bearing_error_rad": float(errors[1]),
     }
 
 

@@ -148,7 +148,8 @@ class GoalObservation:
     ids: (n,). p_AL: (n, 2) tag positions in A, m. X_AD: (3,) departure pose in A. covariance: (2n + 3, 2n + 3) joint
     covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A. range_scale: the
     error of scale that was taken out of its ranges. yaw: rad, the camera's in the body frame as it was taken to be, all
-    else given that; on_yaw: (2n + 3,) derivative of (p_AL row by row, X_AD) on it, empty where there is none.
+    else given that; on_yaw: (2n + 3,) derivative of (p_AL row by row, X_AD) on it, empty where there is none. on_error:
+    (n, 2, 2) derivative of each tag's p_AL on its constant errors of range, m, and bearing, rad; empty: there is none.
     """
 
     ids: IntArray
@@ -160,6 +161,7 @@ class GoalObservation:
     range_scale: float = 0.0
     yaw: float = 0.0
     on_yaw: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    on_error: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 2)))
 
 
 @message
@@ -173,7 +175,8 @@ class MapEstimate:
     goals. observation: the newest goal's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
     objective). doubtful: (d,) ids, ascending, of tags that were seen but are not known to be at any one place, whether
     they are landmarks or not. frame_worth: what share of an independent frame one of many in a row tells, for its noise
-    is the last one's in part.
+    is the last one's in part. tag_error: (2,) standard deviation of the tags' constant errors of range, m, and bearing,
+    rad.
     """
 
     stage: int
@@ -189,6 +192,7 @@ class MapEstimate:
     entropy: float
     doubtful: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     frame_worth: float = 1.0
+    tag_error: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
 
     @property
     def is_doubtful(self) -> BoolArray:

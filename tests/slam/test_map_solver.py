@@ -1,12 +1,15 @@
 import numpy as np
 import pytest
 
-from tests.slam.rings import built, dense_solution, reckoned, ring
+from tests.slam.rings import built, dense_solution, reckoned, ring, with_ways
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam import map_solver
 from tfg_drake.slam.keyframe_graph import at_yaw, empty_graph, fused
 from tfg_drake.slam.map_solver import known_jointly, solve
+
+# Standard deviations of the tags' constant errors, m and rad.
+TAG_ERROR = np.array([0.03, 0.01])
 
 
 def assert_dense(graph, solved, estimate, node=None, *, entropy=True):
@@ -63,9 +66,7 @@ def test_round_another_place_and_pose():
 
 def test_a_graph_whose_keyframes_are_fused_is_a_dense_solution_too():
     observations, _, _ = ring(4, goals=60, laps=1.1)
-    turns = [one for one in observations if len(one.ids)]
-    ways = [se2.compose(one.X_AD, other.X_AD) for one, other in zip(turns, observations[1::2], strict=False)]
-    joined = [replace(one, X_AD=X_AD) for one, X_AD in zip(turns, ways, strict=False)]
+    joined = with_ways(observations)
     graph = fused(reckoned(joined))
     assert len(graph.keyframes) < 0.7 * len(joined)
     solved, estimate = solve(graph, 0.0, joined[-1], joint=30)
@@ -95,12 +96,8 @@ def test_the_yaw_of_the_camera_is_known_with_the_map():
 
 def test_fused_keyframes_tell_the_same_of_the_yaw():
     observations, _, _ = ring(7, goals=60, laps=1.1)
-    turns = [one for one in observations if len(one.ids)]
     rng, believed = np.random.default_rng(7), np.array([0.0, 0.0175])
-    joined = []
-    for one, way in zip(turns, observations[1::2], strict=False):
-        on_yaw = rng.normal(size=2 * len(one.ids) + 3)
-        joined.append(replace(one, X_AD=se2.compose(one.X_AD, way.X_AD), on_yaw=0.1 * on_yaw))
+    joined = [replace(one, on_yaw=0.1 * rng.normal(size=2 * len(one.ids) + 3)) for one in with_ways(observations)]
     graph = reckoned(joined, replace(empty_graph(believed), yaw_prior=believed))
     for _ in range(3):
         graph, _ = solve(graph, 0.0, joined[-1])
@@ -111,6 +108,45 @@ def test_fused_keyframes_tell_the_same_of_the_yaw():
     sigma = graph.yaw[1]
     assert sigma < 0.01
     np.testing.assert_allclose(fewer.yaw, graph.yaw, atol=0.03 * sigma)
+
+
+@pytest.mark.parametrize("joint", [400, 30])
+def test_errors_of_tags_are_known_with_the_map(joint):
+    observations, _, _ = ring(9, goals=12, tags=60, laps=1.05, tag_error=TAG_ERROR)
+    graph = replace(reckoned(observations), tag_error=TAG_ERROR)
+    solved, estimate = solve(graph, 0.0, observations[-1], joint=joint)
+    assert_dense(graph, solved, estimate)
+
+
+def test_errors_of_tags_are_known_where_keyframes_are_fused():
+    observations, _, _ = ring(4, goals=60, laps=1.1, tag_error=TAG_ERROR)
+    joined = with_ways(observations)
+    graph = replace(reckoned(joined), tag_error=TAG_ERROR)
+    fewer = fused(graph)
+    assert len(fewer.keyframes) < 0.7 * len(joined)
+    solved, whole = solve(fewer, 0.0, joined[-1], joint=30)
+    assert_dense(fewer, solved, whole)
+    _, every = solve(graph, 0.0, joined[-1], joint=30)
+    sigma = np.sqrt(np.diag(every.covariance))
+    assert np.abs(np.sqrt(np.diag(whole.covariance)) / sigma - 1.0).max() < 0.02
+
+
+def test_how_large_the_errors_of_tags_are_is_learnt():
+    found = []
+    for seed in range(4):
+        observations, _, _ = ring(seed, goals=40, tags=200, laps=2.0, tag_error=TAG_ERROR)
+        graph = reckoned(observations)
+        for _ in range(12):
+            graph, _ = solve(graph, 0.0, observations[-1])
+        found.append(graph.tag_error)
+    np.testing.assert_allclose(np.mean(found, axis=0), TAG_ERROR, rtol=0.15)
+
+
+def test_tags_without_errors_are_found_to_have_none():
+    for seed in range(4):
+        observations, _, _ = ring(seed, goals=40, tags=200, laps=2.0)
+        graph, _ = solve(reckoned(observations), 0.0, observations[-1])
+        assert not graph.tag_error.any()
 
 
 @pytest.mark.slow

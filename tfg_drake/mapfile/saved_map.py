@@ -28,7 +28,7 @@ from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 6
+SCHEMA = 7
 # Bytes of a map's arrays at most; 274 landmarks and 138 goals have 0.8 MB.
 _LARGEST = 64 * 2**20
 # Fields of the TfgMap that are places.
@@ -117,6 +117,7 @@ REGISTRY: Registry = {
         "pose_information": (3, 3),
         "yaw": (2,),
         "yaw_prior": (2,),
+        "tag_error": (2,),
     },
     Keyframe: {
         "ids": ("n",),
@@ -124,6 +125,9 @@ REGISTRY: Registry = {
         "X_AD": (3,),
         "information": ("r", "r"),
         "on_yaw": ("r",),
+        "on_error": ("r", "q"),
+        "error_curvature": ("q", "q"),
+        "error_slope": ("q",),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -212,7 +216,7 @@ def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    buffer = io.BytesIO()
+    buffer, saved = io.BytesIO(), replace(saved, graph=_without_unused(saved.graph))
     save = np.savez_compressed if final else np.savez
     save(buffer, schema=np.int64(SCHEMA), **to_arrays(saved, REGISTRY))  # type: ignore[arg-type]
     write_atomic(path, buffer.getvalue(), durable=final)
@@ -238,7 +242,30 @@ def load_map(path: Path) -> SavedMap:
     contradiction = _contradiction(saved)
     if contradiction:
         raise MapFileError(f"{path} is not a whole map: {contradiction}")
-    return saved
+    return replace(saved, graph=replace(saved.graph, keyframes=tuple(_whole(one) for one in saved.graph.keyframes)))
+
+
+def _without_unused(graph: KeyframeGraph) -> KeyframeGraph:
+    """The graph, without what its keyframes say of errors of tags where these have none: two thirds of its size."""
+    if graph.tag_error.any():
+        return graph
+    nothing, none = np.zeros((0, 0)), np.zeros(0)
+    return replace(
+        graph,
+        keyframes=tuple(
+            replace(one, on_error=np.zeros((2 * len(one.ids) + 3, 0)), error_curvature=nothing, error_slope=none)
+            for one in graph.keyframes
+        ),
+    )
+
+
+def _whole(one: Keyframe) -> Keyframe:
+    """A keyframe, where it says nothing of errors of tags with zeros in their place."""
+    size = 2 * len(one.ids)
+    if len(one.error_slope) == size:
+        return one
+    curvature = np.zeros((size, size))
+    return replace(one, on_error=np.zeros((size + 3, size)), error_curvature=curvature, error_slope=np.zeros(size))
 
 
 def _read(path: Path) -> dict[str, Array]:
@@ -278,6 +305,8 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.keyframes.ids does not fit graph.ids"
     if any(len(one.information) != 2 * len(one.ids) + 3 for one in graph.keyframes):
         return "graph.keyframes.information does not fit graph.keyframes.ids"
+    if any(len(one.error_slope) not in (0, 2 * len(one.ids)) for one in graph.keyframes):
+        return "graph.keyframes.error_slope does not fit graph.keyframes.ids"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != landmarks:

@@ -67,18 +67,19 @@ def sightings_of_turn(sensor: TagSensorConfig, turn_rate: float, frame_worth: fl
     return frame_worth * sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
 
 
-def turn_noise(sensor: TagSensorConfig, sightings: float) -> FloatArray:
+def turn_noise(sensor: TagSensorConfig, sightings: float, tag_error: FloatArray | None = None) -> FloatArray:
     """Deviations of one tag's range and bearing by so many sightings in a turn, as exact_gain takes them.
 
-    The sightings' noise averages down to the floors.
+    The sightings' noise averages down to the floors, or to the constant errors that tags have, tag_error: (2,).
     """
     root = math.sqrt(max(1.0, sightings))
+    of_range, of_bearing = (0.0, 0.0) if tag_error is None else tag_error
     return np.array(
         [
             sensor.range_noise / root,
             sensor.range_noise_per_metre / root,
-            RANGE_FLOOR,
-            max(sensor.bearing_noise / root, BEARING_FLOOR),
+            max(RANGE_FLOOR, of_range),
+            max(sensor.bearing_noise / root, BEARING_FLOOR, of_bearing),
         ]
     )
 
@@ -114,7 +115,7 @@ class Turns:
     @functools.cached_property
     def _noise(self) -> FloatArray:
         sightings = sightings_of_turn(self.sensor, self.explorer.turn_rate, self.estimate.frame_worth)
-        return turn_noise(self.sensor, sightings)
+        return turn_noise(self.sensor, sightings, self.estimate.tag_error)
 
     @functools.cached_property
     def _number(self) -> FloatArray:

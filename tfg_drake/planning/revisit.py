@@ -41,7 +41,8 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
     Q = odometry_covariance(estimate.X_MD, points, roadmap.travel_length[nodes], time, parameters.odometry)
     tags = expected_tags(points, estimate, now.tfg, sensor)
-    noise = turn_noise(sensor, sightings_of_turn(sensor, explorer.turn_rate, estimate.frame_worth))
+    sightings = sightings_of_turn(sensor, explorer.turn_rate, estimate.frame_worth)
+    noise = turn_noise(sensor, sightings, estimate.tag_error)
     covariance, squared = estimate.covariance, squared_by_landmarks(estimate.covariance)
     time = time + time_all_round(sensor, explorer)
 

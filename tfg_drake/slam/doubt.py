@@ -15,6 +15,7 @@ from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray,
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of, without_tags
 from tfg_drake.slam.keyframe_kernels import linearised
 from tfg_drake.slam.map_update import REJECTED
+from tfg_drake.slam.tag_error import in_place
 
 # A tag is believed to be where it was seen in so many frames.
 CONFIRMATIONS = 3
@@ -141,7 +142,9 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
         rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
         H, g, _ = linearised(rows, one.p_AL, one.X_AD, one.information, X_MA, X_MD, graph.p_ML)
         own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
-        falls = (force * np.linalg.solve(own, force)).sum(axis=(1, 2))
+        apart = np.linalg.solve(own, force)
+        spread = np.linalg.inv(own) + in_place(graph.p_ML[rows] - X_MA[:2], graph.tag_error)
+        falls = (apart * np.linalg.solve(spread, apart)).sum(axis=(1, 2))
         if np.max(falls, initial=0.0) > most:
             most, found = float(np.max(falls)), (int(one.ids[np.argmax(falls)]), j)
     return found

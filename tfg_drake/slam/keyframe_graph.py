@@ -41,6 +41,8 @@ class Keyframe:
     ids: (n,) ascending, n may be 0: a way of which only odometry tells. p_AL: (n, 2), m. X_AD: (3,). information: (2n +
     3, 2n + 3) of (p_AL row by row, X_AD). range_scale: the error of scale taken out of its ranges. yaw: rad, the
     camera's in the body frame, all else given that; on_yaw: (2n + 3,) derivative of (p_AL row by row, X_AD) on it.
+    on_error: (2n + 3, 2n) the same on the constant errors of range, m, and bearing, rad, of each of its tags.
+    error_curvature: (2n, 2n) and error_slope: (2n,) of half its squared error over those: what it says of them alone.
     """
 
     ids: IntArray
@@ -50,6 +52,9 @@ class Keyframe:
     range_scale: float
     yaw: float
     on_yaw: FloatArray
+    on_error: FloatArray
+    error_curvature: FloatArray
+    error_slope: FloatArray
 
     @property
     def covariance(self) -> FloatArray:
@@ -70,7 +75,8 @@ class KeyframeGraph:
     landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
     of the landmarks, nats. pose_information: (3, 3) on the newest pose, given the landmarks; infinite at the origin.
     yaw: (2,) the camera's in the body frame, which all keyframes are given at, and its standard deviation, rad.
-    yaw_prior: (2,) what each keyframe tells of it by itself.
+    yaw_prior: (2,) what each keyframe tells of it by itself. tag_error: (2,) standard deviation of the tags' constant
+    errors, see `tag_error`.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -84,6 +90,7 @@ class KeyframeGraph:
     pose_information: FloatArray
     yaw: FloatArray
     yaw_prior: FloatArray
+    tag_error: FloatArray
 
     @property
     def X_MA(self) -> FloatArray:
@@ -107,6 +114,7 @@ def empty_graph(yaw: FloatArray | None = None) -> KeyframeGraph:
         pose_information=np.full((3, 3), np.inf),
         yaw=yaw,
         yaw_prior=yaw,
+        tag_error=np.zeros(2),
     )
 
 
@@ -147,7 +155,11 @@ def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
 def keyframe(observation: GoalObservation) -> Keyframe:
     """What the graph keeps of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
     root = np.linalg.inv(np.linalg.cholesky(observation.covariance))
-    on_yaw = observation.on_yaw if len(observation.on_yaw) else np.zeros(2 * len(observation.ids) + 3)
+    n = len(observation.ids)
+    on_yaw = observation.on_yaw if len(observation.on_yaw) else np.zeros(2 * n + 3)
+    on_error = np.zeros((2 * n + 3, 2 * n))
+    if len(observation.on_error):
+        on_error[:-3].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)] = observation.on_error
     return Keyframe(
         observation.ids,
         observation.p_AL,
@@ -156,6 +168,9 @@ def keyframe(observation: GoalObservation) -> Keyframe:
         observation.range_scale,
         observation.yaw,
         on_yaw,
+        on_error,
+        np.zeros((2 * n, 2 * n)),
+        np.zeros(2 * n),
     )
 
 
@@ -183,6 +198,7 @@ def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation
         range_scale=observation.range_scale,
         yaw=observation.yaw,
         on_yaw=observation.on_yaw[rows] if len(observation.on_yaw) else observation.on_yaw,
+        on_error=observation.on_error[keep] if len(observation.on_error) else observation.on_error,
     )
 
 
@@ -258,26 +274,32 @@ def _fusion(first: Keyframe, second: Keyframe) -> tuple[Keyframe, FloatArray, tu
     p_AL = np.empty((len(ids), 2))
     p_AL[rows[1]] = se2.transform(first.X_AD, second.p_AL)
     p_AL[rows[0]] = first.p_AL
-    p_AL, X_AB, X_AD, information, on_yaw, slope, curvature, deviation = fused_information(
+    p_AL, X_AB, X_AD, information, on, curvature, slope, deviation = fused_information(
         rows[0],
         first.p_AL,
         first.X_AD,
         first.information,
-        first.on_yaw,
+        *_over_yaw_and_errors(first),
         rows[1],
         second.p_AL,
         second.X_AD,
         second.information,
-        second.on_yaw,
+        *_over_yaw_and_errors(second),
         p_AL,
     )
     if deviation > MOST_DEVIATION:
         return None
-    return (
-        Keyframe(ids, p_AL, X_AD, information, second.range_scale, second.yaw, on_yaw),
-        X_AB,
-        (slope, max(curvature, 0.0)),
-    )
+    of_errors = on[:, 1:].copy(), curvature[1:, 1:].copy(), slope[1:].copy()
+    both = Keyframe(ids, p_AL, X_AD, information, second.range_scale, second.yaw, on[:, 0].copy(), *of_errors)
+    return both, X_AB, (float(slope[0]), max(float(curvature[0, 0]), 0.0))
+
+
+def _over_yaw_and_errors(one: Keyframe) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What `fused_information` takes of a keyframe over the camera's yaw and its tags' errors."""
+    size = 1 + len(one.error_slope)
+    curvature = np.zeros((size, size))
+    curvature[1:, 1:] = one.error_curvature
+    return np.column_stack([one.on_yaw, one.on_error]), curvature, np.append(0.0, one.error_slope)
 
 
 def rescaled(graph: KeyframeGraph, range_scale: float) -> KeyframeGraph:
@@ -318,7 +340,7 @@ def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:
 
 
 def _forgetting(one: Keyframe, ids: IntArray) -> Keyframe:
-    """The keyframe with some tags marginalised out."""
+    """The keyframe with some tags marginalised out, and with them what it says of errors by itself."""
     keep = ~np.isin(one.ids, ids)
     if keep.all():
         return one
@@ -327,7 +349,16 @@ def _forgetting(one: Keyframe, ids: IntArray) -> Keyframe:
     gone = np.linalg.solve(W[np.ix_(~rows, ~rows)], W[np.ix_(~rows, rows)])
     information = W[np.ix_(rows, rows)] - W[np.ix_(rows, ~rows)] @ gone
     information = 0.5 * (information + information.T)
-    return replace(one, ids=one.ids[keep], p_AL=one.p_AL[keep], information=information, on_yaw=one.on_yaw[rows])
+    return replace(
+        one,
+        ids=one.ids[keep],
+        p_AL=one.p_AL[keep],
+        information=information,
+        on_yaw=one.on_yaw[rows],
+        on_error=one.on_error[np.ix_(rows, rows[:-3])],
+        error_curvature=np.zeros((2 * keep.sum(), 2 * keep.sum())),
+        error_slope=np.zeros(2 * keep.sum()),
+    )
 
 
 def loosened(graph: KeyframeGraph, covariance: FloatArray) -> KeyframeGraph:
@@ -350,6 +381,9 @@ def loosened(graph: KeyframeGraph, covariance: FloatArray) -> KeyframeGraph:
                 X_AD=np.zeros(3),
                 information=np.asarray(np.linalg.inv(covariance)),
                 on_yaw=np.zeros(3),
+                on_error=np.zeros((3, 0)),
+                error_curvature=np.zeros((0, 0)),
+                error_slope=np.zeros(0),
             )
             later = graph.view_keyframe >= j
             graph = replace(

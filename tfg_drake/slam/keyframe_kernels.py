@@ -170,6 +170,143 @@ def assemble(
 
 
 @njit(cache=True)
+def assemble_tag_errors(
+    offsets: IntArray,
+    rows: IntArray,
+    p_AL: FloatArray,
+    X_AD: FloatArray,
+    starts: IntArray,
+    information: FloatArray,
+    on_error: FloatArray,
+    curvature: FloatArray,
+    slope: FloatArray,
+    X_MN: FloatArray,
+    p_ML: FloatArray,
+    errors: FloatArray,
+    landmark_at: IntArray,
+    node_at: IntArray,
+    error_at: IntArray,
+    cell: IntArray,
+    first: IntArray,
+    size: IntArray,
+    block_at: IntArray,
+    blocks: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Add to a system in cells what k keyframes say of the error of each tag, and with it of all else.
+
+    on_error: the derivatives (2n + 3, 2n) of what was seen on the errors, row by row, one keyframe after the other,
+    curvature (2n, 2n) and slope (2n,) likewise: what each says of the errors by itself. errors: (n, 2) as p_AL and X_AD
+    have them. error_at: (n,) the unknown that a tag's error of range is, in
+    other cells than landmarks and nodes. Other arguments as in `assemble`.
+    """
+    begin, begin_own = 0, 0
+    for k in range(len(X_AD)):
+        some = slice(offsets[k], offsets[k + 1])
+        n = offsets[k + 1] - offsets[k]
+        m = 2 * n + 3
+        W = information[starts[k] : starts[k + 1]].reshape(m, m)
+        on = on_error[begin : begin + m * 2 * n].reshape(m, 2 * n)
+        told = curvature[begin_own : begin_own + 4 * n * n].reshape(2 * n, 2 * n)
+        begin, begin_own = begin + m * 2 * n, begin_own + 4 * n * n
+        if n == 0:
+            continue
+        error, on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
+        weighted = W @ on
+        back, own, pull = _pulled_back(on_A, weighted, X_MN[k, 2]), told + on.T @ weighted, weighted.T @ error
+        pull -= slope[2 * offsets[k] : 2 * offsets[k + 1]] + told @ np.ascontiguousarray(errors[rows[some]]).ravel()
+        at, of_error = np.empty(m + 3, dtype=np.int64), np.empty(2 * n, dtype=np.int64)
+        for i in range(n):
+            row = rows[offsets[k] + i]
+            for f in range(2):
+                at[2 * i + f], of_error[2 * i + f] = landmark_at[row] + f, error_at[row] + f
+        for i in range(3):
+            at[2 * n + i] = node_at[k + 1] + i
+            at[m + i] = node_at[k] + i if node_at[k] >= 0 else -1
+        for j in range(2 * n):
+            q = of_error[j]
+            gradient[q] -= pull[j]
+            for i in range(2 * n):
+                if cell[q] <= cell[of_error[i]]:
+                    _add_to_cells(blocks, cell, first, size, block_at, q, of_error[i], own[j, i])
+            for i in range(m + 3):
+                if at[i] < 0:
+                    continue
+                if cell[at[i]] < cell[q]:
+                    _add_to_cells(blocks, cell, first, size, block_at, at[i], q, -back[i, j])
+                else:
+                    _add_to_cells(blocks, cell, first, size, block_at, q, at[i], -back[i, j])
+
+
+@njit(cache=True)
+def tag_pulls(
+    offsets: IntArray,
+    rows: IntArray,
+    p_AL: FloatArray,
+    X_AD: FloatArray,
+    starts: IntArray,
+    information: FloatArray,
+    on_error: FloatArray,
+    curvature: FloatArray,
+    slope: FloatArray,
+    X_MN: FloatArray,
+    p_ML: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """How hard k keyframes pull at the errors (n, 2) of each tag where these are zero, and the variance (n, 2) of that
+    where only noise does. Arguments as in `assemble_tag_errors`.
+
+    Of two keyframes that see a tag from the same side the place of the tag takes all; poses are taken to be known.
+    """
+    pull, variance = np.zeros_like(p_ML), np.zeros_like(p_ML)
+    total, by_place, begin, begin_own = np.zeros((len(p_ML), 2, 2)), np.zeros((len(p_ML), 2, 2)), 0, 0
+    for k in range(len(X_AD)):
+        some = slice(offsets[k], offsets[k + 1])
+        n = offsets[k + 1] - offsets[k]
+        m = 2 * n + 3
+        W = information[starts[k] : starts[k + 1]].reshape(m, m)
+        error, _on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
+        weighted = W @ error
+        for i in range(n):
+            row = rows[offsets[k] + i]
+            x, y = 2 * i, 2 * i + 1
+            c, s = math.cos(X_MN[k, 2]), math.sin(X_MN[k, 2])
+            R = np.array([[c, -s], [s, c]])
+            own = R @ np.ascontiguousarray(W[x : y + 1, x : y + 1]) @ R.T
+            total[row] += own
+            on = np.empty((2, 2))
+            for f in range(2):
+                on[0, f], on[1, f] = on_error[begin + 2 * n * x + x + f], on_error[begin + 2 * n * y + x + f]
+            on = R @ on
+            by_place[row] += own @ on
+            for f in range(2):
+                pull[row, f] += slope[2 * offsets[k] + x + f]
+                pull[row, f] -= (R.T @ on)[0, f] * weighted[x] + (R.T @ on)[1, f] * weighted[y]
+                variance[row, f] += curvature[begin_own + (2 * n + 1) * (x + f)] + (on.T @ own @ on)[f, f]
+        begin, begin_own = begin + m * 2 * n, begin_own + 4 * n * n
+    for row in range(len(p_ML)):
+        taken = by_place[row].T @ np.linalg.solve(total[row], by_place[row])
+        for f in range(2):
+            variance[row, f] = max(variance[row, f] - taken[f, f], 0.0)
+    return pull, variance
+
+
+@njit(cache=True)
+def _add_to_cells(
+    blocks: FloatArray,
+    cell: IntArray,
+    first: IntArray,
+    size: IntArray,
+    block_at: IntArray,
+    i: int,
+    j: int,
+    value: float,
+) -> None:
+    """Add a value to an entry of the system, whose row is of no later cell than its column."""
+    row, column = cell[i], cell[j]
+    blocks[block_at[row, column] + (i - first[row]) * size[column] + j - first[column]] += value
+
+
+@njit(cache=True)
 def chain(own: FloatArray, poses: FloatArray) -> tuple[float, FloatArray]:
     """A chain of nodes, given the landmarks, eliminated from its beginning up to the last.
 
@@ -194,20 +331,28 @@ def fused_information(
     p_1: FloatArray,
     X_1: FloatArray,
     information_1: FloatArray,
-    on_yaw_1: FloatArray,
+    on_1: FloatArray,
+    curvature_1: FloatArray,
+    slope_1: FloatArray,
     rows_2: IntArray,
     p_2: FloatArray,
     X_2: FloatArray,
     information_2: FloatArray,
-    on_yaw_2: FloatArray,
+    on_2: FloatArray,
+    curvature_2: FloatArray,
+    slope_2: FloatArray,
     p_AL: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float, float, float]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """Two keyframes, from A to B and from B to D, as one from A to D, with B marginalised out.
 
-    rows_1, rows_2: of their landmarks among those of both (n, 2), p_AL: where these are about, in A, m. Returns p_AL
-    (n, 2), X_AB (3,), X_AD (3,), the information (2n + 3, 2n + 3) of (p_AL, X_AD), their derivative (2n + 3,) on the
-    camera's yaw, the slope and curvature of half their weighted squared error over that, and the standard deviation of
-    B's position, m.
+    rows_1, rows_2: of their landmarks among those of both (n, 2), p_AL: where these are about, in A, m. on_1, on_2:
+    (2m + 3, 1 + 2m) derivative of what either saw of its m landmarks on the camera's yaw and on each tag's errors.
+    curvature_1, curvature_2: (1 + 2m, 1 + 2m), slope_1, slope_2: (1 + 2m,) of half either's weighted squared error over
+    these: what it says of them alone.
+
+    Returns p_AL (n, 2), X_AB (3,), X_AD (3,), the information (2n + 3, 2n + 3) of (p_AL, X_AD), their derivative (2n +
+    3, 1 + 2n) on yaw and errors, curvature (1 + 2n, 1 + 2n) and slope (1 + 2n,) of what both say of these, and the
+    standard deviation of B's position, m.
     """
     n = len(p_AL)
     p_AL, A, B, D = p_AL.copy(), np.zeros(3), X_1.copy(), np.empty(3)
@@ -238,42 +383,58 @@ def fused_information(
         B += step[2 * n + 3 :]
         if np.max(np.abs(step)) < SMALL_STEP:
             break
-    # What the yaw changes is linear in what was seen.
-    gradients, errors = np.zeros((3, size)), np.zeros(3)
-    for k in range(3):
-        h = (k - 1) * YAW_STEP
-        p, X = _at_other_yaw(p_1, X_1, on_yaw_1, h)
-        H_1, g_1, error_1 = linearised(rows_1, p, X, information_1, A, B, p_AL)
-        p, X = _at_other_yaw(p_2, X_2, on_yaw_2, h)
-        H_2, g_2, error_2 = linearised(rows_2, p, X, information_2, B, D, p_AL)
-        H[:] = 0.0
-        _scatter(H, gradients[k], at_1, H_1, g_1)
-        _scatter(H, gradients[k], at_2, H_2, g_2)
-        errors[k] = 0.5 * (error_1 + error_2)
-    by_yaw = (gradients[2] - gradients[0]) / (2.0 * YAW_STEP)
-    change = np.linalg.solve(H, -by_yaw)
-    on_yaw = change[: 2 * n + 3].copy()
-    slope = (errors[2] - errors[0]) / (2.0 * YAW_STEP)
-    curvature = (errors[0] - 2.0 * errors[1] + errors[2]) / YAW_STEP**2 + np.sum(by_yaw * change)
+    by_1, more, pull = _by_what_was_seen(rows_1, p_1, X_1, information_1, on_1, A, B, p_AL)
+    curvature: FloatArray = np.zeros((1 + 2 * n, 1 + 2 * n))
+    force, slope = np.zeros((size, 1 + 2 * n)), np.zeros(1 + 2 * n)
+    _scatter_columns(force, at_1, rows_1, by_1)
+    _scatter_own(curvature, slope, rows_1, curvature_1 + more, slope_1 + pull)
+    by_2, more, pull = _by_what_was_seen(rows_2, p_2, X_2, information_2, on_2, B, D, p_AL)
+    _scatter_columns(force, at_2, rows_2, by_2)
+    _scatter_own(curvature, slope, rows_2, curvature_2 + more, slope_2 + pull)
+    change = np.linalg.solve(H, force)
+    on = np.empty((2 * n + 3, 1 + 2 * n))
+    on[:] = change[: 2 * n + 3]
+    curvature -= force.T @ change
     m = 2 * n + 3
     across = np.ascontiguousarray(H[:m, m:])
     information = H[:m, :m] - across @ np.linalg.solve(np.ascontiguousarray(H[m:, m:]), np.ascontiguousarray(across.T))
     D[2] = wrap(D[2])
     covariance = np.linalg.inv(H)
     deviation = math.sqrt(covariance[m, m] + covariance[m + 1, m + 1])
-    return p_AL, B, D, 0.5 * (information + information.T), on_yaw, slope, curvature, deviation
+    curvature = np.asarray(0.5 * (curvature + curvature.T))
+    return p_AL, B, D, 0.5 * (information + information.T), on, curvature, slope, deviation
 
 
 @njit(cache=True)
-def _at_other_yaw(
-    p_AL: FloatArray, X_AD: FloatArray, on_yaw: FloatArray, change: float
-) -> tuple[FloatArray, FloatArray]:
-    """A keyframe's p_AL and X_AD with the camera's yaw changed, rad."""
-    p, n = p_AL.copy(), len(p_AL)
-    for i in range(n):
-        p[i, 0] += change * on_yaw[2 * i]
-        p[i, 1] += change * on_yaw[2 * i + 1]
-    return p, X_AD + change * on_yaw[2 * n :]
+def _by_what_was_seen(
+    rows: IntArray,
+    p_AL: FloatArray,
+    X_AD: FloatArray,
+    information: FloatArray,
+    on: FloatArray,
+    A: FloatArray,
+    D: FloatArray,
+    p_ML: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What pulls at landmarks, D and A, (2n + 6, q), where what was seen changes by its derivative on (2n + 3, q); and
+    curvature (q, q) and slope (q,) of half the weighted squared error over those q."""
+    error, on_A = _residual(rows, p_AL, X_AD, A, D, p_ML)
+    weighted = information @ on
+    return _pulled_back(on_A, weighted, A[2]), on.T @ weighted, -(weighted.T @ error)
+
+
+@njit(cache=True)
+def _pulled_back(on_A: FloatArray, weighted: FloatArray, heading: float) -> FloatArray:
+    """J^T weighted (2n + 6, q), where J is the Jacobian of a keyframe's error on landmarks, D and A."""
+    m, q = weighted.shape
+    c, s = math.cos(heading), math.sin(heading)
+    back = np.empty((m + 3, q))
+    for j in range(q):
+        for i in range(0, m - 1, 2):
+            _turned(back, i, j, weighted[i, j], weighted[i + 1, j], c, s)
+        back[m - 1, j] = weighted[m - 1, j]
+    back[m:] = on_A.T @ weighted
+    return back
 
 
 @njit(cache=True)
@@ -284,3 +445,23 @@ def _scatter(H: FloatArray, g: FloatArray, at: IntArray, H_k: FloatArray, g_k: F
             for j in range(len(at)):
                 if at[j] >= 0:
                     H[at[i], at[j]] += H_k[i, j]
+
+
+@njit(cache=True)
+def _scatter_columns(force: FloatArray, at: IntArray, rows: IntArray, by: FloatArray) -> None:
+    for i in range(len(at)):
+        if at[i] >= 0:
+            force[at[i], 0] += by[i, 0]
+            for j in range(len(rows)):
+                force[at[i], 1 + 2 * rows[j]] += by[i, 1 + 2 * j]
+                force[at[i], 2 + 2 * rows[j]] += by[i, 2 + 2 * j]
+
+
+@njit(cache=True)
+def _scatter_own(curvature: FloatArray, slope: FloatArray, rows: IntArray, more: FloatArray, pull: FloatArray) -> None:
+    for i in range(len(pull)):
+        at_i = 2 * rows[(i - 1) // 2] + 2 - i % 2 if i > 0 else 0
+        slope[at_i] += pull[i]
+        for j in range(len(pull)):
+            at_j = 2 * rows[(j - 1) // 2] + 2 - j % 2 if j > 0 else 0
+            curvature[at_i, at_j] += more[i, j]

@@ -18,6 +18,7 @@ from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import local_positions
 from tfg_drake.slam.odometry_model import OdometryModel, wrap
 from tfg_drake.slam.pose_filter import CORE, POSE, PoseFilter, predict_pose
+from tfg_drake.slam.tag_error import in_place
 
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
@@ -57,12 +58,15 @@ def restart_localizer(
 
 
 def _around(model: OdometryModel, map_estimate: MapEstimate) -> Localizer:
-    """A localiser at the departure pose that considers the landmarks known jointly."""
-    X_MD = map_estimate.X_MD
+    """A localiser at the departure pose that considers the landmarks known jointly, with what the constant errors of
+    tags make of where they seem to be from there."""
+    X_MD, considered, m = map_estimate.X_MD, map_estimate.covariance, len(map_estimate.local)
     p_DL = local_positions(map_estimate)
-    filter_ = pose_filter.start(
-        model, map_estimate.ids[map_estimate.is_local], p_DL, float(X_MD[2]), map_estimate.covariance
-    )
+    if map_estimate.tag_error.any():
+        considered, i = considered.copy(), np.arange(m)
+        seeming = in_place(map_estimate.local_p_ML - X_MD[:2], map_estimate.tag_error)
+        considered[:-3, :-3].reshape(m, 2, m, 2)[i, :, i, :] += seeming
+    filter_ = pose_filter.start(model, map_estimate.ids[map_estimate.is_local], p_DL, float(X_MD[2]), considered)
     return Localizer(X_MD, filter_)
 
 

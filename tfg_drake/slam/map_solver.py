@@ -17,7 +17,8 @@ import scipy.linalg
 
 from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, at_yaw, rows_of
-from tfg_drake.slam.keyframe_kernels import YAW_STEP, assemble, batch_error, chain
+from tfg_drake.slam.keyframe_kernels import YAW_STEP, assemble, assemble_tag_errors, batch_error, chain, tag_pulls
+from tfg_drake.slam.tag_error import learnt, suspected
 
 # Landmarks known jointly: those nearest to the robot.
 JOINT = 400
@@ -37,7 +38,9 @@ CELL = 48
 
 @dataclasses.dataclass(frozen=True)
 class _Factors:
-    """All keyframes in flat arrays, see `keyframe_kernels.assemble`."""
+    """All keyframes in flat arrays, see `keyframe_kernels.assemble`. on_error: (2n + 3, 2n) of each,
+    curvature, slope: what all say of the errors by themselves, see `keyframe_kernels.assemble_tag_errors`. tag_error:
+    (2,) standard deviation of the errors."""
 
     offsets: IntArray
     rows: IntArray
@@ -45,23 +48,33 @@ class _Factors:
     X_AD: FloatArray
     starts: IntArray
     information: FloatArray
+    on_error: tuple[FloatArray, ...]
+    curvature: FloatArray
+    slope: FloatArray
+    tag_error: FloatArray
 
     @property
     def arrays(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, FloatArray]:
         """In the order in which the kernels take them."""
         return self.offsets, self.rows, self.p_AL, self.X_AD, self.starts, self.information
 
+    @property
+    def of_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What the kernels take besides for the tags' errors."""
+        return np.concatenate([one.ravel() for one in self.on_error]), self.curvature, self.slope
+
 
 @dataclasses.dataclass(frozen=True)
 class _Cells:
     """Where the unknowns are: landmarks and nodes near each other make a cell; the first `kept` cells are kept.
 
-    Arrays as in `keyframe_kernels.assemble`. pairs: (p, 2) cells that share a keyframe, bounds: (p + 1,) of their
-    blocks. dense: unknowns kept.
+    Arrays as in `keyframe_kernels.assemble`, error_at as in `assemble_tag_errors`, -1 where tags have none. pairs: (p,
+    2) cells that share a keyframe, bounds: (p + 1,) of their blocks. dense: unknowns kept.
     """
 
     landmark_at: IntArray
     node_at: IntArray
+    error_at: IntArray
     cell: IntArray
     first: IntArray
     size: IntArray
@@ -70,6 +83,15 @@ class _Cells:
     bounds: IntArray
     kept: int
     dense: int
+
+
+@dataclasses.dataclass(frozen=True)
+class _Values:
+    """X_MN: (k + 1, 3), p_ML: (n, 2), errors: (n, 2) of the tags' range and bearing, m and rad."""
+
+    X_MN: FloatArray
+    p_ML: FloatArray
+    errors: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,38 +133,43 @@ def solve(
     local = np.sort(np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")[:joint])
     local = local if also is None else np.union1d(local, also)
     cells = _cells(graph, factors, local, node)
-    X_MN, p_ML, damping = graph.X_MN.copy(), graph.p_ML.copy(), 0.0
+    values, damping = _Values(graph.X_MN, graph.p_ML, np.zeros_like(graph.p_ML)), 0.0
     for _ in range(MOST_STEPS):
-        blocks, gradient, error, poses = _linearised(factors, cells, X_MN, p_ML)
+        blocks, gradient, error, poses = _linearised(factors, cells, values)
         while True:
             eliminated, root = _factorised(cells, blocks, gradient, damping)
             step = _step(cells, eliminated, root)
-            moved_X, moved_p = X_MN.copy(), p_ML + step[cells.landmark_at[:, None] + [0, 1]]
-            moved_X[1:] += step[cells.node_at[1:, None] + [0, 1, 2]]
             length = float(np.max(np.abs(step)))
             if length < SMALL_STEP or damping > MOST_DAMPING:
                 break
-            if batch_error(*factors.arrays, moved_X, moved_p) <= error + 1e-9 * (1.0 + error):
+            if _error(factors, _moved(cells, values, step)) <= error + 1e-9 * (1.0 + abs(error)):
                 break
             damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
         if damping > MOST_DAMPING:
             break
-        X_MN, p_ML, damping = moved_X, moved_p, damping / DAMPING_GROWTH**2 if damping > LEAST_DAMPING else 0.0
+        values = _moved(cells, values, step)
+        damping = damping / DAMPING_GROWTH**2 if damping > LEAST_DAMPING else 0.0
         if length < SMALL_STEP:
             break
-    X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
-    covariance = _covariance(cells, root, local, node)
+    covariance, of_errors = _covariance(cells, root, local, node)
+    tag_error = graph.tag_error
+    if tag_error.any():
+        tag_error = learnt(tag_error, values.errors[local], of_errors)
+    else:
+        tag_error = suspected(*tag_pulls(*factors.arrays, *factors.of_errors, values.X_MN, values.p_ML))
     yaw = graph.yaw
     if damping == 0.0 and any(one.on_yaw.any() for one in graph.keyframes):
-        yaw, on_yaw = _yaw(graph, factors, cells, X_MN, p_ML)
-        change = (yaw[0] - graph.yaw[0]) * on_yaw
-        X_MN[1:] += change[cells.node_at[1:, None] + [0, 1, 2]]
-        p_ML = p_ML + change[cells.landmark_at[:, None] + [0, 1]]
+        yaw, on_yaw = _yaw(graph, factors, cells, values)
+        values = _moved(cells, values, (yaw[0] - graph.yaw[0]) * on_yaw)
         at = _joint_at(cells, local, node)
         covariance += yaw[1] ** 2 * np.outer(on_yaw[at], on_yaw[at])
+    X_MN, p_ML = values.X_MN.copy(), values.p_ML
+    X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
     log_of_chain, pose_information = chain(np.full((3, 3), np.inf), poses)
-    log_information = eliminated.log_determinant + 2.0 * float(np.sum(np.log(np.diag(root))))
-    log_information -= log_of_chain + float(np.linalg.slogdet(pose_information)[1])
+    log_of_rest = log_of_chain + float(np.linalg.slogdet(pose_information)[1])
+    if factors.tag_error.any():
+        log_of_rest = _log_determinant_of_rest(cells, blocks)
+    log_information = eliminated.log_determinant + 2.0 * float(np.sum(np.log(np.diag(root)))) - log_of_rest
     entropy = 0.5 * (2 * len(p_ML) * math.log(2.0 * math.pi * math.e) - log_information) if len(p_ML) else 0.0
     graph = replace(
         graph,
@@ -153,13 +180,21 @@ def solve(
         pose_information=pose_information,
         keyframes=tuple(at_yaw(one, float(yaw[0])) for one in graph.keyframes),
         yaw=yaw,
+        tag_error=tag_error,
     )
     return graph, estimate_of(graph, stamp, observation, p_ML, X_MN[node], local, covariance)
 
 
-def _yaw(
-    graph: KeyframeGraph, factors: _Factors, cells: _Cells, X_MN: FloatArray, p_ML: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _moved(cells: _Cells, values: _Values, step: FloatArray) -> _Values:
+    """Values moved by a step (u,) of the unknowns."""
+    X_MN, errors = values.X_MN.copy(), values.errors
+    X_MN[1:] += step[cells.node_at[1:, None] + [0, 1, 2]]
+    if np.any(cells.error_at >= 0):
+        errors = errors + step[cells.error_at[:, None] + [0, 1]]
+    return _Values(X_MN, values.p_ML + step[cells.landmark_at[:, None] + [0, 1]], errors)
+
+
+def _yaw(graph: KeyframeGraph, factors: _Factors, cells: _Cells, values: _Values) -> tuple[FloatArray, FloatArray]:
     """The camera's yaw and its deviation (2,), rad, by all keyframes, at the values that are the best given the yaw of
     the graph; and the derivative (u,) of the unknowns on it.
 
@@ -167,12 +202,12 @@ def _yaw(
     """
 
     def error(change: float) -> float:
-        return batch_error(*_at_other_yaw(graph, factors, change).arrays, X_MN, p_ML)
+        return _error(_at_other_yaw(graph, factors, change), values)
 
     before, here, after = error(-YAW_STEP), error(0.0), error(YAW_STEP)
     slope, curvature = (after - before) / (4.0 * YAW_STEP), (before - 2.0 * here + after) / (2.0 * YAW_STEP**2)
-    blocks, gradient, _, _ = _linearised(factors, cells, X_MN, p_ML)
-    shifted = _linearised(_at_other_yaw(graph, factors, YAW_STEP), cells, X_MN, p_ML)[1]
+    blocks, gradient, _, _ = _linearised(factors, cells, values)
+    shifted = _linearised(_at_other_yaw(graph, factors, YAW_STEP), cells, values)[1]
     by_yaw = (shifted - gradient) / YAW_STEP
     on_yaw = _step(cells, *_factorised(cells, blocks, by_yaw, 0.0))
     prior, sigma = graph.yaw_prior
@@ -186,6 +221,37 @@ def _at_other_yaw(graph: KeyframeGraph, factors: _Factors, change: float) -> _Fa
     of_tags = np.concatenate([one.on_yaw[:-3].reshape(-1, 2) for one in graph.keyframes])
     of_way = np.array([one.on_yaw[-3:] for one in graph.keyframes])
     return dataclasses.replace(factors, p_AL=factors.p_AL + change * of_tags, X_AD=factors.X_AD + change * of_way)
+
+
+def _at_errors(factors: _Factors, errors: FloatArray) -> _Factors:
+    """The factors with the tags' errors (n, 2) taken out of what was seen."""
+    if not factors.tag_error.any():
+        return factors
+    p_AL, X_AD = factors.p_AL.copy(), factors.X_AD.copy()
+    for j, on_error in enumerate(factors.on_error):
+        some = slice(factors.offsets[j], factors.offsets[j + 1])
+        change = on_error @ errors[factors.rows[some]].ravel()
+        p_AL[some] += change[:-3].reshape(-1, 2)
+        X_AD[j] += change[-3:]
+    return dataclasses.replace(factors, p_AL=p_AL, X_AD=X_AD)
+
+
+def _error(factors: _Factors, values: _Values) -> float:
+    """The weighted squared error."""
+    error = batch_error(*_at_errors(factors, values.errors).arrays, values.X_MN, values.p_ML)
+    return error + _error_of_errors(factors, values.errors)
+
+
+def _error_of_errors(factors: _Factors, errors: FloatArray) -> float:
+    """What the tags' errors (n, 2) cost by themselves."""
+    if not factors.tag_error.any():
+        return 0.0
+    each, begin = errors[factors.rows].ravel(), 0
+    total = float(np.sum((errors / factors.tag_error) ** 2)) + 2.0 * float(factors.slope @ each)
+    for some in np.split(each, 2 * factors.offsets[1:-1]):
+        curvature = factors.curvature[begin : begin + len(some) ** 2].reshape(len(some), len(some))
+        total, begin = total + float(some @ curvature @ some), begin + len(some) ** 2
+    return total
 
 
 def known_jointly(graph: KeyframeGraph) -> int:
@@ -222,6 +288,7 @@ def estimate_of(
         X_MA=graph.X_MA,
         observation=observation,
         entropy=graph.entropy,
+        tag_error=graph.tag_error,
     )
 
 
@@ -235,6 +302,10 @@ def _factors(graph: KeyframeGraph) -> _Factors:
         X_AD=np.array([one.X_AD for one in graph.keyframes]),
         starts=np.append(0, np.cumsum((2 * counts + 3) ** 2)),
         information=np.concatenate([one.information.ravel() for one in graph.keyframes]),
+        on_error=tuple(one.on_error for one in graph.keyframes),
+        curvature=np.concatenate([one.error_curvature.ravel() for one in graph.keyframes]),
+        slope=np.concatenate([one.error_slope for one in graph.keyframes]),
+        tag_error=graph.tag_error,
     )
 
 
@@ -253,22 +324,29 @@ def _cells(graph: KeyframeGraph, factors: _Factors, local: IntArray, node: int) 
     is_local = np.zeros(n, dtype=bool)
     is_local[local] = True
     inner = np.delete(np.arange(1, k + 1), node - 1)
+    has_errors = bool(factors.tag_error.any())
     near = list(_bisected(graph.p_ML, local, CELL // 2))
-    groups = [(group, 2) for group in near] + [(np.array([node]), 3)]
+    far = list(_bisected(graph.p_ML, np.flatnonzero(~is_local), CELL // 2))
+    poses = list(_bisected(graph.X_MN[:, :2], inner, CELL // 3))
+    landmark_at, error_at, node_at = np.full(n, -1), np.full(n, -1), np.full(k + 1, -1)
+    landmark_cell, error_cell, node_cell = np.full(n, -1), np.full(n, -1), np.full(k + 1, -1)
+    landmark, error, pose = (landmark_at, landmark_cell, 2), (error_at, error_cell, 2), (node_at, node_cell, 3)
+    groups = [(group, landmark) for group in near] + [(np.array([node]), pose)]
+    groups += [(group, error) for group in near if has_errors]
     kept = len(groups)
-    groups += [(group, 2) for group in _bisected(graph.p_ML, np.flatnonzero(~is_local), CELL // 2)]
-    groups += [(group, 3) for group in _bisected(graph.X_MN[:, :2], inner, CELL // 3)]
+    groups += [(group, landmark) for group in far] + [(group, error) for group in far if has_errors]
+    groups += [(group, pose) for group in poses]
 
-    size = np.array([width * len(group) for group, width in groups])
+    size = np.array([width * len(group) for group, (_, _, width) in groups])
     first = np.cumsum(size) - size
-    landmark_at, node_at = np.full(n, -1), np.full(k + 1, -1)
-    landmark_cell, node_cell = np.full(n, -1), np.full(k + 1, -1)
-    for number, (group, width) in enumerate(groups):
-        at, of = (landmark_at, landmark_cell) if width == 2 else (node_at, node_cell)
+    for number, (group, (at, of, width)) in enumerate(groups):
         at[group] = first[number] + width * np.arange(len(group))
         of[group] = number
     together = np.zeros((k, len(groups)), dtype=bool)
-    together[np.repeat(np.arange(k), np.diff(factors.offsets)), landmark_cell[factors.rows]] = True
+    keyframe = np.repeat(np.arange(k), np.diff(factors.offsets))
+    together[keyframe, landmark_cell[factors.rows]] = True
+    if has_errors:
+        together[keyframe, error_cell[factors.rows]] = True
     together[np.arange(k), node_cell[1:]] = True
     together[np.arange(1, k), node_cell[1:k]] = True
     shared = together.T.astype(np.float32) @ together.astype(np.float32)
@@ -279,6 +357,7 @@ def _cells(graph: KeyframeGraph, factors: _Factors, local: IntArray, node: int) 
     return _Cells(
         landmark_at=landmark_at,
         node_at=node_at,
+        error_at=error_at,
         cell=np.repeat(np.arange(len(groups)), size),
         first=first,
         size=size,
@@ -290,24 +369,22 @@ def _cells(graph: KeyframeGraph, factors: _Factors, local: IntArray, node: int) 
     )
 
 
-def _linearised(
-    factors: _Factors, cells: _Cells, X_MN: FloatArray, p_ML: FloatArray
-) -> tuple[FloatArray, FloatArray, float, FloatArray]:
+def _linearised(factors: _Factors, cells: _Cells, values: _Values) -> tuple[FloatArray, FloatArray, float, FloatArray]:
     """Blocks and gradient (u,) at some values, the weighted squared error there, and the blocks of the poses."""
     blocks, gradient = np.zeros(cells.bounds[-1]), np.zeros(len(cells.cell))
-    error, poses = assemble(
-        *factors.arrays,
-        X_MN,
-        p_ML,
-        cells.landmark_at,
-        cells.node_at,
-        cells.cell,
-        cells.first,
-        cells.size,
-        cells.block_at,
-        blocks,
-        gradient,
-    )
+    seen, of_cells = _at_errors(factors, values.errors).arrays, (cells.cell, cells.first, cells.size, cells.block_at)
+    at = cells.landmark_at, cells.node_at
+    error, poses = assemble(*seen, values.X_MN, values.p_ML, *at, *of_cells, blocks, gradient)
+    if factors.tag_error.any():
+        at_errors = *at, cells.error_at
+        where = values.X_MN, values.p_ML, values.errors
+        assemble_tag_errors(*seen, *factors.of_errors, *where, *at_errors, *of_cells, blocks, gradient)
+        own, prior = cells.error_at[:, None] + [0, 1], factors.tag_error**-2
+        cell = cells.cell[own]
+        entry = own - cells.first[cell]
+        blocks[cells.block_at[cell, cell] + entry * (cells.size[cell] + 1)] += prior
+        gradient[own] += prior * values.errors
+        error += _error_of_errors(factors, values.errors)
     return blocks, gradient, error, poses
 
 
@@ -385,9 +462,31 @@ def _joint_at(cells: _Cells, local: IntArray, node: int) -> IntArray:
     return np.append((cells.landmark_at[local][:, None] + [0, 1]).ravel(), cells.node_at[node] + np.arange(3))
 
 
-def _covariance(cells: _Cells, root: FloatArray, local: IntArray, node: int) -> FloatArray:
-    """(2m + 3, 2m + 3) covariance of the landmarks in rows local (m,) and of a node's pose."""
+def _covariance(cells: _Cells, root: FloatArray, local: IntArray, node: int) -> tuple[FloatArray, FloatArray]:
+    """(2m + 3, 2m + 3) covariance of the landmarks in rows local (m,) and of a node's pose, and (m, 2) the variances of
+    the errors of those, zero where they have none."""
     lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
     at = _joint_at(cells, local, node)
     whole = np.tril(lower) + np.tril(lower, -1).T
-    return np.asarray(whole[np.ix_(at, at)])
+    of_errors = np.zeros((len(local), 2))
+    if np.any(cells.error_at >= 0):
+        of_errors = np.diag(lower)[cells.error_at[local][:, None] + [0, 1]]
+    return np.asarray(whole[np.ix_(at, at)]), of_errors
+
+
+def _log_determinant_of_rest(cells: _Cells, blocks: FloatArray) -> float:
+    """Of the information on all unknowns but the landmarks, given these."""
+    landmarks = np.unique(cells.cell[cells.landmark_at])
+    size, system = cells.size.tolist(), gtsam.GaussianFactorGraph()
+    for (i, j), start, end in zip(cells.pairs.tolist(), cells.bounds[:-1], cells.bounds[1:], strict=True):
+        if i in landmarks or j in landmarks:
+            continue
+        block, g_i, g_j = blocks[start:end].reshape(size[i], size[j]), np.zeros(size[i]), np.zeros(size[j])
+        if i == j:
+            system.push_back(gtsam.HessianFactor(i, block, g_i, 0.0))
+        else:
+            own = np.zeros((size[i], size[i])), np.zeros((size[j], size[j]))
+            system.push_back(gtsam.HessianFactor(i, j, own[0], block, g_i, own[1], g_j, 0.0))
+    conditionals = system.eliminateSequential()
+    roots = (conditionals.at(place).R() for place in range(conditionals.size()))
+    return 2.0 * sum(float(np.sum(np.log(np.abs(np.diag(root))))) for root in roots)

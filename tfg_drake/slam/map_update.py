@@ -58,18 +58,30 @@ def updated(
     What `estimate` says of the stage is not brought up to date, see `finished`.
     """
     observation = at_yaw(observation, float(graph.yaw[0]))
+    loose = _with_tag_errors(observation, graph.tag_error)
     row, known = rows_of(observation.ids, estimate.ids)
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
     while True:
-        update = _iterated(estimate, local_row[kept], observation, seen[kept])
+        update = _iterated(estimate, local_row[kept], loose, seen[kept])
         distance = _distances(update)
         if np.max(distance, initial=0.0) <= REJECTED:
             break
         kept = np.delete(kept, np.argmax(distance))
     rejected = np.delete(observation.ids[seen], kept)
-    observation = without_tags(observation, rejected)
-    return *_joined(graph, estimate, observation, local_row[kept], update, is_view), rejected
+    observation, loose = without_tags(observation, rejected), without_tags(loose, rejected)
+    return *_joined(graph, estimate, observation, loose.covariance, local_row[kept], update, is_view), rejected
+
+
+def _with_tag_errors(observation: GoalObservation, tag_error: FloatArray) -> GoalObservation:
+    """The observation as uncertain as the constant errors of its tags, of these deviations (2,), make it, as if they
+    were others in each keyframe: a solve knows better."""
+    n = len(observation.on_error)
+    if not n or not tag_error.any():
+        return observation
+    root, covariance, i = observation.on_error * tag_error, observation.covariance.copy(), np.arange(n)
+    covariance[:-3, :-3].reshape(n, 2, n, 2)[i, :, i, :] += root @ root.transpose(0, 2, 1)
+    return replace(observation, covariance=covariance)
 
 
 def jointly_known(estimate: MapEstimate, ids: IntArray) -> BoolArray:
@@ -146,15 +158,16 @@ def _joined(
     graph: KeyframeGraph,
     estimate: MapEstimate,
     observation: GoalObservation,
+    R: FloatArray,
     local_row: IntArray,
     update: _Update,
     is_view: bool,
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """Graph and map with an observation whose known tags are all believed, local_row (m,): where they are in local."""
+    """Graph and map with an observation whose known tags are all believed, local_row (m,): where they are in local. R:
+    its covariance with that of the tags' errors."""
     _, known = rows_of(observation.ids, estimate.ids)
     # What it says besides of known tags: in A, new tags and D. The errors of all of it go together.
     beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=bool))
-    R = observation.covariance
     size, more, old = len(estimate.covariance), int(np.count_nonzero(beyond)), len(estimate.covariance) - 3
     P = np.zeros((size + more, size + more))
     P[:size, :size], P[size:, size:] = estimate.covariance, R[np.ix_(beyond, beyond)]

@@ -170,6 +170,7 @@ def solve_turn(
         X_AB=solution.X_AB,
         yaw=float(solution.calibration[CAMERA]),
         on_yaw=of_yaw,
+        on_error=_on_error(solution, problem, kept),
     )
     return TurnSolution(
         observation=observation,
@@ -180,6 +181,17 @@ def solve_turn(
         camera=CameraModel(solution.calibration[CAMERA:], solution.covariance[CAMERA:TAGS, CAMERA:TAGS]),
         correlation=correlation,
     )
+
+
+def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatArray:
+    """(n, 2, 2) derivative of each tag's place in A on its constant errors of range and bearing: along the line of
+    sight and across it, in the mean of the frames that saw it."""
+    tag, X = np.searchsorted(solution.ids, problem[3][kept]), solution.X_AB[problem[2][kept]]
+    d = solution.p_AL[tag] - X[:, :2]
+    ahead = d / np.maximum(np.hypot(*d.T), 1e-6)[:, None]
+    columns = np.stack([-ahead[:, 0], d[:, 1], -ahead[:, 1], -d[:, 0]])
+    each = np.stack([np.bincount(tag, column, len(solution.ids)) for column in columns], axis=1)
+    return np.asarray(each.reshape(-1, 2, 2) / np.maximum(solution.sightings, 1)[:, None, None])
 
 
 def _compared(

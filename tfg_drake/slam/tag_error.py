@@ -1,0 +1,47 @@
+"""Constant errors of tags: each tag's range and bearing are off by the same amounts in all frames that see it.
+
+A print of another size, a mounting that leans, a lens not quite calibrated: no number of frames tells such an error
+from a tag that stands elsewhere; only other points of view do. The errors are unknowns of the keyframe graph, of a
+deviation that all tags share. It is zero until the keyframes fit together worse than their noise lets them, by how hard
+they pull at the errors, and found from then on by what the errors come to (MacKay 1992, "Bayesian interpolation").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray
+
+# Tags are taken to have errors where the keyframes' squared pull at them is so many times what noise alone does.
+SUSPICIOUS = 1.5
+# Tags from which on that is asked.
+LEAST_TAGS = 20
+# The deviations with which they are first looked for, and such as are none, m and rad.
+FIRST = (0.01, 0.003)
+LEAST = (1e-3, 3e-4)
+
+
+def in_place(p: FloatArray, tag_error: FloatArray) -> FloatArray:
+    """(n, 2, 2) covariance of the places p (n, 2) of tags seen from the origin, by errors of these deviations (2,)."""
+    ahead = p / np.maximum(np.hypot(*p.T), 1e-6)[:, None]
+    along, across = tag_error[0] * ahead, tag_error[1] * np.stack([-p[:, 1], p[:, 0]], axis=1)
+    return np.asarray(along[:, :, None] * along[:, None, :] + across[:, :, None] * across[:, None, :])
+
+
+def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
+    """The deviations (2,) to look for errors with, zero where nothing speaks for any.
+
+    pull: (n, 2) gradient of half the squared error on each tag's errors where they are taken to be zero, information:
+    (n, 2) its variance by noise.
+    """
+    if np.count_nonzero(information) < 2 * LEAST_TAGS or np.sum(pull**2) < SUSPICIOUS * np.sum(information):
+        return np.zeros(2)
+    return np.array(FIRST)
+
+
+def learnt(tag_error: FloatArray, errors: FloatArray, variance: FloatArray) -> FloatArray:
+    """The deviations (2,) by what the errors (n, 2) of tags are found to be, and with which variance (n, 2), where
+    `tag_error` was taken for them."""
+    told = 1.0 - variance / tag_error**2
+    found = np.sqrt((errors**2).sum(axis=0) / np.maximum(told.sum(axis=0), 1.0))
+    return np.zeros(2) if (found < LEAST).all() else np.maximum(found, 0.1 * np.array(LEAST))
