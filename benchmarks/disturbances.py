@@ -20,7 +20,7 @@ from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
 from threadpoolctl import threadpool_limits
 
-from tfg_drake.diagrams.run import MakeMissionDiagram
+from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, inverse, transform

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tfg_drake import metrics
 from tfg_drake.comparison.curves import scan_coverage
+from tfg_drake.diagrams.mission import Departure, Mission
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.grid.frontier import OCCUPIED, classify
@@ -17,9 +18,6 @@ from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEsti
 from tfg_drake.trajectory import poses_at
 from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
 from tfg_drake.world.world import World
-
-if TYPE_CHECKING:
-    from tfg_drake.diagrams.run import Departure, Mission
 
 # What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
 # but corners that a scan happens to miss.

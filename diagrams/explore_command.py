@@ -17,8 +17,8 @@ from tfg_drake.diagrams.command_line import bad_input
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
+    from tfg_drake.diagrams.mission import Progress
     from tfg_drake.diagrams.robots import Robot
-    from tfg_drake.diagrams.run import Progress
     from tfg_drake.diagrams.scenario import Scenario
 
 # Exit code where the map or the summary could not be written.

@@ -1,13 +1,6 @@
-"""The explorer: five components and the mission sequencer, from what a TurtleBot senses to what its base is told.
-
-odometry, detections -> slam estimator -> tfg builder -> prm planner <-> goal selector
-                             |                               |
-velocity_commanded  <- follower  <-----------------------  path
-"""
+"""The explorer: five components and the mission sequencer, from what a TurtleBot senses to what its base is told."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
@@ -24,74 +17,97 @@ from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 from tfg_drake.systems.slam_estimator import SlamEstimator
 from tfg_drake.systems.tfg_builder import TfgBuilder
 
+# The station's ports, and what the explorer's systems call what comes from there.
+SENSED = {
+    "base.odometry": "odometry",
+    "base.hazards": "hazards",
+    "base.enabled": "enable",
+    "tags.detections": "detections",
+    "scan.ranges": "scan",
+}
+COMMANDED = "base.velocity_commanded"
+
 
 def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None) -> Diagram:
     """The explorer for a scenario's robot, sensors and method; of the scenario's world it reads nothing.
 
-    Input ports: odometry, detections, scan, hazards (messages), pause, enable, stop, recall (vectors of size 1,
-    optional).
-    Output ports: velocity_commanded (v in m/s, w in rad/s), and for whoever wants to look: pose, map, tfg, roadmap,
-    goal, path, mission and the status of path and follower; working_map and working_roadmap are as much of map, tfg and
-    roadmap as planning needs at a stage.
+    Input ports: base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause, stop, recall
+    (vectors of size 1, optional).
+    Output ports: base.velocity_commanded (v in m/s, w in rad/s), and for whoever wants to look: pose, map, tfg,
+    roadmap, goal, path, mission and the status of path and follower; working_map and working_roadmap are as much of
+    map, tfg and roadmap as planning needs at a stage.
 
-    goal_selector: chooses where to go instead of the information gain; a system with any of the inputs above and any of
-    those outputs but velocity_commanded as its inputs, and the output goal: a GoalChoice, see InfoGainGoalSelector.
+    goal_selector: chooses where to go instead of the information gain; a system with any of pose, map, tfg, roadmap,
+    working_map, working_roadmap, path, path_status, mission and recall as its inputs, and the output goal: a
+    GoalChoice, see InfoGainGoalSelector.
     """
-    robot, explorer = scenario.robot, scenario.explorer
+    robot, tags, explorer = scenario.robot, scenario.tags, scenario.explorer
+    wiring = Wiring()
+    estimator = wiring.Add("slam_estimator", SlamEstimator(scenario.odometry, tags, explorer.path_keyframe_period))
+    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
     if goal_selector is None:
-        goal_selector = InfoGainGoalSelector(robot, scenario.odometry, scenario.tags, explorer, scenario.seed)
-    return AssembleExplorer(
-        {
-            "slam_estimator": SlamEstimator(scenario.odometry, scenario.tags, explorer.path_keyframe_period),
-            "tfg_builder": TfgBuilder(scenario.tags, scenario.scan, robot, explorer),
-            "goal_selector": goal_selector,
-            "prm_planner": PrmPlanner(
-                robot,
-                scenario.odometry,
-                scenario.tags,
-                explorer,
-                scenario.planner,
-                scenario.seed,
-                scenario.scan.least_range,
-            ),
-            "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),
-            "mission_sequencer": MissionSequencer(robot, explorer.glance_period),
-        }
+        goal_selector = InfoGainGoalSelector(robot, scenario.odometry, tags, explorer, scenario.seed)
+    selector = wiring.Add("goal_selector", goal_selector)
+    least_range = scenario.scan.least_range
+    planner = wiring.Add(
+        "prm_planner",
+        PrmPlanner(robot, scenario.odometry, tags, explorer, scenario.planner, scenario.seed, least_range),
     )
+    follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, scenario.field_of_view))
+    sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, explorer.glance_period))
+
+    wiring.Sense("base.odometry", estimator)
+    wiring.Sense("tags.detections", estimator)
+    wiring.Sense("scan.ranges", estimator, tfg_builder, planner)
+    wiring.Sense("base.hazards", sequencer)
+    wiring.Feed(estimator, "pose", tfg_builder, selector, planner, follower)
+    wiring.Feed(estimator, "map", tfg_builder, selector, planner, sequencer)
+    wiring.Feed(tfg_builder, "tfg", selector, planner, sequencer)
+    wiring.Feed(tfg_builder, "working_map", selector, planner)
+    wiring.Feed(planner, "roadmap", selector)
+    wiring.Feed(planner, "working_roadmap", selector)
+    wiring.Feed(selector, "goal", planner, follower, sequencer)
+    wiring.Feed(planner, "path", selector, follower, sequencer)
+    wiring.Feed(planner, "path_status", selector, sequencer)
+    wiring.Feed(follower, "follower_status", sequencer)
+    wiring.Feed(sequencer, "mission", estimator, tfg_builder, selector, planner, follower)
+    return wiring.Build(follower, sequencer, selector)
 
 
-def AssembleExplorer(systems: Mapping[str, LeafSystem]) -> Diagram:
-    """An explorer of some systems, by the name each is to have, connected by port name.
+class Wiring:
+    """An explorer under construction: its systems, and what flows between them."""
 
-    An output feeds every input of its name and is an output of the explorer; an input that no output feeds is an input
-    of the explorer. Raises ValueError where two outputs have the same name.
-    """
-    builder = DiagramBuilder()
-    outputs = {}
-    for name, system in systems.items():
-        builder.AddNamedSystem(name, system)
-        for i in range(system.num_output_ports()):
-            port = system.get_output_port(i)
-            if port.get_name() in outputs:
-                raise ValueError(f"{name}.{port.get_name()}: another system of the explorer has an output of that name")
-            outputs[port.get_name()] = port
-    exported = set()
-    for system in systems.values():
-        for i in range(system.num_input_ports()):
-            port = system.get_input_port(i)
-            name = port.get_name()
-            if name in outputs:
-                builder.Connect(outputs[name], port)
-            elif name in exported:
-                builder.ConnectInput(name, port)
-            else:
-                builder.ExportInput(port, name)
-                exported.add(name)
-    for name, port in outputs.items():
-        builder.ExportOutput(port, name)
-    diagram = builder.Build()
-    diagram.set_name("explorer")
-    return diagram
+    def __init__(self) -> None:
+        self._builder = DiagramBuilder()
+
+    def Add(self, name: str, system: LeafSystem) -> LeafSystem:
+        """Adds a system; the order in which they are added is that of their events."""
+        return self._builder.AddNamedSystem(name, system)
+
+    def Sense(self, port: str, *listeners: LeafSystem) -> None:
+        """Makes a port of the station, one of SENSED, an input of the explorer, for some systems."""
+        self._builder.ExportInput(listeners[0].GetInputPort(SENSED[port]), port)
+        for system in listeners[1:]:
+            self._builder.ConnectInput(port, system.GetInputPort(SENSED[port]))
+
+    def Feed(self, source: LeafSystem, name: str, *listeners: LeafSystem) -> None:
+        """Connects an output to the inputs of its name, as far as there are such, and makes it one of the explorer."""
+        for system in listeners:
+            if system.HasInputPort(name):
+                self._builder.Connect(source.GetOutputPort(name), system.GetInputPort(name))
+        self._builder.ExportOutput(source.GetOutputPort(name), name)
+
+    def Build(self, follower: LeafSystem, sequencer: LeafSystem, selector: LeafSystem) -> Diagram:
+        """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector."""
+        self._builder.ExportOutput(follower.GetOutputPort("velocity_commanded"), COMMANDED)
+        self._builder.ExportInput(sequencer.GetInputPort("enable"), "base.enabled")
+        for name in ("pause", "stop"):
+            self._builder.ExportInput(sequencer.GetInputPort(name), name)
+        if selector.HasInputPort("recall"):
+            self._builder.ExportInput(selector.GetInputPort("recall"), "recall")
+        diagram = self._builder.Build()
+        diagram.set_name("explorer")
+        return diagram
 
 
 def StateOfExplorer(explorer: Diagram, context: Context) -> EstimatorState:

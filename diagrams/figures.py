@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from tfg_drake.comparison.paper_tables import METHODS, parameter_table, performance_table
 from tfg_drake.diagrams.compare_command import run_sweep
-from tfg_drake.diagrams.run import MakeMissionDiagram
+from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
 from tfg_drake.diagrams.sweep import Task
 from tfg_drake.files import write_atomic

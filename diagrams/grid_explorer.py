@@ -1,7 +1,4 @@
-"""The paper's baseline on the same ports: GMapping, the nearest frontier and paths on the grid.
-
-odometry, scan -> grid mapper -> goal selector -> grid planner -> follower -> velocity_commanded
-"""
+"""The paper's baseline on the same ports: GMapping, the nearest frontier and paths on the grid."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import dataclasses
 
 from pydrake.systems.framework import Diagram
 
-from tfg_drake.diagrams.explorer import AssembleExplorer
+from tfg_drake.diagrams.explorer import Wiring
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.grid import frontier_goal, weighted_goal
 from tfg_drake.grid.frontier_goal import TriedPlaces
@@ -37,12 +34,21 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
             )
         return frontier_goal.choose(grid, pose, tried, robot, explorer)
 
-    return AssembleExplorer(
-        {
-            "grid_mapper": GridMapper(scenario.grid, scenario.odometry, scenario.seed),
-            "goal_selector": FrontierGoalSelector(choose, robot, scenario.grid.eager),
-            "grid_planner": GridPlanner(robot),
-            "follower": PurePursuitFollower(robot, explorer, None),
-            "mission_sequencer": MissionSequencer(robot, maps={"grid": GridMap}),
-        }
-    )
+    wiring = Wiring()
+    mapper = wiring.Add("grid_mapper", GridMapper(scenario.grid, scenario.odometry, scenario.seed))
+    selector = wiring.Add("goal_selector", FrontierGoalSelector(choose, robot, scenario.grid.eager))
+    planner = wiring.Add("grid_planner", GridPlanner(robot))
+    follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, None))
+    sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, maps={"grid": GridMap}))
+
+    wiring.Sense("base.odometry", mapper)
+    wiring.Sense("scan.ranges", mapper, planner)
+    wiring.Sense("base.hazards", sequencer)
+    wiring.Feed(mapper, "pose", selector, planner, follower)
+    wiring.Feed(mapper, "grid", selector, planner, sequencer)
+    wiring.Feed(selector, "goal", planner, follower, sequencer)
+    wiring.Feed(planner, "path", selector, follower, sequencer)
+    wiring.Feed(planner, "path_status", selector, sequencer)
+    wiring.Feed(follower, "follower_status", sequencer)
+    wiring.Feed(sequencer, "mission", mapper, selector, planner, follower)
+    return wiring.Build(follower, sequencer, selector)

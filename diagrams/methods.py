@@ -28,10 +28,10 @@ class Method:
     """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
     the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home.
 
-    The diagram's inputs are odometry, detections, scan, hazards (messages), pause, enable, stop and recall (vectors of
-    size 1), as many of them as it wants: without recall it is ended where its robot's battery is low. Its outputs are
-    velocity_commanded, pose (PoseEstimate) and mission (MissionStatus), and, where it has them, map, tfg, roadmap,
-    goal, path and grid.
+    The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
+    stop and recall (vectors of size 1), as many of them as it wants: without recall it is ended where its robot's
+    battery is low. Its outputs are base.velocity_commanded, pose (PoseEstimate) and mission (MissionStatus), and, where
+    it has them, map, tfg, roadmap, goal, path and grid.
     """
 
     name: str

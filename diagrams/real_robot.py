@@ -11,8 +11,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.methods import Method
+from tfg_drake.diagrams.mission import Mission
 from tfg_drake.diagrams.robots import Robot
-from tfg_drake.diagrams.run import Mission
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.battery_watch import BatteryWatch
 from tfg_drake.hardware.keyboard import Keyboard

@@ -6,12 +6,13 @@ import json
 import math
 import resource
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tfg_drake import __version__
 from tfg_drake.diagrams.errors import KnownWorld, path_length, pose_errors
+from tfg_drake.diagrams.mission import Mission
 from tfg_drake.diagrams.run_folder import RunFolder
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.files import write_atomic
@@ -19,9 +20,6 @@ from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import MapEstimate
 from tfg_drake.trajectory import write_tum
-
-if TYPE_CHECKING:
-    from tfg_drake.diagrams.run import Mission
 
 SCHEMA = 1
 NO_POSES = np.zeros((0, 3))

@@ -45,7 +45,7 @@ class PortRecorder(LeafSystem):
         builder.AddNamedSystem("port_recorder", recorder)
         for name in (*MESSAGES, ENABLED):
             builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(name))
-        builder.Connect(explorer.GetOutputPort("velocity_commanded"), recorder.GetInputPort(COMMAND))
+        builder.Connect(explorer.GetOutputPort(COMMAND), recorder.GetInputPort(COMMAND))
         return recorder
 
     def _Write(self, context: Context) -> EventStatus:

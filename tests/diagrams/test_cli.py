@@ -9,7 +9,7 @@ import time
 import pytest
 
 from tfg_drake.diagrams import cli, explore_command
-from tfg_drake.diagrams.run import Progress
+from tfg_drake.diagrams.mission import Progress
 
 ROOM = """
 seed: 3

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.explorer import SENSED
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
@@ -16,11 +16,11 @@ def test_every_method_has_the_ports_that_a_mission_needs(name):
     explorer = FindMethod(name).MakeExplorer(LoadScenario(FindScenario("house")))
     inputs = {explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())}
     outputs = {explorer.get_output_port(i).get_name() for i in range(explorer.num_output_ports())}
-    assert inputs <= {"odometry", "detections", "scan", "hazards", "pause", "enable", "stop", "recall"}
+    assert inputs <= {*SENSED, "pause", "stop", "recall"}
     # Who keeps no budget cannot be called back.
     assert ("recall" in inputs) == METHODS[name].keeps_budget
     assert {"odometry", "scan", "hazards", "pause", "enable", "stop"} <= inputs
-    assert {"velocity_commanded", "pose", "mission"} <= outputs
+    assert {"base.velocity_commanded", "pose", "mission"} <= outputs
     assert ("grid" in outputs) != ("map" in outputs)
 
 
@@ -62,10 +62,3 @@ def test_what_a_method_does_not_mind_is_refused(setting):
             FindMethod(name).Check(scenario)
         key = setting.split("=")[0]
         assert str(caught.value) == (f"{name}: does not mind explorer.{key}; leave it out, or take another method: tfg")
-
-
-def test_two_outputs_of_one_name_are_refused():
-    from tfg_drake.systems.scripted_driver import ScriptedDriver
-
-    with pytest.raises(ValueError, match=r"prm_planner\.path: another system of the explorer has an output of that"):
-        MakeTfgExplorer(LoadScenario(FindScenario("house")), ScriptedDriver([]))

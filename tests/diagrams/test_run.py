@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 
-from tfg_drake.diagrams import run
+from tfg_drake.diagrams import mission_diagram, run
 from tfg_drake.diagrams.methods import FindMethod, Method
 from tfg_drake.diagrams.run_folder import make_run_folder
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
@@ -158,13 +158,13 @@ def test_a_second_ctrl_c_aborts(tmp_path):
 
 @pytest.mark.parametrize("error", [ValueError("no way\nmore"), SystemExit("no way\nmore")])
 def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, monkeypatch, error):
-    class Failing(run.PoseVector):
+    class Failing(mission_diagram.PoseVector):
         def _CalcVector(self, context, output):
             if context.get_time() > 25.5:
                 raise error
             super()._CalcVector(context, output)
 
-    monkeypatch.setattr(run, "PoseVector", Failing)
+    monkeypatch.setattr(mission_diagram, "PoseVector", Failing)
     summary = run.explore(room(), out_dir=tmp_path).summary
     assert summary["outcome"] == "fault"
     assert summary["reason"] == f"{type(error).__name__} at 25.56 s: no way"

@@ -5,7 +5,7 @@ import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
 
-from tfg_drake.diagrams.run import MakeMissionDiagram
+from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario, MakeWorld
 from tfg_drake.planning.budget import AT_HOME
 

@@ -11,7 +11,7 @@ import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import InitializeParams, Simulator
 
-from tfg_drake.diagrams.run import MakeMissionDiagram
+from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario, MakeWorld
 
 ROOM = """

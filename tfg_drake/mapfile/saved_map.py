@@ -125,7 +125,7 @@ REGISTRY: Registry = {
         "X_AD": (3,),
         "information": ("r", "r"),
         "on_yaw": ("r",),
-        "on_error": ("r", "q"),
+        "on_error": ("e", "q"),
         "error_curvature": ("q", "q"),
         "error_slope": ("q",),
     },
@@ -253,8 +253,7 @@ def _without_unused(graph: KeyframeGraph) -> KeyframeGraph:
     return replace(
         graph,
         keyframes=tuple(
-            replace(one, on_error=np.zeros((2 * len(one.ids) + 3, 0)), error_curvature=nothing, error_slope=none)
-            for one in graph.keyframes
+            replace(one, on_error=nothing, error_curvature=nothing, error_slope=none) for one in graph.keyframes
         ),
     )
 
@@ -262,7 +261,7 @@ def _without_unused(graph: KeyframeGraph) -> KeyframeGraph:
 def _whole(one: Keyframe) -> Keyframe:
     """A keyframe, where it says nothing of errors of tags with zeros in their place."""
     size = 2 * len(one.ids)
-    if len(one.error_slope) == size:
+    if len(one.on_error):
         return one
     curvature = np.zeros((size, size))
     return replace(one, on_error=np.zeros((size + 3, size)), error_curvature=curvature, error_slope=np.zeros(size))
@@ -305,8 +304,9 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.keyframes.ids does not fit graph.ids"
     if any(len(one.information) != 2 * len(one.ids) + 3 for one in graph.keyframes):
         return "graph.keyframes.information does not fit graph.keyframes.ids"
-    if any(len(one.error_slope) not in (0, 2 * len(one.ids)) for one in graph.keyframes):
-        return "graph.keyframes.error_slope does not fit graph.keyframes.ids"
+    shapes = ((one.on_error.shape, 2 * len(one.ids)) for one in graph.keyframes)
+    if any(shape not in ((0, 0), (size + 3, size)) for shape, size in shapes):
+        return "graph.keyframes.on_error does not fit graph.keyframes.ids"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != landmarks:

@@ -1,0 +1,82 @@
+"""The whole of a mission in one diagram: station, explorer, and who looks on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
+
+from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
+from tfg_drake.diagrams.robots import SIMULATED, Robot
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.port_recording import PortWriter
+from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
+from tfg_drake.systems.operator import Operator
+from tfg_drake.systems.port_recorder import PortRecorder
+from tfg_drake.systems.pose_vector import PoseVector
+from tfg_drake.world.world import World
+
+if TYPE_CHECKING:
+    from tfg_drake.systems.visualizer import TfgVisualizer
+
+
+def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -> None:
+    """Connects what a station senses to the explorer's inputs of the same names, as far as it has them, and the
+    explorer's command to the station."""
+    for name in SENSED:
+        if explorer.HasInputPort(name):
+            builder.Connect(station.GetOutputPort(name), explorer.GetInputPort(name))
+    builder.Connect(explorer.GetOutputPort(COMMANDED), station.GetInputPort(COMMANDED))
+
+
+def MakeMissionDiagram(
+    scenario: Scenario,
+    world: World | None,
+    visualizer: TfgVisualizer | None = None,
+    MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
+    robot: Robot = SIMULATED,
+    writer: PortWriter | None = None,
+) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
+    """Station and explorer, with the picture if there is one, recorded if there is a writer, and under an operator if
+    the robot is real.
+
+    Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
+    it, and of the estimated one (PoseVector).
+    """
+    builder = DiagramBuilder()
+    station = builder.AddNamedSystem("station", robot.MakeStation(scenario))
+    explorer = MakeExplorer(scenario)
+    if not isinstance(explorer, System):
+        raise TypeError(f"MakeExplorer must return the explorer's Diagram, not {type(explorer).__name__}")
+    builder.AddNamedSystem("explorer", explorer)
+
+    ConnectStation(builder, station, explorer)
+
+    if robot.real:
+        recalls = explorer.HasInputPort("recall")
+        operator = builder.AddNamedSystem("operator", Operator(robot.operated, recalls=recalls))
+        builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
+        for name in ("pause", "stop", "recall"):
+            if explorer.HasInputPort(name):
+                builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
+
+    if robot.Announce is not None:
+        robot.Announce(builder, station, explorer)
+
+    pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
+    builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
+    pose_log = LogVectorOutput(pose_vector.get_output_port(), builder, ODOMETRY_PERIOD)
+    truth_log = None
+    if station.HasOutputPort("truth.pose"):
+        truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
+
+    if writer is not None:
+        PortRecorder.AddToBuilder(builder, station, explorer, writer)
+    if visualizer is not None:
+        visualizer.Connect(builder, station, explorer)
+
+    diagram = builder.Build()
+    diagram.set_name("mission")
+    return diagram, truth_log, pose_log
