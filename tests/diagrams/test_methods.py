@@ -19,7 +19,7 @@ def test_every_method_has_the_ports_that_a_mission_needs(name):
     assert inputs <= {*SENSED, "pause", "stop", "recall"}
     # Who keeps no budget cannot be called back.
     assert ("recall" in inputs) == METHODS[name].keeps_budget
-    assert {"odometry", "scan", "hazards", "pause", "enable", "stop"} <= inputs
+    assert {"base.odometry", "scan.ranges", "base.hazards", "base.enabled", "pause", "stop"} <= inputs
     assert {"base.velocity_commanded", "pose", "mission"} <= outputs
     assert ("grid" in outputs) != ("map" in outputs)
 
