@@ -1,4 +1,4 @@
-"""What the README says is true: its example runs, its scenario loads, its links lead somewhere."""
+"""What the README says is true: its example runs, its scenario loads; links of all documents lead somewhere."""
 
 import re
 from pathlib import Path
@@ -32,8 +32,28 @@ def test_the_scenario_loads():
     assert (scenario.seed, scenario.robot.max_speed, scenario.world.tags[0].id) == (3, 0.3, 7)
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/ARCHITECTURE.md"])
+def anchors(path):
+    """What can be linked to in a document: its headings as a hosted page names them."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+DOCUMENTS = [
+    str(path.relative_to(ROOT)) for folder in (".", "docs", "benchmarks") for path in (ROOT / folder).glob("*.md")
+]
+
+
+@pytest.mark.parametrize("name", sorted(DOCUMENTS))
 def test_links_lead_somewhere(name):
-    links = re.findall(r"\]\(([^)#]+)\)", (ROOT / name).read_text())
+    links = re.findall(r"\]\(([^)]+)\)", (ROOT / name).read_text())
     for link in links:
-        assert link.startswith("https://") or (ROOT / name).parent.joinpath(link).exists(), link
+        if link.startswith("https://"):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (ROOT / name).parent / file if file else ROOT / name
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_the_documents_with_links_are_there():
+    assert {"README.md", "CONTRIBUTING.md", "docs/ARCHITECTURE.md", "docs/results.md"} <= set(DOCUMENTS)
