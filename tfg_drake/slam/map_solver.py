@@ -26,8 +26,10 @@ MOST_JOINT = 2500
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
 SMALL_STEP = 2e-5
-# A step that fails to lower the error, or cannot be made, is made again with every unknown held to its place by this
-# information, and a hundred times as much each time. The first holds what hangs on nothing by 100 m, or rad.
+# A step that fails to lower the error is halved, so many times at most.
+MOST_HALVINGS = 10
+# Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
+# time. The first holds what hangs on nothing by 100 m, or rad.
 LEAST_DAMPING = 1e-4
 DAMPING_GROWTH = 100.0
 MOST_DAMPING = 1e10
@@ -111,29 +113,25 @@ def solve(
     local = np.sort(np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")[:joint])
     local = local if also is None else np.union1d(local, also)
     cells = _cells(graph, factors, local, node)
-    X_MN, p_ML, damping = graph.X_MN.copy(), graph.p_ML.copy(), 0.0
+    X_MN, p_ML = graph.X_MN.copy(), graph.p_ML.copy()
     for _ in range(MOST_STEPS):
         blocks, gradient, error, poses = _linearised(factors, cells, X_MN, p_ML)
-        while True:
-            eliminated, root = _factorised(cells, blocks, gradient, damping)
-            step = _step(cells, eliminated, root)
+        eliminated, root = _factorised(cells, blocks, gradient)
+        step = _step(cells, eliminated, root)
+        length = float(np.max(np.abs(step)))
+        for _ in range(MOST_HALVINGS if length >= SMALL_STEP else 1):
             moved_X, moved_p = X_MN.copy(), p_ML + step[cells.landmark_at[:, None] + [0, 1]]
             moved_X[1:] += step[cells.node_at[1:, None] + [0, 1, 2]]
-            length = float(np.max(np.abs(step)))
-            if length < SMALL_STEP or damping > MOST_DAMPING:
-                break
             if batch_error(*factors.arrays, moved_X, moved_p) <= error + 1e-9 * (1.0 + error):
                 break
-            damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
-        if damping > MOST_DAMPING:
-            break
-        X_MN, p_ML, damping = moved_X, moved_p, damping / DAMPING_GROWTH**2 if damping > LEAST_DAMPING else 0.0
+            step = 0.5 * step
+        X_MN, p_ML = moved_X, moved_p
         if length < SMALL_STEP:
             break
     X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
     covariance = _covariance(cells, root, local, node)
     yaw = graph.yaw
-    if damping == 0.0 and any(one.on_yaw.any() for one in graph.keyframes):
+    if any(one.on_yaw.any() for one in graph.keyframes):
         yaw, on_yaw = _yaw(graph, factors, cells, X_MN, p_ML)
         change = (yaw[0] - graph.yaw[0]) * on_yaw
         X_MN[1:] += change[cells.node_at[1:, None] + [0, 1, 2]]
@@ -174,7 +172,7 @@ def _yaw(
     blocks, gradient, _, _ = _linearised(factors, cells, X_MN, p_ML)
     shifted = _linearised(_at_other_yaw(graph, factors, YAW_STEP), cells, X_MN, p_ML)[1]
     by_yaw = (shifted - gradient) / YAW_STEP
-    on_yaw = _step(cells, *_factorised(cells, blocks, by_yaw, 0.0))
+    on_yaw = _step(cells, *_factorised(cells, blocks, by_yaw))
     prior, sigma = graph.yaw_prior
     information = curvature + float(by_yaw @ on_yaw) + sigma**-2
     yaw = graph.yaw[0] - (slope + (graph.yaw[0] - prior) / sigma**2) / information
@@ -311,20 +309,20 @@ def _linearised(
     return blocks, gradient, error, poses
 
 
-def _factorised(
-    cells: _Cells, blocks: FloatArray, gradient: FloatArray, damping: float
-) -> tuple[_Eliminated, FloatArray]:
+def _factorised(cells: _Cells, blocks: FloatArray, gradient: FloatArray) -> tuple[_Eliminated, FloatArray]:
     """The system with all but the kept eliminated, and the lower Cholesky factor of what is left.
 
-    Where some part of the map hangs on nothing that a double can tell, it is held by LEAST_DAMPING.
+    Where some part of the map hangs on nothing that a double can tell, all is held by as little as it takes.
     """
-    try:
-        eliminated = _eliminated(cells, blocks, gradient, damping)
-        root = scipy.linalg.cholesky(eliminated.information, lower=True, check_finite=False)
-    except (RuntimeError, scipy.linalg.LinAlgError):
-        eliminated = _eliminated(cells, blocks, gradient, max(DAMPING_GROWTH * damping, LEAST_DAMPING))
-        root = scipy.linalg.cholesky(eliminated.information, lower=True, check_finite=False)
-    return eliminated, root
+    damping = 0.0
+    while True:
+        try:
+            eliminated = _eliminated(cells, blocks, gradient, damping)
+            return eliminated, scipy.linalg.cholesky(eliminated.information, lower=True, check_finite=False)
+        except (RuntimeError, scipy.linalg.LinAlgError):
+            if damping > MOST_DAMPING:
+                raise
+            damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
 
 
 def _eliminated(cells: _Cells, blocks: FloatArray, gradient: FloatArray, damping: float) -> _Eliminated:
