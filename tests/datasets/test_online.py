@@ -62,3 +62,49 @@ def test_without_sightings_there_is_no_map(seconds):
     assert online.map is None
     assert len(online.stamps) == 2 * seconds
     np.testing.assert_allclose(online.X_MB[-1:], np.array([run.odometry[-1].X_OB])[: 2 * seconds], atol=1e-9)
+
+
+def lifted(seconds, one_each, lift, carry, rng=None):
+    """A drive on a circle, frames at 4 Hz that show one tag each, another one every so many seconds; in the middle
+    somebody carries the robot for `lift` seconds, in which it sees nothing, by a pose (3,). The recording, and the true
+    pose at the end."""
+    odometry, frames, X_WB, before = [], [], np.zeros(3), np.zeros(3)
+    for i in range(32 * seconds + 1):
+        t, middle = i / 32.0, 0.5 * seconds
+        driven = min(t, middle) + max(t - middle - lift, 0.0)
+        X_OB = np.array([2.0 * np.sin(0.2 * driven), 2.0 * (1.0 - np.cos(0.2 * driven)), 0.2 * driven])
+        X_WB, before = se2.compose(X_WB, se2.between(before, X_OB)), X_OB
+        if t == middle:
+            X_WB = se2.compose(X_WB, carry)
+        stands = middle <= t <= middle + lift
+        odometry.append(Odometry(t, X_OB, (not stands) * np.array([0.4, 0.2]), at_rest=stands))
+        if i % 8 == 4 and not stands:
+            tag = int(t / one_each) % len(TAGS)
+            p_BL = se2.transform(se2.inverse(X_WB), TAGS[[tag]]) + (0.0 if rng is None else rng.normal(0.0, 0.02, 2))
+            sigma = np.full(1, 0.02)
+            ids = np.array([tag if rng is None or rng.random() > 0.03 else rng.integers(8)])
+            frames.append(TagDetections(t, ids, np.hypot(*p_BL.T), np.arctan2(p_BL[:, 1], p_BL[:, 0]), sigma, sigma))
+    return Recording("lifted", tuple(odometry), tuple(frames), OdometryConfig(), None), X_WB
+
+
+@pytest.mark.parametrize("carry", [(0.6, 0.3, 0.5), (-0.5, 0.8, -0.9), (0.0, 0.0, 1.2)])
+def test_a_lifted_robot_that_sees_one_tag_at_a_time_finds_itself_and_its_map_stays(carry):
+    run, X_WB = lifted(80, 1.0, 10.0, np.array(carry))
+    online = run_online(run)
+    error = se2.between(X_WB, online.X_MB[-1])
+    assert np.hypot(*error[:2]) < 0.05
+    assert abs(error[2]) < 0.02
+    np.testing.assert_allclose(online.map.p_ML, TAGS, atol=0.05)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_happens_to_a_recording_it_is_run_to_its_end(seed):
+    """Carried anywhere, one tag in view for long or never again, ids misread, rows missing."""
+    rng = np.random.default_rng(seed)
+    carry = rng.uniform(-5.0, 5.0, 3)
+    run, _ = lifted(60, float(rng.choice([0.5, 5.0, 40.0])), 10.0, carry, rng)
+    hole = rng.uniform(5.0, 50.0) + np.array([0.0, rng.uniform(0.0, 15.0)])
+    odometry = tuple(one for one in run.odometry if not hole[0] < one.stamp < hole[1])
+    online = run_online(dataclasses.replace(run, odometry=odometry), piece_length=float(rng.choice([0.2, 1.0])))
+    assert np.isfinite(online.X_MB).all()
+    assert np.isfinite(online.map.covariance).all()

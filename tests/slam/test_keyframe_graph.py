@@ -66,20 +66,20 @@ def test_ways_that_only_odometry_speaks_for_are_loosened():
     shared = np.intersect1d(first.ids, second.ids)
     observations = [*observations[:4], first, observations[5], without_tags(second, shared[1:])]
     graph, loose = reckoned(observations), 100.0 * np.eye(3)
-    freed = loosened(graph, loose)
+    freed = loosened(graph, loose, np.empty(0, dtype=np.int64))
     expected = [ODOMETRY, loose, loose]
     for j, covariance in zip((1, 3, 5), expected, strict=True):
         np.testing.assert_allclose(freed.keyframes[j].covariance, covariance)
     together, _ = drive(7)
     graph = reckoned(together)
-    assert loosened(graph, loose) is graph
+    assert loosened(graph, loose, np.empty(0, dtype=np.int64)) is graph
 
 
 def test_a_joint_that_only_odometry_speaks_for_becomes_a_loose_way():
     pieces, _ = drive(8, count=4)
     strange = [*pieces[:3], replace(pieces[3], ids=pieces[3].ids + 1000)]
     graph, loose = reckoned(strange), 100.0 * np.eye(3)
-    freed = loosened(graph, loose)
+    freed = loosened(graph, loose, np.empty(0, dtype=np.int64))
     assert [len(one.ids) == 0 for one in freed.keyframes] == [False, False, False, True, False]
     np.testing.assert_allclose(freed.keyframes[3].covariance, loose)
     np.testing.assert_allclose(freed.X_MA, graph.X_MA)

@@ -204,3 +204,22 @@ def test_updates_come_to_what_a_solve_comes_to():
     deviation = np.sqrt(np.diag(whole.covariance))
     assert np.abs((estimate.covariance - whole.covariance) / np.outer(deviation, deviation)).max() < 0.02
     assert abs(estimate.entropy - whole.entropy) < 0.3
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.6])
+def test_the_covariance_is_that_of_the_map_where_headings_are_hardly_known(sigma):
+    """Steps overshoot there; what was done against it must not be taken for knowledge."""
+    observations, _, _ = ring(3, goals=8, laps=1.05)
+    rng, blurred = np.random.default_rng(0), []
+    for one in observations:
+        noise = sigma * rng.normal(size=len(one.covariance))
+        far = replace(one, p_AL=one.p_AL + noise[:-3].reshape(-1, 2), X_AD=one.X_AD + noise[-3:])
+        blurred.append(replace(far, covariance=one.covariance + sigma**2 * np.eye(len(noise))))
+    graph, estimate = solve(reckoned(blurred), 0.0, blurred[-1])
+    again, after = solve(graph, 0.0, blurred[-1])
+    np.testing.assert_allclose(after.p_ML, estimate.p_ML, atol=1e-3)
+    np.testing.assert_allclose(after.X_MD, estimate.X_MD, atol=1e-3)
+    _, _, covariance, _ = dense_solution(again)
+    first = 2 * len(graph.ids) + 3 * (len(graph.keyframes) - 1)
+    expected = np.diag(covariance)[first : first + 3]
+    np.testing.assert_allclose(np.diag(estimate.covariance)[-3:], expected, rtol=0.02)

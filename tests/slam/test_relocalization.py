@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tfg_drake.geometry import se2
 from tfg_drake.messages import MapEstimate, TagDetections
 from tfg_drake.slam.keyframe_graph import empty_map
-from tfg_drake.slam.relocalization import relocalize
+from tfg_drake.slam.relocalization import Expected, relocalize
 
 
 def a_map(rng, n=30) -> MapEstimate:
@@ -37,9 +37,10 @@ def test_exact_without_noise(seed, theta, count):
     rows = rng.choice(30, count, replace=False)
     found = relocalize(estimate, sight(estimate, rows, X_MB))
     assert found is not None
-    error = se2.between(X_MB, found[0])
+    error = se2.between(X_MB, found.X_MB)
     np.testing.assert_allclose(error, 0.0, atol=1e-6)
-    assert found[1].all()
+    assert found.agreeing.all()
+    assert found.is_known
 
 
 def test_wrong_ids_and_outliers_are_outvoted():
@@ -56,9 +57,9 @@ def test_wrong_ids_and_outliers_are_outvoted():
         found = relocalize(estimate, dataclasses.replace(detections, ids=ids, range=r))
         if found is None:
             continue
-        error = se2.between(X_MB, found[0])
+        error = se2.between(X_MB, found.X_MB)
         assert np.hypot(*error[:2]) < 0.25
-        assert not found[1][:2].any()
+        assert not found.agreeing[:2].any()
         hits += 1
     assert hits > 45
 
@@ -87,3 +88,26 @@ def test_landmarks_that_hang_loose_tell_nothing():
     loose[rows[:4]] = 50.0**2 * np.eye(2)
     assert relocalize(estimate, sight(estimate, rows, X_MB)) is not None
     assert relocalize(dataclasses.replace(estimate, landmark_covariance=loose), sight(estimate, rows, X_MB)) is None
+
+
+def test_one_tag_says_near_the_expected_pose_what_it_can_and_two_say_all():
+    rng = np.random.default_rng(5)
+    estimate = a_map(rng)
+    X_MB = np.array([1.0, -2.0, 0.5])
+    off = se2.compose(X_MB, np.array([0.4, -0.3, 0.6]))
+    expected = Expected(off, np.full(3, 0.05), np.array([1.0, 1.0, 1.0]))
+    one = relocalize(estimate, sight(estimate, [2], X_MB), expected)
+    assert one is not None
+    assert not one.is_known
+    two = relocalize(estimate, sight(estimate, [2, 5], X_MB), expected)
+    assert two is not None
+    assert two.is_known
+    assert two.is_near
+    np.testing.assert_allclose(two.X_MB, X_MB, atol=0.05)
+
+
+def test_tags_that_are_where_they_should_be_move_nobody():
+    estimate = a_map(np.random.default_rng(6))
+    X_MB = np.array([-1.0, 0.5, 2.0])
+    expected = Expected(X_MB, np.full(3, 0.05), np.array([3.0, 3.0, 3.0]))
+    assert relocalize(estimate, sight(estimate, [1, 4, 7, 9], X_MB), expected) is None

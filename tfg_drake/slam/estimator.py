@@ -64,11 +64,14 @@ from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_tu
 
 # Without frames the filters follow odometry in steps of this length, s.
 LONGEST_STEP = 0.25
-# A frame contradicts the pose when at least this many known tags are in it and more than this share of them do.
+# A frame contradicts the pose when more than this share of the known tags in it do. Where a keyframe has so many, it
+# may be the robot that is elsewhere.
 LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
-# After this many such frames in a row the robot is elsewhere.
+# After this many more such frames than others the robot may be elsewhere.
 CONTRADICTIONS = 3
+# What is seen meanwhile waits to be mapped, for this long at most, s.
+LONGEST_DOUBT = 60.0
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
 MOST_TAKEN_BACK = 10
 # A turn that ends this near to where it began was one in place, m.
@@ -153,14 +156,18 @@ def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
 def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     """The state with the piece of the way since the last call made a goal of the map, as if it had been a turn.
 
-    For recorded drives without turns; needs path_keyframe_period = inf. The stamp is brought into the span of the
+    For recorded drives without turns; needs path_keyframe_period = inf. While it is in doubt where the robot is, the
+    piece stays open. The stamp is brought into the span of the
     odometry at hand. Raises ValueError before any odometry, or where no piece is open.
     """
     if state.piece is None or not math.isinf(state.path_keyframe_period):
         raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
     state = _step_to(state, stamp)
-    piece = state.piece
+    piece, suspect = state.piece, state.suspect
     assert piece is not None
+    in_doubt = state.lost or state.contradictions >= CONTRADICTIONS
+    if in_doubt and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
+        return state
     return _add_goal(state, piece)
 
 
@@ -266,9 +273,12 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, seen)
         known, ignored = known + elsewhere, ignored + elsewhere
-    contradictions = state.contradictions
-    if known >= LEAST_KNOWN:
-        contradictions = contradictions + 1 if ignored > MOST_IGNORED * known else 0
+    contradictions, agreed = state.contradictions, state.agreed
+    if ignored > MOST_IGNORED * known:
+        contradictions += 1
+    elif known:
+        contradictions = max(contradictions - 1, 0) if known < LEAST_KNOWN else 0
+        agreed = agreed if contradictions else stamp
     state = replace(
         state,
         odometry=state.odometry[before:],
@@ -279,15 +289,30 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         X_OB=X_OB,
         localizer=localizer,
         contradictions=contradictions,
+        agreed=agreed,
         turn=turn,
         piece=piece,
     )
-    if contradictions >= CONTRADICTIONS and len(frame.ids):
-        state = look_for_itself(state, seen)
+    state = replace(state, suspect=_suspect(state, taken))
+    if (contradictions >= CONTRADICTIONS or state.lost) and len(frame.ids):
+        state = look_for_itself(state, stamp)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
         state = _end_piece(state)
     return state
+
+
+def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenTurn | None:
+    """What was seen since the pose came into doubt, with the newest frame."""
+    suspect = state.suspect
+    if suspect is not None and not state.lost:
+        over = taken.stamp - suspect.begin.stamp > LONGEST_DOUBT
+        suspect = None if over or not state.contradictions else suspect
+    if suspect is not None:
+        return replace(suspect, frames=(*suspect.frames, taken))
+    if not state.contradictions or not len(taken.detections.ids):
+        return None
+    return replace(opened(state), frames=(taken,), unwatched=min(taken.stamp - state.agreed, LONGEST_DOUBT))
 
 
 def _end_piece(state: EstimatorState) -> EstimatorState:
@@ -336,7 +361,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     solution = _solve(state, turn)
     state, way = _with_camera(state, solution), state.way
     if state.carried and state.turn is None and state.map is not None:
-        way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB)),)
+        way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
     before, known = rejoined(state.graph, state.map or NO_MAP, solution.observation)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     for seen in (*way, _sighted(solution)):
@@ -348,7 +373,13 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
     corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
-    if moved or before is not state.graph or corrected_graph is not graph or needs_solve(graph, solved, estimate):
+    if (
+        moved
+        or state.carried
+        or before is not state.graph
+        or corrected_graph is not graph
+        or needs_solve(graph, solved, estimate)
+    ):
         corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
         graph, estimate = _solved(corrected_graph, state.stamp, solution.observation)
         solved = graph
@@ -366,6 +397,8 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         way=(),
         carried=False,
         contradictions=0,
+        suspect=None,
+        lost=False,
         graph=graph,
         solved=solved,
         map=replace(estimate, doubtful=doubtful(evidence), frame_worth=state.correlation.frame_worth),

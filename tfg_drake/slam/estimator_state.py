@@ -15,7 +15,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.camera_model import CameraModel, exact_camera
+from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel, exact_camera
 from tfg_drake.slam.doubt import Evidence, Sighted, no_evidence
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
@@ -25,17 +25,20 @@ from tfg_drake.slam.range_scale import RangeScale, unknown_scale
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 # Standard deviations of the motion between two goals when the robot was carried on the way: it says nothing, m, m, rad.
-CARRIED = (100.0, 100.0, 10.0)
+CARRIED = np.array([100.0, 100.0, 10.0])
 
 
 @message
 class OpenTurn:
     """A turn under way, or a piece of the way that is mapped like one. begin: its first instant, X_MB: (3,) the pose
-    then as the localiser had it. frames: those seen since."""
+    then as the localiser had it, sigma: (3,) its deviations. frames: those seen since. unwatched: s, for so long before
+    it nothing said where the robot was."""
 
     begin: TurnFrame
     X_MB: FloatArray
+    sigma: FloatArray
     frames: tuple[TurnFrame, ...]
+    unwatched: float = 0.0
 
 
 @message
@@ -46,7 +49,9 @@ class EstimatorState:
     mapped as one piece; 0 where only its motion is. newest: the last odometry message. odometry: dead reckoning from
     the localiser's instant on. pending: frames that wait for it. scans: the newest scans. scale: what they say of the
     tags' ranges. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
-    frames in a row that contradict the pose. carried: the robot was moved since the last goal by something else than
+    frames that contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was
+    seen since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
+    carried: the robot was moved since the last goal by something else than
     its wheels. turn, piece: the open turn and piece of the way, way: those before it since the last goal. graph: its
     landmarks as they lay at its last solve or when they were first seen, solved: the graph at that solve. map: what has
     become of it since, None before the first goal. rejected: (r,) ids of known tags left out of the newest goal,
@@ -67,6 +72,9 @@ class EstimatorState:
     X_OB: FloatArray
     localizer: Localizer
     contradictions: int
+    agreed: float
+    suspect: OpenTurn | None
+    lost: bool
     carried: bool
     turn: OpenTurn | None
     piece: OpenTurn | None
@@ -105,6 +113,9 @@ def initial_state(
         X_OB=np.zeros(3),
         localizer=start_localizer(model, None),
         contradictions=0,
+        agreed=-np.inf,
+        suspect=None,
+        lost=False,
         carried=False,
         turn=None,
         piece=None,
@@ -135,11 +146,11 @@ def instant(state: EstimatorState) -> TurnFrame:
 
 def opened(state: EstimatorState) -> OpenTurn:
     """A turn or piece of the way that begins now."""
-    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-    return OpenTurn(instant(state), X_MB, ())
+    X_MB, covariance = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+    return OpenTurn(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 
-def unknown_way(X_DA: FloatArray) -> Sighted:
-    """A way of which nothing is known, as the robot was carried; it seems to have led to X_DA (3,)."""
-    observation = replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(CARRIED) ** 2)
+def unknown_way(X_DA: FloatArray, sigma: FloatArray = CARRIED) -> Sighted:
+    """A way on which the robot was carried; it seems to have led to X_DA (3,), with deviations (3,), m, m, rad."""
+    observation = replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(sigma**2))
     return Sighted(observation, np.empty(0, dtype=np.int64))

@@ -361,13 +361,14 @@ def _forgetting(one: Keyframe, ids: IntArray) -> Keyframe:
     )
 
 
-def loosened(graph: KeyframeGraph, covariance: FloatArray) -> KeyframeGraph:
+def loosened(graph: KeyframeGraph, covariance: FloatArray, found_by: IntArray) -> KeyframeGraph:
     """The graph with this covariance (3, 3) put where nothing but odometry ties the newest keyframes to those before:
-    back to one that shares WITNESSES landmarks with what was seen before it. Odometry has been found wrong there."""
+    back to one that shares WITNESSES landmarks with what was seen before it, or saw one by which the robot has found
+    itself. Odometry has been found wrong there."""
     for j in range(len(graph.keyframes) - 1, 0, -1):
         one = graph.keyframes[j]
         before = np.concatenate([other.ids for other in graph.keyframes[:j]])
-        if np.isin(one.ids, before).sum() >= WITNESSES:
+        if np.isin(one.ids, before).sum() >= WITNESSES or np.isin(one.ids, found_by).any():
             break
         if not len(one.ids):
             loose = replace(one, information=np.asarray(np.linalg.inv(covariance)), on_yaw=np.zeros(3))

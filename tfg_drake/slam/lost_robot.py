@@ -1,4 +1,9 @@
-"""A robot that is suddenly elsewhere: a slip, a push, a kidnapping."""
+"""A robot that is suddenly elsewhere: a slip, a push, a kidnapping.
+
+From the first frame that contradicts the pose on, all that is seen is kept together: where a frame shows one tag or
+two, the way from the one to the next tells what none does by itself. What is found at last is the pose at the end of
+all that; so what was seen meanwhile is mapped where it belongs, and nothing before that is known.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +13,24 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections, replace
-from tfg_drake.slam.estimator_state import CARRIED, EstimatorState, opened, unknown_way
+from tfg_drake.slam.camera_model import seen_from_camera
+from tfg_drake.slam.estimator_state import CARRIED, EstimatorState, OpenTurn, opened, unknown_way
 from tfg_drake.slam.keyframe_graph import loosened, rows_of
 from tfg_drake.slam.localizer import Localizer, localized_pose, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.relocalization import relocalize
+from tfg_drake.slam.range_scale import corrected
+from tfg_drake.slam.relocalization import Expected, disagreeing, relocalize
 from tfg_drake.slam.sightings import select
 
-# A pose found by geometry no farther than this from the estimate, m and rad, is no other place.
-SAME_PLACE = (0.1, 0.05)
+# A pose found no farther than this from the estimate, in squared deviations, is no other place.
+SAME_PLACE = 16.0
 # A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
 ELSEWHERE = 5.0
+# How fast a robot that sees nothing is carried, or misjudges its way, m/s, m/s, rad/s, and how far a push moves it.
+CARRIES = np.array([0.05, 0.05, 0.05])
+PUSHES = np.array([0.1, 0.1, 0.1])
+# Tags that must contradict the pose where no other is found.
+LEAST_AGAINST = 3
 
 _log = logging.getLogger("tfg_drake.slam")
 
@@ -35,46 +47,98 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
-def look_for_itself(state: EstimatorState, seen: TagDetections) -> EstimatorState:
-    """The state after a frame that contradicts the pose once too often: where does the robot stand?"""
-    estimate = state.map
-    if estimate is None:
+def look_for_itself(state: EstimatorState, stamp: float) -> EstimatorState:
+    """The state after a frame that contradicts the pose once too often, or of a robot that is lost: where is it?"""
+    estimate, suspect = state.map, state.suspect
+    if estimate is None or suspect is None:
         return state
-    found = relocalize(estimate, seen)
-    X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+    seen = gathered(state, suspect)
+    way = seen_from_camera(se2.between(suspect.begin.X_OB, state.X_OB), float(state.graph.yaw[0]))
+    moved = np.sqrt(suspect.sigma**2 + PUSHES**2 + (suspect.unwatched * CARRIES) ** 2)
+    expected = Expected(se2.compose(suspect.X_MB, way), suspect.sigma, moved)
+    found = relocalize(estimate, seen, expected)
     if found is None:
-        if not state.carried:
-            _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", seen.stamp)
-            # What it met before it was moved stands elsewhere, seen from here.
-            state = _carried(replace(state, localizer=without_local(state.localizer)))
-        return state
-    pose, agreeing = found
-    error = se2.between(X_MB, pose)
+        if state.carried or disagreeing(estimate, seen, expected.X_MB) < LEAST_AGAINST:
+            return state
+        _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
+        # What it met before it was moved stands elsewhere, seen from here.
+        return _carried(replace(state, localizer=without_local(state.localizer)), replace(opened(state), sigma=CARRIED))
+    tags = select(seen, found.agreeing)
+    # As far from what was expected as the search took it to be: two tags may say no more of where it is on their ring.
+    sigma = moved if found.is_near else CARRIED
+    begun = replace(suspect, X_MB=se2.compose(found.X_MB, se2.inverse(way)), sigma=sigma)
+    if not found.is_known:
+        if not state.lost:
+            _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
+        localizer = restart_localizer(state.model, estimate, found.X_MB, tags)
+        return _carried(replace(state, localizer=localizer, lost=True), begun)
+    X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.model, np.zeros(3), 0.0)[0]
+    error = found.X_MB - X_MB
+    error[2] = se2.wrap_angle(error[2])
     distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
-    if distance < SAME_PLACE[0] and angle < SAME_PLACE[1]:
-        return replace(state, contradictions=0)
+    if not state.lost and error @ np.linalg.solve(found.covariance, error) < SAME_PLACE:
+        return replace(state, contradictions=0, suspect=None)
     _log.warning(
         "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
-        seen.stamp, distance, angle, int(np.count_nonzero(agreeing)),
+        stamp, distance, angle, len(tags.ids),
     )  # fmt: skip
     # What joins the newest goals to the others may be wrong as well.
-    graph = loosened(state.graph, np.diag(CARRIED) ** 2)
+    graph = loosened(state.graph, np.diag(CARRIED**2), tags.ids)
     if graph is not state.graph:
-        _log.warning("%.2f s: nothing but that way ties the newest goals to the others: they hang loose", seen.stamp)
-    tags = seen.ids[agreeing]
-    witness = max(range(len(graph.keyframes)), key=lambda k: np.isin(tags, graph.keyframes[k].ids).sum())
+        _log.warning("%.2f s: nothing but that way ties the newest goals to the others: they hang loose", stamp)
+    witness = max(range(len(graph.keyframes)), key=lambda k: np.isin(tags.ids, graph.keyframes[k].ids).sum())
     graph = replace(graph, p_ML=estimate.p_ML)
     _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
     graph, estimate = solve(graph, estimate.stamp, estimate.observation)
     state = replace(state, graph=graph, solved=graph, map=estimate)
-    localizer = restart_localizer(state.model, nearby, pose, select(seen, agreeing))
-    return _carried(replace(state, localizer=localizer, contradictions=0))
+    localizer = restart_localizer(state.model, nearby, found.X_MB, tags)
+    state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
+    return _carried(state, begun)
 
 
-def _carried(state: EstimatorState) -> EstimatorState:
-    """The state with what was measured since the last goal given up: something moved the robot meanwhile."""
-    begun = opened(state)
+def _carried(state: EstimatorState, begun: OpenTurn) -> EstimatorState:
+    """The state with what was measured from the last goal until something began given up: the robot was moved."""
     if state.turn is None:
         return replace(state, carried=True, way=(), piece=begun)
     assert state.map is not None
-    return replace(state, carried=True, way=(unknown_way(se2.between(state.map.X_MD, begun.X_MB)),), turn=begun)
+    if begun.begin.stamp < state.turn.begin.stamp:
+        begun = replace(opened(state), sigma=begun.sigma)
+    way = unknown_way(se2.between(state.map.X_MD, begun.X_MB), begun.sigma)
+    return replace(state, carried=True, way=(way,), turn=begun)
+
+
+def gathered(state: EstimatorState, since: OpenTurn) -> TagDetections:
+    """All tags seen since something began, each once, as they would be seen from where the robot is now; what odometry
+    may have got wrong meanwhile is in their deviations."""
+    model, ids, p_BL, variance = state.model, [], [], []
+    for frame in since.frames:
+        seen = corrected(frame.detections, state.scale)
+        if not len(seen.ids):
+            continue
+        way = seen_from_camera(se2.between(state.X_OB, frame.X_OB), float(state.graph.yaw[0]))
+        distance, dt = float(np.hypot(way[0], way[1])), state.clock - frame.clock
+        turned = float(np.sum(np.square([model.noise[1] * dt**0.5, *(model.calibration_sigma[1:] * (dt, way[2]))])))
+        driven = model.noise[0] ** 2 * distance + (model.calibration_sigma[0] * distance) ** 2
+        lever = seen.range + distance
+        ids.append(seen.ids)
+        direction = np.column_stack([np.cos(seen.bearing), np.sin(seen.bearing)])
+        p_BL.append(se2.transform(way, seen.range[:, None] * direction))
+        across = (seen.range * seen.sigma_bearing) ** 2 + lever**2 * turned + driven
+        variance.append(np.column_stack([seen.sigma_range**2 + driven, across]))
+    names, tag = np.unique(np.concatenate(ids), return_inverse=True)
+    points, variances = np.concatenate(p_BL), np.concatenate(variance)
+    weight = 1.0 / variances.sum(axis=1)
+    total = np.bincount(tag, weight)
+    mean = np.column_stack([np.bincount(tag, weight * points[:, i]) / total for i in range(2)])
+    # Frames in a row have their errors in common: many say no more than the best.
+    best = np.full((len(names), 2), np.inf)
+    np.minimum.at(best, tag, variances)
+    distance = np.hypot(*mean.T)
+    return TagDetections(
+        stamp=state.stamp,
+        ids=names,
+        range=distance,
+        bearing=np.arctan2(mean[:, 1], mean[:, 0]),
+        sigma_range=np.sqrt(best[:, 0]),
+        sigma_bearing=np.sqrt(best[:, 1]) / np.maximum(distance, 0.1),
+    )

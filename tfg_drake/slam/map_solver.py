@@ -27,8 +27,10 @@ MOST_JOINT = 2500
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
 SMALL_STEP = 2e-5
-# A step that fails to lower the error, or cannot be made, is made again with every unknown held to its place by this
-# information, and a hundred times as much each time. The first holds what hangs on nothing by 100 m, or rad.
+# A step that fails to lower the error is halved, so many times at most.
+MOST_HALVINGS = 10
+# Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
+# time. The first holds what hangs on nothing by 100 m, or rad.
 LEAST_DAMPING = 1e-4
 DAMPING_GROWTH = 100.0
 MOST_DAMPING = 1e10
@@ -133,22 +135,18 @@ def solve(
     local = np.sort(np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")[:joint])
     local = local if also is None else np.union1d(local, also)
     cells = _cells(graph, factors, local, node)
-    values, damping = _Values(graph.X_MN, graph.p_ML, np.zeros_like(graph.p_ML)), 0.0
+    values = _Values(graph.X_MN, graph.p_ML, np.zeros_like(graph.p_ML))
     for _ in range(MOST_STEPS):
         blocks, gradient, error, poses = _linearised(factors, cells, values)
-        while True:
-            eliminated, root = _factorised(cells, blocks, gradient, damping)
-            step = _step(cells, eliminated, root)
-            length = float(np.max(np.abs(step)))
-            if length < SMALL_STEP or damping > MOST_DAMPING:
+        eliminated, root = _factorised(cells, blocks, gradient)
+        step = _step(cells, eliminated, root)
+        length = float(np.max(np.abs(step)))
+        for _ in range(MOST_HALVINGS if length >= SMALL_STEP else 1):
+            moved = _moved(cells, values, step)
+            if _error(factors, moved) <= error + 1e-9 * (1.0 + abs(error)):
                 break
-            if _error(factors, _moved(cells, values, step)) <= error + 1e-9 * (1.0 + abs(error)):
-                break
-            damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
-        if damping > MOST_DAMPING:
-            break
-        values = _moved(cells, values, step)
-        damping = damping / DAMPING_GROWTH**2 if damping > LEAST_DAMPING else 0.0
+            step = 0.5 * step
+        values = moved
         if length < SMALL_STEP:
             break
     covariance, of_errors = _covariance(cells, root, local, node)
@@ -158,7 +156,7 @@ def solve(
     else:
         tag_error = suspected(*tag_pulls(*factors.arrays, *factors.of_errors, values.X_MN, values.p_ML))
     yaw = graph.yaw
-    if damping == 0.0 and any(one.on_yaw.any() for one in graph.keyframes):
+    if any(one.on_yaw.any() for one in graph.keyframes):
         yaw, on_yaw = _yaw(graph, factors, cells, values)
         values = _moved(cells, values, (yaw[0] - graph.yaw[0]) * on_yaw)
         at = _joint_at(cells, local, node)
@@ -209,7 +207,7 @@ def _yaw(graph: KeyframeGraph, factors: _Factors, cells: _Cells, values: _Values
     blocks, gradient, _, _ = _linearised(factors, cells, values)
     shifted = _linearised(_at_other_yaw(graph, factors, YAW_STEP), cells, values)[1]
     by_yaw = (shifted - gradient) / YAW_STEP
-    on_yaw = _step(cells, *_factorised(cells, blocks, by_yaw, 0.0))
+    on_yaw = _step(cells, *_factorised(cells, blocks, by_yaw))
     prior, sigma = graph.yaw_prior
     information = curvature + float(by_yaw @ on_yaw) + sigma**-2
     yaw = graph.yaw[0] - (slope + (graph.yaw[0] - prior) / sigma**2) / information
@@ -388,20 +386,20 @@ def _linearised(factors: _Factors, cells: _Cells, values: _Values) -> tuple[Floa
     return blocks, gradient, error, poses
 
 
-def _factorised(
-    cells: _Cells, blocks: FloatArray, gradient: FloatArray, damping: float
-) -> tuple[_Eliminated, FloatArray]:
+def _factorised(cells: _Cells, blocks: FloatArray, gradient: FloatArray) -> tuple[_Eliminated, FloatArray]:
     """The system with all but the kept eliminated, and the lower Cholesky factor of what is left.
 
-    Where some part of the map hangs on nothing that a double can tell, it is held by LEAST_DAMPING.
+    Where some part of the map hangs on nothing that a double can tell, all is held by as little as it takes.
     """
-    try:
-        eliminated = _eliminated(cells, blocks, gradient, damping)
-        root = scipy.linalg.cholesky(eliminated.information, lower=True, check_finite=False)
-    except (RuntimeError, scipy.linalg.LinAlgError):
-        eliminated = _eliminated(cells, blocks, gradient, max(DAMPING_GROWTH * damping, LEAST_DAMPING))
-        root = scipy.linalg.cholesky(eliminated.information, lower=True, check_finite=False)
-    return eliminated, root
+    damping = 0.0
+    while True:
+        try:
+            eliminated = _eliminated(cells, blocks, gradient, damping)
+            return eliminated, scipy.linalg.cholesky(eliminated.information, lower=True, check_finite=False)
+        except (RuntimeError, scipy.linalg.LinAlgError):
+            if damping > MOST_DAMPING:
+                raise
+            damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
 
 
 def _eliminated(cells: _Cells, blocks: FloatArray, gradient: FloatArray, damping: float) -> _Eliminated:

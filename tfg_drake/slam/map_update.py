@@ -24,8 +24,10 @@ REJECTED = 49.0
 # Iterations of an update.
 ITERATIONS = 4
 # The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes
-# more, or so many, or when one of so many landmarks nearest to the robot is not known jointly.
+# more, or so many, when one of so many landmarks nearest to the robot is not known jointly, or when the heading is
+# known no better than this, rad: a sighting then turns more than a linearisation can follow.
 FAR_MOVED = 0.05
+LOOSE_HEADING = 0.1
 MANY_KEYFRAMES = 32
 NEAREST = 100
 
@@ -93,6 +95,8 @@ def jointly_known(estimate: MapEstimate, ids: IntArray) -> BoolArray:
 def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstimate) -> bool:
     """Whether an updated graph and map are to be solved; solved: the graph at the last solve."""
     if len(graph.keyframes) >= len(solved.keyframes) + min(max(len(solved.keyframes) // 2, 1), MANY_KEYFRAMES):
+        return True
+    if estimate.covariance[-1, -1] > LOOSE_HEADING**2:
         return True
     moved = estimate.p_ML[np.searchsorted(estimate.ids, solved.ids)] - solved.p_ML
     if np.max(np.abs(moved), initial=0.0) > FAR_MOVED:
