@@ -16,9 +16,11 @@ from tfg_drake.messages import FloatArray
 SUSPICIOUS = 1.5
 # Tags from which on that is asked.
 LEAST_TAGS = 20
-# The deviations with which they are first looked for, and such as are none, m and rad.
+# The deviations with which they are first looked for, m and rad, which count as much as so many tags do; and such as
+# are none.
 FIRST = (0.01, 0.003)
-LEAST = (1e-3, 3e-4)
+FIRST_WORTH = 5.0
+LEAST = (4e-3, 1e-3)
 
 
 def in_place(p: FloatArray, tag_error: FloatArray) -> FloatArray:
@@ -42,6 +44,7 @@ def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
 def learnt(tag_error: FloatArray, errors: FloatArray, variance: FloatArray) -> FloatArray:
     """The deviations (2,) by what the errors (n, 2) of tags are found to be, and with which variance (n, 2), where
     `tag_error` was taken for them."""
-    told = 1.0 - variance / tag_error**2
-    found = np.sqrt((errors**2).sum(axis=0) / np.maximum(told.sum(axis=0), 1.0))
-    return np.zeros(2) if (found < LEAST).all() else np.maximum(found, 0.1 * np.array(LEAST))
+    told = (1.0 - variance / tag_error**2).sum(axis=0)
+    squares = (errors**2).sum(axis=0) + FIRST_WORTH * np.square(FIRST)
+    found = np.sqrt(squares / (told + FIRST_WORTH))
+    return np.zeros(2) if (found < LEAST).all() else found
