@@ -85,7 +85,7 @@ def _remembered(
     # Where the robot is in the window, in cells; (u, v) count cells from its corner.
     u_B, v_B = X_OB[0] / CELL - i0, X_OB[1] / CELL - j0
     # Rays a cell: that went through it, ended in it, or would have come there if a gap of them had not been lost.
-    passed = np.zeros(CELLS * CELLS, dtype=np.int32)
+    passed = np.zeros(CELLS * CELLS, dtype=np.int64)
     ended, lost = np.zeros_like(passed), np.zeros_like(passed)
     total = np.empty((CELLS * CELLS, 2))
     reach = (HALF - 1) * CELL
