@@ -95,6 +95,30 @@ def test_single_lost_rays_do_not_matter_and_gaps_do():
     assert open_ahead(gap) < 0.6
 
 
+def test_a_wall_beside_the_way_is_where_it_is_though_ranges_are_noisy():
+    """In a passage of half a metre, 4 cm from one side, a poor scanner's robot may drive on."""
+    passage, angles = np.array([[-1.0, -0.223, 4.0, -0.223], [-1.0, 0.277, 4.0, 0.277]]), ray_angles(SCAN)
+    stood = 0
+    for seed in range(5):
+        random, space = np.random.default_rng(seed), nothing_seen()
+        for k in range(60):
+            X_OB, stamp = np.array([0.03 * k, 0.0, 0.0]), 1.0 + 0.1 * k
+            noisy = scan(passage, X_OB, stamp, angles, random.normal(size=len(angles)), ScanConfig(noise=0.02))
+            space = remembered(space, noisy, X_OB, RADIUS)
+            # It has come in when what it has beside it was before it.
+            stood += k > 8 and open_ahead(space, X_OB, stamp, reach=0.04) <= 0.04
+    assert stood <= 5
+
+
+def test_a_walls_end_in_the_blind_zone_is_remembered_though_odometry_errs():
+    end = np.array([[0.4, 0.14, 0.4, 3.0]])
+    space = remembered(nothing_seen(), scan_of(end), np.zeros(3), RADIUS)
+    room = open_ahead(space, newest=1.1)
+    # The robot is 2 cm farther to the right than it takes itself to be: rays pass where the end was seen.
+    space = remembered(space, scan_of(end, (0.0, -0.02, 0.0), 1.1, least_range=0.5), np.zeros(3), RADIUS)
+    assert open_ahead(space, newest=1.1) == pytest.approx(room)
+
+
 @given(x=st.floats(-3.0, 3.0), y=st.floats(-3.0, 3.0), heading=st.floats(-3.1, 3.1))
 def test_the_memory_moves_along(x, y, heading):
     """It is the same wherever odometry began, but for where its cells lie."""

@@ -94,6 +94,12 @@ def test_ways_lead_round_the_robot_if_there_is_room(floor):
     assert len(way_between(floor, np.array([5.0, 0.8]), 0.0, FAR, 0.6))
 
 
+def test_who_stands_at_the_edge_of_a_door_goes_back_from_the_robot_before_it(floor):
+    for p_WP in ([3.06, 2.8], [3.08, 2.76], [3.1, 2.78]):
+        way = way_between(floor, np.array(p_WP), 0.0, np.array([3.53, 3.225]), TOUCHING + people.PASSING)
+        assert len(way)
+
+
 def point_segment_distance_of(p, polyline):
     """The least distance, m, of a point from a polyline."""
     return point_distance(p[None], np.hstack([polyline[:-1], polyline[1:]]))[0]

@@ -84,3 +84,14 @@ def test_a_ray_that_is_swallowed_is_no_free_ground():
     for seen, looked in ((scans[:1], [False, True]), (scans, [True, True])):
         panorama = build_panorama(seen, np.array([0.0, 0.2]), np.zeros((2, 3)))
         np.testing.assert_array_equal(panorama.looked_at(bearings), looked)
+
+
+def test_a_ray_that_falls_half_on_either_of_two_surfaces_is_left_out():
+    """But a post, a ray wide, is not, nor a wall seen aslant, where every ray differs from the next."""
+    angles = (np.arange(-100, 101) + 0.5) * 2.0 * np.pi / BINS
+    corner = np.where(angles < 0.0, 1.0, 4.0)
+    corner[100], corner[150] = 1.7, 2.0
+    aslant = np.where(angles > 0.02, 0.1 / np.sin(np.maximum(angles, 0.02)), np.inf)
+    for ranges, kept in ((corner, np.arange(201) != 100), (aslant, np.full(201, True))):
+        panorama = build_panorama([LaserScan(0.0, angles, ranges, 10.0, 0.01)], np.zeros(1), np.zeros((1, 3)))
+        np.testing.assert_array_equal(panorama.looked_at(angles), kept)

@@ -29,6 +29,10 @@ _MET_SHARE = 0.12
 _STEP = 0.75
 # Fewer lost rays side by side than this say nothing; more may be something that is too near to be seen.
 _GAP = 3
+# Rays as near to each other as this many, whose ranges differ by no more than this, m, met the same surface: a straight
+# piece of it takes most of the noise out of where it stands. Memory would keep the nearest of what noise made of a wall
+# that the robot passes, and in a narrow place that seems to stand in its way.
+_BESIDE, _SAME_SURFACE = 3, 0.06
 # A ray says nothing of the last bit before what it met, m: its range is not exact.
 _BEFORE_RETURN = 0.5 * CELL
 
@@ -76,17 +80,19 @@ def _remembered(
     radius: float,
 ) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
     after, occupied, where = seen.copy(), met.copy(), p_OM.copy()
+    ranges = _without_noise(ranges)
     i0, j0 = math.floor(X_OB[0] / CELL) - HALF, math.floor(X_OB[1] / CELL) - HALF
     # Where the robot is in the window, in cells; (u, v) count cells from its corner.
     u_B, v_B = X_OB[0] / CELL - i0, X_OB[1] / CELL - j0
     # Rays a cell: that went through it, ended in it, or would have come there if a gap of them had not been lost.
-    passed = np.zeros(CELLS * CELLS, dtype=np.int32)
+    passed = np.zeros(CELLS * CELLS, dtype=np.int64)
     ended, lost = np.zeros_like(passed), np.zeros_like(passed)
     total = np.empty((CELLS * CELLS, 2))
     reach = (HALF - 1) * CELL
     way = np.empty(int(reach / (_STEP * CELL)) + 1, dtype=np.int64)
     gap_begin = gap_end = 0
-    for k in range(len(ranges)):
+    # The outermost rays have no others on one side.
+    for k in range(_BESIDE, len(ranges) - _BESIDE):
         says = ranges[k] >= 0.0
         if not says:
             if k >= gap_end:
@@ -128,8 +134,9 @@ def _remembered(
             x, y = u + 0.5 - u_B, v + 0.5 - v_B
             if x * x + y * y < beneath * beneath:
                 after[a, b], occupied[a, b] = stamp, False
-            elif occupied[a, b] and lost[cell] > 0:
-                # Past the edge of what is too near to be seen rays pass, or end in what noise has moved away.
+            elif occupied[a, b] and _any_beside(lost, u, v):
+                # Past the edge of what is too near to be seen rays pass, or end in what noise has moved away; odometry
+                # errs by a cell there.
                 continue
             elif ended[cell] > _MET_SHARE * (passed[cell] + ended[cell]):
                 after[a, b], occupied[a, b] = stamp, True
@@ -138,6 +145,34 @@ def _remembered(
             elif passed[cell] > lost[cell]:
                 after[a, b], occupied[a, b] = stamp, False
     return np.array([i0, j0]), after, occupied, where
+
+
+@njit(cache=True)
+def _any_beside(counts: IntArray, u: int, v: int) -> bool:
+    """Whether there is any in a cell or one beside it."""
+    for i in range(max(u - 1, 0), min(u + 2, CELLS)):
+        for j in range(max(v - 1, 0), min(v + 2, CELLS)):
+            if counts[i * CELLS + j] > 0:
+                return True
+    return False
+
+
+@njit(cache=True)
+def _without_noise(ranges: FloatArray) -> FloatArray:
+    """Ranges (n,) as straight pieces of the surfaces that they met have them; one alone is as it was."""
+    result = ranges.copy()
+    for k in range(len(ranges)):
+        # The line through those beside it, and its value at the ray: at a surface's end, too, it leans to no side.
+        count, sum_i, sum_ii, sum_r, sum_ir = 0, 0, 0, 0.0, 0.0
+        for j in range(max(k - _BESIDE, 0), min(k + _BESIDE + 1, len(ranges))):
+            off = ranges[j] - ranges[k]
+            if abs(off) < _SAME_SURFACE:
+                i = j - k
+                count, sum_i, sum_ii = count + 1, sum_i + i, sum_ii + i * i
+                sum_r, sum_ir = sum_r + off, sum_ir + i * off
+        if count > 2:
+            result[k] += (sum_ii * sum_r - sum_i * sum_ir) / (count * sum_ii - sum_i * sum_i)
+    return result
 
 
 def open_distance(

@@ -216,14 +216,16 @@ def way_between(ground: Ground, p_WP: FloatArray, place: float, p_WB: FloatArray
     """The places (k, 2), m in W, that a short way from p_WP (2,) leads through, to the end; none where there is no way.
 
     place: between 0 and 1, which of all places that is. The way leads round p_WB (2,) at a distance, m: `apart`, or
-    that of p_WP if that is nearer.
+    a cell's side less than where it begins, if that is nearer.
     """
-    apart = min(apart, 0.99 * math.hypot(*(p_WP - p_WB)))
     row, column = ground.grid.cell(p_WP[None])
     begin = int(row[0] * ground.free.shape[1] + column[0])
     if not ground.free[row[0], column[0]]:
         p_PG = _centre(ground.grid, ground.places) - p_WP
         begin = int(ground.places[np.argmin(np.hypot(p_PG[:, 0], p_PG[:, 1]))])
+    # Cells are left by their sides only: out of a door, a way away from p_WB may begin with a cell nearer to it.
+    first = np.vstack([p_WP, _centre(ground.grid, np.array([begin]))])
+    apart = min(apart, float(np.hypot(*(first - p_WB).T).min()) - CELL)
     end = int(ground.places[int(place * len(ground.places))])
     cells = _shortest_way(ground.free, begin, end, (p_WB - ground.grid.p_WG) / CELL, apart / CELL)
     points = np.vstack([p_WP, _centre(ground.grid, cells)])

@@ -59,6 +59,9 @@ from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, 
 TRIED_DISTANCE = 0.5
 # From beyond this share of the sensor's range a small face may be missed though it is in view: no attempt at it.
 NEAR_SHARE = 0.5
+# A surface that is seen less slantwise than a tag on it could be, but not by this, rad, may show none: so well is its
+# direction known.
+SLANT_KNOWN = math.radians(2.5)
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
 
@@ -210,7 +213,7 @@ def update(
         front = in_front(points.p, points.normal, segments, UNINSPECTED_LIFT)
         return np.asarray(~inspected(front, points.normal, *stars, tags.range, tags.max_incidence))
 
-    p, normal = find_uninspected(components, tags.range, tags.max_incidence)
+    p, normal = find_uninspected(components, tags.range, tags.max_incidence - SLANT_KNOWN)
     uninspected = _merge(
         graph.uninspected,
         points_of(goal, p, normal, np.full(len(p), UNINSPECTED_SPACING)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,6 +18,9 @@ STAMP_TOLERANCE = 1e-3
 SAME_SURFACE = 4.0
 # Where no more rays than this meet nothing, between neighbours that meet something, they may have been lost.
 MOST_LOST = 2
+# Both neighbours of a ray differ from it by more than this, m, where it fell half on a near surface, half on a far one,
+# and those, unlike what is seen aslant, from theirs by less than this share of that.
+FLOATS, ASLANT_SHARE = 0.1, 0.4
 # So many numbers are sorted soonest by putting one after the other in its place.
 FEW = 16
 
@@ -59,6 +63,19 @@ def _sorted(values: FloatArray) -> FloatArray:
             at -= 1
         values[at] = value
     return values
+
+
+@njit(cache=True)
+def _floating(ranges: FloatArray) -> BoolArray:
+    """Which rays of a scan (n,) stand alone between a nearer surface and a farther one: there is nothing there."""
+    result = np.zeros(len(ranges), dtype=np.bool_)
+    for k in range(2, len(ranges) - 2):
+        before, after = ranges[k] - ranges[k - 1], ranges[k + 1] - ranges[k]
+        if not (min(before, after) > FLOATS or max(before, after) < -FLOATS) or not math.isfinite(before + after):
+            continue
+        first, last = abs(ranges[k - 1] - ranges[k - 2]), abs(ranges[k + 2] - ranges[k + 1])
+        result[k] = first < ASLANT_SHARE * abs(before) and last < ASLANT_SHARE * abs(after)
+    return result
 
 
 @njit(cache=True)
@@ -124,7 +141,7 @@ def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatAr
     x, y, turned = np.repeat(poses, [len(scan.angles) for scan in scans], axis=1)
     angles = np.concatenate([np.zeros(0), *(scan.angles for scan in scans)])
     ranges = np.concatenate([np.zeros(0), *(scan.ranges for scan in scans)])
-    looked = ~np.isnan(ranges)
+    looked = ~np.isnan(ranges) & ~np.concatenate([np.zeros(0, dtype=np.bool_), *(_floating(s.ranges) for s in scans)])
     x, y, angles, ranges = x[looked], y[looked], angles[looked] + turned[looked], ranges[looked]
     hit = np.isfinite(ranges)
     reach = np.where(hit, ranges, range_max)
