@@ -33,26 +33,16 @@ from tfg_drake.config import (
     RobotConfig,
     SafetyConfig,
     ScanConfig,
+    TagConfig,
     TagSensorConfig,
 )
+from tfg_drake.world.changing import successive
 from tfg_drake.world.world import World, WorldError, check_world
 from tfg_drake.yaml_text import parse_yaml
 
 
 class ScenarioError(ValueError):
     """A scenario that cannot be used; the message is one line: file, place, what is wrong, how to mend it."""
-
-
-@dataclasses.dataclass
-class TagConfig:
-    """One tag on a wall."""
-
-    # The tag's code, unique in the world.
-    id: int = 0
-    # Centre (x, y) in W, on the wall's surface, m.
-    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
-    # Heading of the outward normal, rad.
-    facing: float = 0.0
 
 
 @dataclasses.dataclass
@@ -157,6 +147,9 @@ _SIGNED = (
     "reality.tags.left",
     "reality.scan.clock_offset",
     "reality.scan.yaw",
+    "reality.changes[].walls",
+    "reality.changes[].opened",
+    "reality.changes[].tags",
     "disturbances[].ahead",
     "disturbances[].left",
     "disturbances[].turn",
@@ -166,6 +159,9 @@ _LENGTHS = {
     "world.walls[]": (4, "[x0, y0, x1, y1]"),
     "world.tags[].position": (2, "[x, y]"),
     "world.start": (3, "[x, y, yaw]"),
+    "reality.changes[].walls[]": (4, "[x0, y0, x1, y1]"),
+    "reality.changes[].opened[]": (4, "[x0, y0, x1, y1]"),
+    "reality.changes[].tags[].position": (2, "[x, y]"),
     "drive[]": (2, "[x, y]"),
 }
 
@@ -452,10 +448,12 @@ def _CheckWorld(scenario: Scenario, source: str) -> None:
     try:
         world = MakeWorld(scenario.world)
         check_world(world, scenario.robot.radius)
+        worlds = successive(world, scenario.reality.changes)
         if scenario.reality.people:
             # What few missions need, and what takes a while to be imported.
             from tfg_drake.simulation.people import ground
 
-            ground(world, scenario.robot.radius)
+            for one in worlds:
+                ground(one, scenario.robot.radius)
     except WorldError as error:
         raise ScenarioError(f"{source}: {error}") from None

@@ -155,6 +155,32 @@ class DisturbanceConfig:
 
 
 @dataclasses.dataclass
+class TagConfig:
+    """One tag on a wall."""
+
+    # The tag's code, unique in the world.
+    id: int = 0
+    # Centre (x, y) in W, on the wall's surface, m.
+    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
+    # Heading of the outward normal, rad.
+    facing: float = 0.0
+
+
+@dataclasses.dataclass
+class ChangeConfig:
+    """Somebody shuts or opens a door, moves a chair or a tag."""
+
+    # When, s; what would come right beside the robot waits until that has gone, and all later changes with it.
+    time: float = 0.0
+    # Surfaces that come and surfaces that go, [x0, y0, x1, y1] in W, m; what goes may be a piece of a wall.
+    walls: list[list[float]] = dataclasses.field(default_factory=list)
+    opened: list[list[float]] = dataclasses.field(default_factory=list)
+    # Tags that are moved, where they are then, and ids of tags that fall off.
+    tags: list[TagConfig] = dataclasses.field(default_factory=list)
+    fallen: list[int] = dataclasses.field(default_factory=list)
+
+
+@dataclasses.dataclass
 class TagRealityConfig:
     """What the simulated tag sensor does where its data sheet, TagSensorConfig, says otherwise; None: as that says."""
 
@@ -224,6 +250,8 @@ class RealityConfig:
     scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
     # How many people walk about in the building.
     people: int = 0
+    # What changes in the building while the robot is in it, one after the other.
+    changes: list[ChangeConfig] = dataclasses.field(default_factory=list)
 
 
 def as_it_is(belief: S, reality: Any) -> S:
