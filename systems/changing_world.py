@@ -8,7 +8,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
 
 from tfg_drake.config import ChangeConfig
-from tfg_drake.systems.ports import declare_message_input, eval_message, set_state_message, state_message
+from tfg_drake.systems.ports import eval_message, set_state_message, state_message
 from tfg_drake.world.changing import WorldNow, is_due, successive
 from tfg_drake.world.world import World
 

@@ -37,10 +37,10 @@ class DifferentialDrivePlant(LeafSystem):
         - contacts_received
 
     velocity_commanded: forward speed (m/s) and turn rate (rad/s). people: a People message, left unconnected where
-    there are none. world: a WorldNow message, left unconnected where nothing changes. pose: x, y, theta of X_WB (m, rad), then speed and
-    turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often the base began to
-    touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to any wall so far, m.
-    contacts_received: how often somebody else began to touch it.
+    there are none. world: a WorldNow message, left unconnected where nothing changes. pose: x, y, theta of X_WB (m,
+    rad), then speed and turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often
+    the base began to touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to
+    any wall so far, m. contacts_received: how often somebody else began to touch it.
     """
 
     def __init__(self, world: World, robot: RobotConfig, disturbances: Sequence[DisturbanceConfig] = ()):

@@ -35,7 +35,8 @@ class LaserScanner(LeafSystem):
 
     pose: x, y, theta, v, w of the plant. noise: one standard normal number a ray, fresh every scan; ray_faults: one
     uniform number a ray, likewise, left unconnected where in reality no ray fails. people: a People message, left
-    unconnected where there are none. world: a WorldNow message, left unconnected where nothing changes. ranges: a LaserScan message; stamped -inf and empty before the first scan.
+    unconnected where there are none. world: a WorldNow message, left unconnected where nothing changes. ranges: a
+    LaserScan message; stamped -inf and empty before the first scan.
     """
 
     def __init__(self, world: World, config: ScanConfig, reality: ScanRealityConfig | None = None):

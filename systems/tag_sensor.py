@@ -46,7 +46,8 @@ class TagSensor(LeafSystem):
     pose: x, y, theta, v, w of the plant. noise: NOISE_PER_TAG standard normal numbers for each of the world's tags,
     fresh every frame; tag_errors: 2 for each, the same all along; frame_noise: 2, fresh every frame. Where reality has
     no use for the last two they may be left unconnected. people: a People message, who hide tags; left unconnected
-    where there are none. world: a WorldNow message, left unconnected where nothing changes. detections: a TagDetections message; stamped -inf and empty before the first frame.
+    where there are none. world: a WorldNow message, left unconnected where nothing changes. detections: a TagDetections
+    message; stamped -inf and empty before the first frame.
     """
 
     def __init__(self, world: World, config: TagSensorConfig, reality: TagRealityConfig | None = None):

@@ -28,7 +28,7 @@ from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 6
+SCHEMA = 7
 # Bytes of a map's arrays at most; 274 landmarks and 138 goals have 0.8 MB.
 _LARGEST = 64 * 2**20
 # Fields of the TfgMap that are places.
@@ -133,6 +133,7 @@ REGISTRY: Registry = {
         "star_offsets": ("k+1",),
         "star_vertices": ("v", 2),
         "tried_count": ("t",),
+        "met_stamp": ("p",),
     },
     Surfaces: {
         "kind": ("s",),
@@ -284,6 +285,8 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg.facing does not fit graph.ids"
     if len(tfg_graph.tried_count) != len(tfg_graph.tried.goal):
         return "tfg_graph.tried_count does not fit tfg_graph.tried"
+    if len(tfg_graph.met_stamp) != len(tfg_graph.met.goal):
+        return "tfg_graph.met_stamp does not fit tfg_graph.met"
     if len(tfg_graph.viewpoints.goal) != len(tfg_graph.sighted.goal):
         return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
     places = {"graph.p_ML": graph.p_ML, "graph.X_MN": graph.X_MN[:, :2]}
