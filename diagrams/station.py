@@ -8,7 +8,6 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
 from pydrake.systems.primitives import RandomSource
 
-from tfg_drake.config import as_it_is
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.systems import odometry, people
 from tfg_drake.systems.changing_world import ChangingWorld
@@ -82,7 +81,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         "differential_drive_plant", DifferentialDrivePlant(world, scenario.robot, disturbances)
     )
     wheels = builder.AddNamedSystem(
-        "odometry", Odometry(world.start, as_it_is(scenario.odometry, reality.odometry), disturbances)
+        "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )
     tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
     scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))

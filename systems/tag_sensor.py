@@ -108,6 +108,6 @@ class TagSensor(LeafSystem):
             fresh, errors = fresh[there], errors[there] if errors is not None else None
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
         discs = people_at(self._people, context)
-        frame = detect(world, X_WS, stamp, fresh, self._config, self._stated, errors, discs)
+        frame = detect(world, X_WS, stamp, fresh, self._config, self._stated, errors, discs, reality.detection_range)
         set_state_message(state, self._state, _SensorState(frame, noise))
         return EventStatus.Succeeded()

@@ -193,6 +193,10 @@ class TagRealityConfig:
     outlier_probability: float | None = None
     wrong_id_probability: float | None = None
     range_scale: float | None = None
+    # From so far, m, half of the tags that are looked at straight are detected, from half as far again none, and from
+    # half of it all; what is looked at aslant counts as that much farther off as it seems narrower. 0: as the data
+    # sheet says.
+    detection_range: float = 0.0
     # Range and bearing noise of a tag from one frame to the next fall to 1/e of their correlation in this time, s; 0:
     # white.
     correlation_time: float = 0.0
@@ -223,6 +227,10 @@ class OdometryRealityConfig:
     gyro_noise: float | None = None
     gyro_bias: float | None = None
     gyro_scale: float | None = None
+    # The encoders count so many ticks a metre; 0: any number.
+    ticks_per_metre: float = 0.0
+    # Wheels slip in turns: they roll farther than the base moves by this share per rad/s that it turns, s.
+    slip_per_turn_rate: float = 0.0
 
 
 @dataclasses.dataclass
@@ -234,8 +242,13 @@ class ScanRealityConfig:
     # passes the edge of and the one behind.
     dropout_probability: float = 0.0
     mixed_probability: float = 0.0
-    # The scanner's heading in the body frame, rad; it is believed to look ahead.
+    # The scanner's heading in the body frame, rad, and where it sits, ahead and to the left of the body's origin, m; it
+    # is believed to sit there and to look ahead.
     yaw: float = 0.0
+    ahead: float = 0.0
+    left: float = 0.0
+    # From the first ray to the last, s, while the robot moves on; a scan is stamped with its last. 0: all at once.
+    sweep_time: float = 0.0
     # The scanner's clock less the base's, s.
     clock_offset: float = 0.0
 
