@@ -18,6 +18,7 @@ from tfg_drake.mapfile.saved_map import SavedMap, saved_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
+from tfg_drake.systems.message_delay import MessageDelay
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.prm_planner import PrmPlanner
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
@@ -56,15 +57,17 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
             ),
             "follower": PurePursuitFollower(robot, explorer, scenario.field_of_view),
             "mission_sequencer": MissionSequencer(robot, explorer.glance_period),
-        }
+        },
+        scenario.reality.planning_time,
     )
 
 
-def AssembleExplorer(systems: Mapping[str, LeafSystem]) -> Diagram:
+def AssembleExplorer(systems: Mapping[str, LeafSystem], planning_time: float = 0.0) -> Diagram:
     """An explorer of some systems, by the name each is to have, connected by port name.
 
     An output feeds every input of its name and is an output of the explorer; an input that no output feeds is an input
-    of the explorer. Raises ValueError where two outputs have the same name.
+    of the explorer. goal and path come out planning_time (s) later. Raises ValueError where two outputs have the same
+    name.
     """
     builder = DiagramBuilder()
     outputs = {}
@@ -75,6 +78,10 @@ def AssembleExplorer(systems: Mapping[str, LeafSystem]) -> Diagram:
             if port.get_name() in outputs:
                 raise ValueError(f"{name}.{port.get_name()}: another system of the explorer has an output of that name")
             outputs[port.get_name()] = port
+    for name in ("goal", "path") if planning_time > 0.0 else ():
+        delay = builder.AddNamedSystem(f"{name}_delay", MessageDelay(name, planning_time))
+        builder.Connect(outputs[name], delay.get_input_port())
+        outputs[name] = delay.get_output_port()
     exported = set()
     for system in systems.values():
         for i in range(system.num_input_ports()):

@@ -44,5 +44,6 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
             "grid_planner": GridPlanner(robot),
             "follower": PurePursuitFollower(robot, explorer, None),
             "mission_sequencer": MissionSequencer(robot, maps={"grid": GridMap}),
-        }
+        },
+        scenario.reality.planning_time,
     )

@@ -263,6 +263,8 @@ class RealityConfig:
     scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
     # How many people walk about in the building.
     people: int = 0
+    # How long it takes, s, to choose a goal, and to plan a path, until they are known to the others.
+    planning_time: float = 0.0
     # What changes in the building while the robot is in it, one after the other.
     changes: list[ChangeConfig] = dataclasses.field(default_factory=list)
 
