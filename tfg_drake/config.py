@@ -247,7 +247,7 @@ class ScanRealityConfig:
     yaw: float = 0.0
     ahead: float = 0.0
     left: float = 0.0
-    # From the first ray to the last, s, while the robot moves on; a scan is stamped with its last. 0: all at once.
+    # From the first ray to the last, s, while the robot moves on; a scan is stamped with the first. 0: all at once.
     sweep_time: float = 0.0
     # The scanner's clock less the base's, s.
     clock_offset: float = 0.0

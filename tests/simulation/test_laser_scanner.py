@@ -83,7 +83,7 @@ def test_a_sweep_of_a_robot_that_stands_is_a_scan():
     robot = np.array([*compose(X_WS, inverse(X_BS)), 0.0, 0.0])
     one, other = swept(WALL, robot, X_BS, 0.1, 2.5, angles, noise, CONFIG), scan(WALL, X_WS, 2.5, angles, noise, CONFIG)
     assert one.ranges == pytest.approx(other.ranges, abs=1e-12)
-    assert (one.stamp, one.angles.tolist()) == (2.5, angles.tolist())
+    assert (one.stamp, one.angles.tolist()) == (2.5 - 0.1, angles.tolist())
 
 
 @pytest.mark.parametrize(("speed", "turn_rate"), [(0.5, 0.0), (0.0, 1.2), (0.4, -0.9)])

@@ -60,10 +60,12 @@ def swept(
     stated: ScanConfig | None = None,
     discs: FloatArray | None = None,
 ) -> LaserScan:
-    """One scan whose rays are taken one after the other, the last of them at its stamp, while the robot moves on.
+    """One scan whose rays are taken one after the other while the robot moves on, stamped with the first of them as in
+    ROS.
 
-    robot: (5,) x, y, theta of X_WB, speed and turn rate at the stamp. X_BS: (3,) where the scanner sits. sweep_time: s
-    from the first ray to the last. Else as `scan`. BLOCK rays each are cast from one place, in their own directions.
+    robot: (5,) x, y, theta of X_WB, speed and turn rate, and stamp: s, both with the last ray. X_BS: (3,) where the
+    scanner sits. sweep_time: s from the first ray to the last. Else as `scan`. BLOCK rays each are cast from one place,
+    in their own directions.
     """
     at = sweep_time * (np.linspace(-1.0, 0.0, len(angles)))
     ranges = np.empty(len(angles))
@@ -76,7 +78,7 @@ def swept(
         # As those of a whole scan are.
         towards.setflags(write=False)
         ranges[block] = scan(walls, X_WS, stamp, towards, standard_normal[block], config, stated, discs).ranges
-    return LaserScan(stamp, angles, ranges, config.range, (stated or config).noise)
+    return LaserScan(stamp - sweep_time, angles, ranges, config.range, (stated or config).noise)
 
 
 def spoilt(scan: LaserScan, uniform: FloatArray, reality: ScanRealityConfig) -> LaserScan:

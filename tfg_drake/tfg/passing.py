@@ -120,7 +120,7 @@ def without_bodies(
 ) -> tuple[IntArray, FloatArray]:
     """The stars, offsets (k + 1,) and vertices (v, 2) in the frames of their goals X_MA (k, 3), without what bodies
     (n, 2), m in M, stand in and hide."""
-    stars = np.split(star_vertices, star_offsets[1:-1])
+    stars = np.split(star_vertices.copy(), star_offsets[1:-1])
     for body in p_MP:
         stars = [_without(star, transform(inverse(X), body)) for star, X in zip(stars, X_MA, strict=True)]
     return pack(stars)
