@@ -14,7 +14,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
-from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.trajectory import poses_at
 from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
 from tfg_drake.world.world import World
@@ -28,15 +28,18 @@ IN_PLACE = 0.1
 
 
 class KnownWorld:
-    """The world that a mission was in and what of it could be reached: figures of a map in it.
+    """The world that a mission was in, as it was at its end, and what of it could be reached: figures of a map in it.
 
     reachable: (t,) of its tags.
     """
 
-    def __init__(self, world: World, scenario: Scenario) -> None:
+    def __init__(self, world: World, scenario: Scenario, X_WB: FloatArray | None = None) -> None:
+        """X_WB: (3,) where the robot was at the end, if that is known: a door may have shut behind it."""
         self._world, self._scenario = world, scenario
         self._grid = make_grid(world)
         self._cells = reachable_cells(self._grid, world, scenario.robot.radius)
+        if X_WB is not None and scenario.reality.changes:
+            self._cells |= reachable_cells(self._grid, replace(world, start=X_WB), scenario.robot.radius)
         tags = scenario.tags
         self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
 

@@ -11,6 +11,7 @@ from tfg_drake.mapfile.saved_map import SavedMap, saved_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
+from tfg_drake.systems.message_delay import MessageDelay
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.prm_planner import PrmPlanner
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
@@ -42,7 +43,7 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
     GoalChoice, see InfoGainGoalSelector.
     """
     robot, tags, explorer = scenario.robot, scenario.tags, scenario.explorer
-    wiring = Wiring()
+    wiring = Wiring(scenario.reality.planning_time)
     estimator = wiring.Add("slam_estimator", SlamEstimator(scenario.odometry, tags, explorer.path_keyframe_period))
     tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
     if goal_selector is None:
@@ -77,8 +78,10 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
 class Wiring:
     """An explorer under construction: its systems, and what flows between them."""
 
-    def __init__(self) -> None:
+    def __init__(self, planning_time: float = 0.0) -> None:
+        """planning_time: s, so much later come goal and path out, see RealityConfig."""
         self._builder = DiagramBuilder()
+        self._delays = {"goal": planning_time, "path": planning_time}
 
     def Add(self, name: str, system: LeafSystem) -> LeafSystem:
         """Adds a system; the order in which they are added is that of their events."""
@@ -92,10 +95,15 @@ class Wiring:
 
     def Feed(self, source: LeafSystem, name: str, *listeners: LeafSystem) -> None:
         """Connects an output to the inputs of its name, as far as there are such, and makes it one of the explorer."""
+        output = source.GetOutputPort(name)
+        if self._delays.get(name, 0.0) > 0.0:
+            later = self.Add(f"{name}_delay", MessageDelay(name, self._delays[name]))
+            self._builder.Connect(output, later.get_input_port())
+            output = later.get_output_port()
         for system in listeners:
             if system.HasInputPort(name):
-                self._builder.Connect(source.GetOutputPort(name), system.GetInputPort(name))
-        self._builder.ExportOutput(source.GetOutputPort(name), name)
+                self._builder.Connect(output, system.GetInputPort(name))
+        self._builder.ExportOutput(output, name)
 
     def Build(self, follower: LeafSystem, sequencer: LeafSystem, selector: LeafSystem) -> Diagram:
         """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector."""

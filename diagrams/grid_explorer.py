@@ -34,7 +34,7 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
             )
         return frontier_goal.choose(grid, pose, tried, robot, explorer)
 
-    wiring = Wiring()
+    wiring = Wiring(scenario.reality.planning_time)
     mapper = wiring.Add("grid_mapper", GridMapper(scenario.grid, scenario.odometry, scenario.seed))
     selector = wiring.Add("goal_selector", FrontierGoalSelector(choose, robot, scenario.grid.eager))
     planner = wiring.Add("grid_planner", GridPlanner(robot))

@@ -35,6 +35,7 @@ from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.estimator import settled
 from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.systems.cpu_meter import CpuMeter
+from tfg_drake.world.changing import world_at
 from tfg_drake.world.world import World
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ class Departure:
 class Mission:
     """One mission and what is observed of it from outside.
 
-    world: None where it is not known.
+    world: as the mission found it, None where it is not known.
     truth: what only a simulation knows, None for any other robot and until the diagram is built. meter: the CPU time of
     the explorer's components.
     """
@@ -272,6 +273,15 @@ class Mission:
         if self._final is not None or self._context is None or not self._explorer.HasOutputPort("map"):
             return self._final
         return StateOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context))
+
+    @property
+    def world_then(self) -> World | None:
+        """The world as the mission left it, None where it is not known."""
+        if self.world is None or not self._scenario.reality.changes:
+            return self.world
+        now = self.truth.world(self._context) if self.truth is not None else None
+        # Of a recording it is not known whether a change had to wait for the robot.
+        return now if now is not None else world_at(self.world, self._scenario.reality.changes, self.end_time)
 
     def true_poses(self) -> tuple[FloatArray, FloatArray] | None:
         """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, to the end; None where not known."""

@@ -91,8 +91,9 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "stage_ms": _spread([1e3 * seconds for stage, seconds in mission.stage_cpu.items() if stage > 0]),
     }
     reachable = np.zeros(0, dtype=np.bool_)
-    if mission.world is not None:
-        known = KnownWorld(mission.world, scenario)
+    world = mission.world_then
+    if world is not None:
+        known = KnownWorld(world, scenario, None if true_poses is None else true_poses[1][-1])
         reachable = known.reachable
         summary |= known.map_figures(mission, estimate, tfg)
         if true_poses is not None:
@@ -111,7 +112,7 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     if true_poses is not None:
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
     X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
-    seen = (mission.world, estimate, tfg, grid, X_WB, X_WB_true, reachable, mission.X_WM)
+    seen = (world, estimate, tfg, grid, X_WB, X_WB_true, reachable, mission.X_WM)
     folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
     return summary
 

@@ -33,26 +33,16 @@ from tfg_drake.config import (
     RobotConfig,
     SafetyConfig,
     ScanConfig,
+    TagConfig,
     TagSensorConfig,
 )
+from tfg_drake.world.changing import successive
 from tfg_drake.world.world import World, WorldError, check_world
 from tfg_drake.yaml_text import parse_yaml
 
 
 class ScenarioError(ValueError):
     """A scenario that cannot be used; the message is one line: file, place, what is wrong, how to mend it."""
-
-
-@dataclasses.dataclass
-class TagConfig:
-    """One tag on a wall."""
-
-    # The tag's code, unique in the world.
-    id: int = 0
-    # Centre (x, y) in W, on the wall's surface, m.
-    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
-    # Heading of the outward normal, rad.
-    facing: float = 0.0
 
 
 @dataclasses.dataclass
@@ -157,6 +147,11 @@ _SIGNED = (
     "reality.tags.left",
     "reality.scan.clock_offset",
     "reality.scan.yaw",
+    "reality.scan.ahead",
+    "reality.scan.left",
+    "reality.changes[].walls",
+    "reality.changes[].opened",
+    "reality.changes[].tags",
     "disturbances[].ahead",
     "disturbances[].left",
     "disturbances[].turn",
@@ -166,6 +161,9 @@ _LENGTHS = {
     "world.walls[]": (4, "[x0, y0, x1, y1]"),
     "world.tags[].position": (2, "[x, y]"),
     "world.start": (3, "[x, y, yaw]"),
+    "reality.changes[].walls[]": (4, "[x0, y0, x1, y1]"),
+    "reality.changes[].opened[]": (4, "[x0, y0, x1, y1]"),
+    "reality.changes[].tags[].position": (2, "[x, y]"),
     "drive[]": (2, "[x, y]"),
 }
 
@@ -193,7 +191,8 @@ def LoadScenario(
 
     filename is a path or a shipped name; scenario_name chooses a child of the document. A document may name another
     scenario as its `base:` (a shipped name, or a path relative to the document): it is loaded first and this one is
-    merged into it, lists replaced, sections key by key. Raises ScenarioError.
+    merged into it, lists replaced, sections key by key. Of a list of bases each is merged into the ones before it; only
+    the first may have a base of its own. Raises ScenarioError.
     """
     if (filename is None) == (data is None):
         raise ScenarioError("LoadScenario: give either filename or data")
@@ -221,7 +220,8 @@ def _Load(
             raise ScenarioError(f"{source}: base: {base} cannot be combined with defaults; give one of them")
         if path is not None and path.resolve() in above:
             raise ScenarioError(f"{source}: base: {base} leads back to this file; break the circle")
-        defaults = _LoadBase(base, path, source, above)
+        for one in base if isinstance(base, list) and base else [base]:
+            defaults = _LoadBase(one, path, source, above, defaults)
     # Unknown keys were refused above; what is left without a schema is `base`.
     scenario = yaml_load_typed(
         schema=Scenario, data=text, child_name=scenario_name, defaults=defaults, allow_yaml_with_no_schema=True
@@ -231,7 +231,9 @@ def _Load(
     return scenario
 
 
-def _LoadBase(base: object, path: Path | None, source: str, above: tuple[Path, ...]) -> Scenario:
+def _LoadBase(
+    base: object, path: Path | None, source: str, above: tuple[Path, ...], defaults: Scenario | None
+) -> Scenario:
     if not isinstance(base, str):
         raise ScenarioError(f"{source}: base: expected a scenario's name or file, found {_Describe(base)}")
     beside = path.parent / base if path is not None else Path(base)
@@ -239,7 +241,7 @@ def _LoadBase(base: object, path: Path | None, source: str, above: tuple[Path, .
         base_path = beside if beside.is_file() else FindScenario(base)
     except ScenarioError as error:
         raise ScenarioError(f"{source}: base: {error}") from None
-    return _Load(base_path, None, None, None, above if path is None else (*above, path.resolve()))
+    return _Load(base_path, None, None, defaults, above if path is None else (*above, path.resolve()))
 
 
 def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenario:
@@ -452,10 +454,12 @@ def _CheckWorld(scenario: Scenario, source: str) -> None:
     try:
         world = MakeWorld(scenario.world)
         check_world(world, scenario.robot.radius)
+        worlds = successive(world, scenario.reality.changes)
         if scenario.reality.people:
             # What few missions need, and what takes a while to be imported.
             from tfg_drake.simulation.people import ground
 
-            ground(world, scenario.robot.radius)
+            for one in worlds:
+                ground(one, scenario.robot.radius)
     except WorldError as error:
         raise ScenarioError(f"{source}: {error}") from None

@@ -8,9 +8,9 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
 from pydrake.systems.primitives import RandomSource
 
-from tfg_drake.config import as_it_is
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.systems import odometry, people
+from tfg_drake.systems.changing_world import ChangingWorld
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.systems.odometry import Odometry
@@ -48,6 +48,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         - truth.clearance
         - truth.contacts_received
         - truth.people
+        - truth.world
 
     base.velocity_commanded: forward speed (m/s) and turn rate (rad/s); left unconnected, the base stands. base.enable:
     0: the base stands; another number enables it, once: it may stop by itself until there is yet another number. Left
@@ -56,8 +57,8 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
     made. truth.clearance: least distance of the outline to any wall so far, m. truth.people: a People message, where
-    there are some. A real robot's station has no truth, and its time must keep to real time:
-    Simulator.set_target_realtime_rate(1.0).
+    there are some. truth.world: a WorldNow message, where something changes. A real robot's station has no truth, and
+    its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
 
     All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
     RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
@@ -80,7 +81,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         "differential_drive_plant", DifferentialDrivePlant(world, scenario.robot, disturbances)
     )
     wheels = builder.AddNamedSystem(
-        "odometry", Odometry(world.start, as_it_is(scenario.odometry, reality.odometry), disturbances)
+        "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )
     tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
     scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
@@ -116,6 +117,13 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         for system in (plant, tag_sensor, scanner):
             builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
 
+    changing = None
+    if reality.changes:
+        changing = builder.AddNamedSystem("world", ChangingWorld(world, reality.changes, scenario.robot.radius))
+        builder.Connect(plant.GetOutputPort("pose"), changing.GetInputPort("pose"))
+        for system in (plant, tag_sensor, scanner, *([walking] if walking is not None else [])):
+            builder.Connect(changing.GetOutputPort("world"), system.GetInputPort("world"))
+
     if meshcat is not None:
         # Only a picture needs what this imports.
         from tfg_drake.systems.visualizer import TfgVisualizer
@@ -141,6 +149,8 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     builder.ExportOutput(plant.GetOutputPort("contacts_received"), "truth.contacts_received")
     if walking is not None:
         builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")
+    if changing is not None:
+        builder.ExportOutput(changing.GetOutputPort("world"), "truth.world")
 
     station = builder.Build()
     station.set_name("station")

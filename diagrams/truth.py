@@ -9,6 +9,8 @@ from pydrake.systems.framework import Context, System
 from pydrake.systems.primitives import VectorLogSink
 
 from tfg_drake.messages import FloatArray
+from tfg_drake.world.changing import WorldNow
+from tfg_drake.world.world import World
 
 
 class Truth:
@@ -28,6 +30,14 @@ class Truth:
         self.contacts = int(self._eval("truth.contacts", root)[0])
         self.contacts_received = int(self._eval("truth.contacts_received", root)[0])
         self.clearance = float(self._eval("truth.clearance", root)[0])
+
+    def world(self, root: Context) -> World | None:
+        """The world as it is, None where nothing changes in it."""
+        if not self._station.HasOutputPort("truth.world"):
+            return None
+        now = self._station.GetOutputPort("truth.world").Eval(self._station.GetMyContextFromRoot(root))
+        assert isinstance(now, WorldNow)
+        return now.world
 
     def position(self, root: Context) -> FloatArray:
         """Where the robot is: p_WB (2,), m."""

@@ -11,6 +11,7 @@ from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.disturbance import displacement
 from tfg_drake.simulation.people import People, discs_at
+from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 from tfg_drake.world.world import World
@@ -27,6 +28,7 @@ class DifferentialDrivePlant(LeafSystem):
         input_ports:
         - velocity_commanded
         - people
+        - world
         output_ports:
         - pose
         - hazards
@@ -35,18 +37,19 @@ class DifferentialDrivePlant(LeafSystem):
         - contacts_received
 
     velocity_commanded: forward speed (m/s) and turn rate (rad/s). people: a People message, left unconnected where
-    there are none. pose: x, y, theta of X_WB (m, rad), then speed and
-    turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often the base began to
-    touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to any wall so far, m.
-    contacts_received: how often somebody else began to touch it.
+    there are none. world: a WorldNow message, left unconnected where nothing changes. pose: x, y, theta of X_WB (m,
+    rad), then speed and turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often
+    the base began to touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to
+    any wall so far, m. contacts_received: how often somebody else began to touch it.
     """
 
     def __init__(self, world: World, robot: RobotConfig, disturbances: Sequence[DisturbanceConfig] = ()):
         """disturbances: what moves the base besides its wheels."""
         super().__init__()
-        self._walls, self._robot, self._disturbances = world.walls, robot, tuple(disturbances)
+        self._world, self._robot, self._disturbances = world, robot, tuple(disturbances)
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._people = declare_message_input(self, "people")
+        self._changing = declare_message_input(self, "world")
         self.DeclareDiscreteState(drive.initial_state(world.start, world.walls, robot))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Step)
         state = self.xd_ticket()
@@ -59,10 +62,10 @@ class DifferentialDrivePlant(LeafSystem):
     @metered("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
         command, state = self._command.Eval(context), self._State(context)
-        moved = drive.UNMOVED
+        walls, moved = world_now(self._changing, context, self._world).walls, drive.UNMOVED
         if self._disturbances:
             moved = displacement(self._disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
-        after = drive.step(state, command, self._walls, self._robot, PERIOD, moved)
+        after = drive.step(state, command, walls, self._robot, PERIOD, moved)
         if self._people.HasValue(context):
             discs = discs_at(eval_message(self._people, context, People), after[drive.TIME])
             after = drive.among(state, after, discs, self._robot)

@@ -10,7 +10,8 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from tfg_drake.config import ScanConfig, ScanRealityConfig, as_it_is
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import replace
-from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt
+from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt, swept
+from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.people import people_at
 from tfg_drake.systems.ports import declare_message_input, set_state_message
@@ -28,20 +29,22 @@ class LaserScanner(LeafSystem):
         - noise
         - ray_faults
         - people
+        - world
         output_ports:
         - ranges
 
     pose: x, y, theta, v, w of the plant. noise: one standard normal number a ray, fresh every scan; ray_faults: one
     uniform number a ray, likewise, left unconnected where in reality no ray fails. people: a People message, left
-    unconnected where there are none. ranges: a LaserScan message; stamped -inf and empty before the first scan.
+    unconnected where there are none. world: a WorldNow message, left unconnected where nothing changes. ranges: a
+    LaserScan message; stamped -inf and empty before the first scan.
     """
 
     def __init__(self, world: World, config: ScanConfig, reality: ScanRealityConfig | None = None):
         """config: the data sheet. reality: what the scanner does otherwise."""
         super().__init__()
         reality = reality or ScanRealityConfig()
-        self._walls, self._stated, self._reality = world.walls, config, reality
-        self._config, self._X_BS = as_it_is(config, reality), np.array([0.0, 0.0, reality.yaw])
+        self._world, self._stated, self._reality = world, config, reality
+        self._config, self._X_BS = as_it_is(config, reality), np.array([reality.ahead, reality.left, reality.yaw])
         self.has_ray_faults = reality.dropout_probability > 0.0 or reality.mixed_probability > 0.0
         # A message's own, which every other shares.
         self._angles = replace(no_scan(config), angles=ray_angles(config)).angles
@@ -49,17 +52,22 @@ class LaserScanner(LeafSystem):
         self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
         self._ray_faults = self.DeclareVectorInputPort("ray_faults", len(self._angles), RandomDistribution.kUniform)
         self._people = declare_message_input(self, "people")
+        self._changing = declare_message_input(self, "world")
         self._message = self.DeclareAbstractState(AbstractValue.Make(no_scan(config)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Scan)
         self.DeclareStateOutputPort("ranges", self._message)
 
     @metered("laser_scanner")
     def _Scan(self, context: Context, state: State) -> None:
-        X_WB = self._pose.Eval(context)[:3]
-        X_WS = compose(X_WB, self._X_BS) if self._X_BS.any() else X_WB
+        robot, sweep_time = self._pose.Eval(context), self._reality.sweep_time
         noise, stamp = self._noise.Eval(context), context.get_time() + self._reality.clock_offset
+        walls = world_now(self._changing, context, self._world).walls
         discs = people_at(self._people, context)
-        message = scan(self._walls, X_WS, stamp, self._angles, noise, self._config, self._stated, discs)
+        sheets = (stamp, self._angles, noise, self._config, self._stated, discs)
+        if sweep_time > 0.0:
+            message = swept(walls, robot, self._X_BS, sweep_time, *sheets)
+        else:
+            message = scan(walls, compose(robot[:3], self._X_BS) if self._X_BS.any() else robot[:3], *sheets)
         if self.has_ray_faults:
             message = spoilt(message, self._ray_faults.Eval(context), self._reality)
         set_state_message(state, self._message, message)

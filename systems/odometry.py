@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from tfg_drake.config import DisturbanceConfig, OdometryConfig
+from tfg_drake.config import DisturbanceConfig, OdometryConfig, OdometryRealityConfig, as_it_is
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.differential_drive import UNMOVED
 from tfg_drake.simulation.disturbance import displacement
@@ -35,10 +35,19 @@ class Odometry(LeafSystem):
     normal numbers, the same all along. odometry: an Odometry message; X_OB is 0 at the start X_WS (3,).
     """
 
-    def __init__(self, X_WS: FloatArray, config: OdometryConfig, disturbances: Sequence[DisturbanceConfig] = ()):
-        """disturbances: what moves the base besides its wheels, which do not notice."""
+    def __init__(
+        self,
+        X_WS: FloatArray,
+        config: OdometryConfig,
+        disturbances: Sequence[DisturbanceConfig] = (),
+        reality: OdometryRealityConfig | None = None,
+    ):
+        """config: the data sheet. disturbances: what moves the base besides its wheels, which do not notice. reality:
+        what wheels and gyro do otherwise."""
         super().__init__()
-        self._config, self._disturbances = config, tuple(disturbances)
+        reality = reality or OdometryRealityConfig()
+        self._config, self._disturbances = as_it_is(config, reality), tuple(disturbances)
+        self._reality = reality
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", 2, RandomDistribution.kGaussian)
         self._run_errors = self.DeclareVectorInputPort("run_errors", 3, RandomDistribution.kGaussian)
@@ -57,4 +66,4 @@ class Odometry(LeafSystem):
         errors = run_errors(self._run_errors.Eval(context), self._config)
         noise, pose, now = self._noise.Eval(context), self._pose.Eval(context), context.get_time()
         moved = displacement(self._disturbances, state[TIME], now) if self._disturbances else UNMOVED
-        update.set_value(integrate(state, now, pose, errors, noise, self._config, moved))
+        update.set_value(integrate(state, now, pose, errors, noise, self._config, moved, self._reality))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import functools
+
 from pydrake.common import RandomDistribution
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 
 from tfg_drake.messages import FloatArray
-from tfg_drake.simulation.people import NUMBERS, People, discs_at, first_met, ground, nobody, step
+from tfg_drake.simulation.people import NUMBERS, People, astray, discs_at, first_met, ground, nobody, step
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import eval_message, set_state_message, state_message
+from tfg_drake.systems.ports import declare_message_input, eval_message, set_state_message, state_message
+from tfg_drake.world.changing import WorldNow
 from tfg_drake.world.world import World
 
 PERIOD = 1.0 / 8.0
@@ -30,19 +33,22 @@ class PeopleWalking(LeafSystem):
         input_ports:
         - pose
         - numbers
+        - world
         output_ports:
         - people
 
-    pose: x, y, theta, v, w of the plant. numbers: NUMBERS uniform numbers a person, fresh every PERIOD. people: a
-    People message, nobody before the first step.
+    pose: x, y, theta, v, w of the plant. numbers: NUMBERS uniform numbers a person, fresh every PERIOD. world: a
+    WorldNow message, left unconnected where nothing changes. people: a People message, nobody before the first step.
     """
 
     def __init__(self, world: World, robot_radius: float, count: int):
         """robot_radius: m. count: of people. Raises WorldError where there is no room for any."""
         super().__init__()
         self._ground, self._robot_radius, self._count = ground(world, robot_radius), robot_radius, count
+        self._ChangedGround = functools.lru_cache(maxsize=1)(lambda changed: ground(changed, robot_radius))
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._numbers = self.DeclareVectorInputPort("numbers", NUMBERS * count, RandomDistribution.kUniform)
+        self._changing = declare_message_input(self, "world")
         self._people = self.DeclareAbstractState(AbstractValue.Make(nobody()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Step)
         self.DeclareStateOutputPort("people", self._people)
@@ -51,8 +57,14 @@ class PeopleWalking(LeafSystem):
     def _Step(self, context: Context, state: State) -> None:
         now, time = state_message(context, self._people, People), context.get_time()
         robot, numbers = self._pose.Eval(context), self._numbers.Eval(context).reshape(self._count, NUMBERS)
+        floor = self._ground
+        if self._changing.HasValue(context):
+            changing = eval_message(self._changing, context, WorldNow)
+            floor = self._ChangedGround(changing.world) if changing.count else floor
+            if changing.count and changing.since >= now.stamp:
+                now = astray(now)
         if len(now.p_WP):
-            after = step(now, time, PERIOD, robot, self._robot_radius, numbers, self._ground)
+            after = step(now, time, PERIOD, robot, self._robot_radius, numbers, floor)
         else:
-            after = first_met(time, robot, numbers, self._ground)
+            after = first_met(time, robot, numbers, floor)
         set_state_message(state, self._people, after)

@@ -12,6 +12,7 @@ from tfg_drake.config import TagRealityConfig, TagSensorConfig, as_it_is
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, no_detections
+from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.people import people_at
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, set_state_message, state_message
@@ -38,13 +39,15 @@ class TagSensor(LeafSystem):
         - tag_errors
         - frame_noise
         - people
+        - world
         output_ports:
         - detections
 
     pose: x, y, theta, v, w of the plant. noise: NOISE_PER_TAG standard normal numbers for each of the world's tags,
     fresh every frame; tag_errors: 2 for each, the same all along; frame_noise: 2, fresh every frame. Where reality has
     no use for the last two they may be left unconnected. people: a People message, who hide tags; left unconnected
-    where there are none. detections: a TagDetections message; stamped -inf and empty before the first frame.
+    where there are none. world: a WorldNow message, left unconnected where nothing changes. detections: a TagDetections
+    message; stamped -inf and empty before the first frame.
     """
 
     def __init__(self, world: World, config: TagSensorConfig, reality: TagRealityConfig | None = None):
@@ -60,6 +63,7 @@ class TagSensor(LeafSystem):
         self._tag_errors = self.DeclareVectorInputPort("tag_errors", 2 * n, gaussian)
         self._frame_noise = self.DeclareVectorInputPort("frame_noise", 2, gaussian)
         self._people = declare_message_input(self, "people")
+        self._changing = declare_message_input(self, "world")
         self.has_tag_errors = reality.tag_range_error > 0.0 or reality.tag_bearing_error > 0.0
         self.has_frame_noise = reality.clock_jitter > 0.0 or reality.frame_loss_probability > 0.0
         is_white = reality.correlation_time == 0.0
@@ -97,8 +101,13 @@ class TagSensor(LeafSystem):
         if self.has_tag_errors:
             errors = self._tag_errors.Eval(context).reshape(-1, 2)
             errors = errors * np.array([reality.tag_range_error, reality.tag_bearing_error])
+        world = world_now(self._changing, context, self._world)
+        if len(world.tag_ids) < len(fresh):
+            # Some have fallen off.
+            there = np.isin(self._world.tag_ids, world.tag_ids)
+            fresh, errors = fresh[there], errors[there] if errors is not None else None
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
         discs = people_at(self._people, context)
-        frame = detect(self._world, X_WS, stamp, fresh, self._config, self._stated, errors, discs)
+        frame = detect(world, X_WS, stamp, fresh, self._config, self._stated, errors, discs, reality.detection_range)
         set_state_message(state, self._state, _SensorState(frame, noise))
         return EventStatus.Succeeded()

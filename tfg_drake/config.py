@@ -155,6 +155,32 @@ class DisturbanceConfig:
 
 
 @dataclasses.dataclass
+class TagConfig:
+    """One tag on a wall."""
+
+    # The tag's code, unique in the world.
+    id: int = 0
+    # Centre (x, y) in W, on the wall's surface, m.
+    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
+    # Heading of the outward normal, rad.
+    facing: float = 0.0
+
+
+@dataclasses.dataclass
+class ChangeConfig:
+    """Somebody shuts or opens a door, moves a chair or a tag."""
+
+    # When, s; what would come right beside the robot waits until that has gone, and all later changes with it.
+    time: float = 0.0
+    # Surfaces that come and surfaces that go, [x0, y0, x1, y1] in W, m; what goes may be a piece of a wall.
+    walls: list[list[float]] = dataclasses.field(default_factory=list)
+    opened: list[list[float]] = dataclasses.field(default_factory=list)
+    # Tags that are moved, where they are then, and ids of tags that fall off.
+    tags: list[TagConfig] = dataclasses.field(default_factory=list)
+    fallen: list[int] = dataclasses.field(default_factory=list)
+
+
+@dataclasses.dataclass
 class TagRealityConfig:
     """What the simulated tag sensor does where its data sheet, TagSensorConfig, says otherwise; None: as that says."""
 
@@ -167,6 +193,10 @@ class TagRealityConfig:
     outlier_probability: float | None = None
     wrong_id_probability: float | None = None
     range_scale: float | None = None
+    # From so far, m, half of the tags that are looked at straight are detected, from half as far again none, and from
+    # half of it all; what is looked at aslant counts as that much farther off as it seems narrower. 0: as the data
+    # sheet says.
+    detection_range: float = 0.0
     # Range and bearing noise of a tag from one frame to the next fall to 1/e of their correlation in this time, s; 0:
     # white.
     correlation_time: float = 0.0
@@ -197,6 +227,10 @@ class OdometryRealityConfig:
     gyro_noise: float | None = None
     gyro_bias: float | None = None
     gyro_scale: float | None = None
+    # The encoders count so many ticks a metre; 0: any number.
+    ticks_per_metre: float = 0.0
+    # Wheels slip in turns: they roll farther than the base moves by this share per rad/s that it turns, s.
+    slip_per_turn_rate: float = 0.0
 
 
 @dataclasses.dataclass
@@ -208,8 +242,13 @@ class ScanRealityConfig:
     # passes the edge of and the one behind.
     dropout_probability: float = 0.0
     mixed_probability: float = 0.0
-    # The scanner's heading in the body frame, rad; it is believed to look ahead.
+    # The scanner's heading in the body frame, rad, and where it sits, ahead and to the left of the body's origin, m; it
+    # is believed to sit there and to look ahead.
     yaw: float = 0.0
+    ahead: float = 0.0
+    left: float = 0.0
+    # From the first ray to the last, s, while the robot moves on; a scan is stamped with the first. 0: all at once.
+    sweep_time: float = 0.0
     # The scanner's clock less the base's, s.
     clock_offset: float = 0.0
 
@@ -224,6 +263,10 @@ class RealityConfig:
     scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
     # How many people walk about in the building.
     people: int = 0
+    # How long it takes, s, to choose a goal, and to plan a path, until they are known to the others.
+    planning_time: float = 0.0
+    # What changes in the building while the robot is in it, one after the other.
+    changes: list[ChangeConfig] = dataclasses.field(default_factory=list)
 
 
 def as_it_is(belief: S, reality: Any) -> S:

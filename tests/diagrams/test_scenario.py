@@ -83,6 +83,13 @@ def test_a_base_is_merged_key_by_key():
     assert white.odometry.gyro_noise == paper.odometry.gyro_noise
 
 
+def test_of_several_bases_each_is_merged_into_those_before():
+    scenario, house, real = LoadScenario("house_real"), LoadScenario("house"), LoadScenario("paper_real")
+    assert (scenario.world, scenario.drive) == (house.world, house.drive)
+    assert scenario.reality == dataclasses.replace(real.reality, people=2)
+    assert complaint(LoadScenario, data="base: [house, paper_real]").endswith("give one of them")
+
+
 def test_a_base_is_a_shipped_name_or_a_file_beside(tmp_path):
     (tmp_path / "plain.yaml").write_text(FACTS)
     (tmp_path / "fast.yaml").write_text("base: plain.yaml\nrobot: {max_speed: 0.7}\n")
@@ -159,6 +166,22 @@ def test_world_and_config_are_inverse():
         ("seed: [1", "line 2, column 1: broken YAML: did not find expected ',' or ']'"),
         ("seed: " + "[" * 100_000, "line 1, column 106: broken YAML: more than 100 levels deep"),
         ("base: 3", "base: expected a scenario's name or file, found int (3)"),
+        ("base: []", "base: expected a scenario's name or file, found a list"),
+        (
+            "reality: {changes: [{walls: [[1, 2, 3]]}]}",
+            "reality.changes[0].walls[0]: expected 4 numbers [x0, y0, x1, y1], found 3",
+        ),
+        ("reality: {changes: [{time: -1}]}", "reality.changes[0].time: must not be negative, is -1"),
+        (
+            "reality: {changes: [{fallen: [7]}]}",
+            "reality.changes[0]: there is no tag 7 in the world then; name one of its tags",
+        ),
+        (
+            "reality: {changes: [{door: 1}]}",
+            "reality.changes[0].door: unknown key;"
+            " the keys of reality.changes[0] are time, walls, opened, tags, fallen",
+        ),
+        ("reality: {scan: {sweep_time: -0.1}}", "reality.scan.sweep_time: must not be negative, is -0.1"),
     ],
 )
 def test_bad_scenarios_are_refused_in_one_line(tmp_path, data, message):
@@ -285,6 +308,8 @@ def test_what_reality_leaves_out_is_as_the_data_sheet_says():
     changed = ApplySettings(scenario, ["reality.tags.range_noise=null", "reality.odometry.gyro_bias=0.01"])
     assert changed.reality.tags.range_noise is None
     assert as_it_is(changed.odometry, changed.reality.odometry).gyro_bias == 0.01
+    off = ["reality.scan.left=-0.02", "reality.tags.detection_range=8", "reality.odometry.slip_per_turn_rate=0.01"]
+    assert ApplySettings(scenario, off).reality.scan.left == -0.02
     assert complaint(ApplySettings, scenario, ["reality.scan.dropout_probability=1.5"]) == (
         "--set reality.scan.dropout_probability=1.5: reality.scan.dropout_probability: must be at most 1, is 1.5"
     )

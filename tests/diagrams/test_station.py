@@ -5,7 +5,8 @@ import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import InitializeParams, Simulator
 
-from tfg_drake.diagrams.scenario import Scenario, TagConfig, WorldConfig
+from tfg_drake.config import ChangeConfig, TagConfig
+from tfg_drake.diagrams.scenario import Scenario, WorldConfig
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import between, compose, transform
 from tfg_drake.simulation.people import RADIUS, places_at
@@ -283,3 +284,28 @@ def test_the_seed_decides_the_walk():
         walks.append(read(station, simulator.get_context(), "truth.people").p_WP.tolist())
     assert walks[0] == walks[1]
     assert walks[0] != walks[2]
+
+
+def test_the_world_changes_for_sensors_and_wheels_and_waits_until_the_robot_is_clear():
+    scenario = make_scenario(noise=False)
+    tag, other = scenario.world.tags[:2]
+    moved = TagConfig(id=tag.id, position=[tag.position[0], tag.position[1] + 0.5], facing=tag.facing)
+    scenario.reality.changes = [
+        ChangeConfig(time=0.25, walls=[[2.0, -2.0, 2.0, 2.0]], tags=[moved], fallen=[other.id]),
+        ChangeConfig(time=0.5, walls=[[0.3, -0.5, 0.3, 0.5]]),
+    ]
+    station = MakeTurtlebotStation(scenario)
+    simulator = start(station, command=(0.0, 0.0))
+    for time, wall, shown, count in ((0.2, 3.0, [5], 0), (0.45, 2.0, [], 1), (2.0, 2.0, [], 1)):
+        simulator.AdvanceTo(time)
+        context = simulator.get_context()
+        scan, now = read(station, context, "scan.ranges"), read(station, context, "truth.world")
+        assert scan.ranges[len(scan.ranges) // 2] == pytest.approx((wall - 0.5) / np.cos(0.3))
+        assert read(station, context, "tags.detections").ids.tolist() == shown
+        assert now.count == count
+    assert now.world.tag_ids.tolist() == [tag.id]
+    assert now.world.p_WT.tolist() == [moved.position]
+    # The wheels feel the wall that is there.
+    simulator = start(station, command=(0.5, 0.0))
+    simulator.AdvanceTo(8.0)
+    assert read(station, simulator.get_context(), "truth.pose")[0] < 2.0

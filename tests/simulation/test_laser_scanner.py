@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig
-from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt
+from tfg_drake.geometry.se2 import compose, inverse
+from tfg_drake.simulation.differential_drive import advance
+from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt, swept
 
 CONFIG = ScanConfig()
 WALL = np.array([[4.0, -100.0, 4.0, 100.0]])
@@ -72,3 +74,26 @@ def test_rays_end_at_people_in_front_of_the_wall():
     alone = scan(WALL, np.zeros(3), 0.0, angles, noise, CONFIG)
     assert found.ranges[1] == pytest.approx(1.75 + CONFIG.noise)
     assert (found.ranges[[0, 2]] == alone.ranges[[0, 2]]).all()
+
+
+def test_a_sweep_of_a_robot_that_stands_is_a_scan():
+    angles, X_WS = ray_angles(CONFIG), np.array([1.0, 0.5, 0.2])
+    noise = np.random.default_rng(0).normal(size=249)
+    X_BS = np.array([0.03, -0.02, 0.1])
+    robot = np.array([*compose(X_WS, inverse(X_BS)), 0.0, 0.0])
+    one, other = swept(WALL, robot, X_BS, 0.1, 2.5, angles, noise, CONFIG), scan(WALL, X_WS, 2.5, angles, noise, CONFIG)
+    assert one.ranges == pytest.approx(other.ranges, abs=1e-12)
+    assert (one.stamp, one.angles.tolist()) == (2.5 - 0.1, angles.tolist())
+
+
+@pytest.mark.parametrize(("speed", "turn_rate"), [(0.5, 0.0), (0.0, 1.2), (0.4, -0.9)])
+def test_rays_of_a_sweep_are_taken_one_after_the_other(speed, turn_rate):
+    angles, pose = ray_angles(CONFIG), np.array([1.0, 0.5, 0.2])
+    robot, still = np.array([*pose, speed, turn_rate]), np.zeros(1)
+    found = swept(WALL, robot, np.zeros(3), 0.2, 0.0, angles, np.zeros(249), CONFIG)
+    for k in range(0, 249, 31):
+        then = advance(pose, speed, turn_rate, 0.2 * (k / 248 - 1.0))
+        alone = scan(WALL, then, 0.0, angles[k : k + 1], still, CONFIG).ranges[0]
+        if alone < 8.0:
+            assert found.ranges[k] == pytest.approx(alone, abs=0.01)
+    assert found.ranges[124] != scan(WALL, pose, 0.0, angles, np.zeros(249), CONFIG).ranges[124]

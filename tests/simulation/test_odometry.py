@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import OdometryConfig, OdometryRealityConfig
 from tfg_drake.geometry.se2 import between
 from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.odometry import TIME, initial_state, integrate, message, run_errors
@@ -12,13 +12,13 @@ START = np.array([3.0, -2.0, 2.5])
 PERIOD = 1.0 / 32.0
 
 
-def reckon(config, errors, normals, speed=0.4, turn_rate=0.9):
+def reckon(config, errors, normals, speed=0.4, turn_rate=0.9, reality=None):
     """Odometry over len(normals) periods of a constant arc; also the true pose in the frame O."""
     state, pose = initial_state(START), START
     for k, normal in enumerate(normals):
         pose = advance(pose, speed, turn_rate, PERIOD)
         true = np.array([*pose, speed, turn_rate])
-        state = integrate(state, (k + 1) * PERIOD, true, run_errors(errors, config), normal, config)
+        state = integrate(state, (k + 1) * PERIOD, true, run_errors(errors, config), normal, config, reality=reality)
     return message(state), between(START, pose)
 
 
@@ -55,3 +55,20 @@ def test_nothing_changes_before_time_passes():
     same = integrate(state, 0.0, np.array([*START, 0.0, 0.0]), np.ones(3), np.ones(2), OdometryConfig())
     assert (same == state).all()
     assert same[TIME] == 0.0
+
+
+def test_encoders_count_whole_ticks_and_lose_none():
+    silent, reality = OdometryConfig(0.0, 0.0, 0.0, 0.0, 0.0), OdometryRealityConfig(ticks_per_metre=30.0)
+    for speed in (0.4, -0.4):
+        for steps in (1, 7, 320):
+            counted, X_SB = reckon(silent, np.zeros(3), np.zeros((steps, 2)), speed, 0.0, reality)
+            assert counted.X_OB[0] == pytest.approx(np.floor(speed * steps * PERIOD * 30.0 + 1e-9) / 30.0)
+            assert abs(counted.X_OB[0] - X_SB[0]) < 1.0 / 30.0
+
+
+def test_wheels_slip_in_turns():
+    silent, reality = OdometryConfig(0.0, 0.0, 0.0, 0.0, 0.0), OdometryRealityConfig(slip_per_turn_rate=0.02)
+    straight, X_SB = reckon(silent, np.zeros(3), np.zeros((320, 2)), 0.4, 0.0, reality)
+    assert pytest.approx(X_SB, abs=1e-9) == straight.X_OB
+    turning, X_SB = reckon(silent, np.zeros(3), np.zeros((320, 2)), 0.4, -0.9, reality)
+    assert pytest.approx([*(1.0 + 0.9 * 0.02) * X_SB[:2], X_SB[2]]) == turning.X_OB

@@ -5,7 +5,14 @@ import pytest
 import shapely
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, no_detections, visible_tags
+from tfg_drake.simulation.tag_sensor import (
+    NOISE_PER_TAG,
+    correlated,
+    detect,
+    detected_share,
+    no_detections,
+    visible_tags,
+)
 from tfg_drake.world.world import World
 
 CONFIG = TagSensorConfig()
@@ -158,3 +165,25 @@ def test_a_tag_behind_somebody_is_not_seen():
     assert seen([5.0, 0.0, 0.25], [-2.0, 0.0, 0.25]).ids.tolist() == [1, 2, 3]
     alone = detect(world, np.zeros(3), 0.0, told, CONFIG)
     assert seen([2.0, 0.0, 0.25]).range == pytest.approx(alone.range[1:2], abs=0.0)
+
+
+def test_detection_falls_with_range_and_incidence():
+    assert detected_share(np.array([5.0, 10.0, 15.0, 20.0]), np.array([5.0, 10.0, 15.0, 20.0]), 10.0).tolist() == [
+        1.0,
+        0.5,
+        0.0,
+        0.0,
+    ]
+    fall = detected_share(np.linspace(4.0, 16.0, 50), np.linspace(4.0, 16.0, 50), 10.0)
+    assert (np.diff(fall) <= 0.0).all()
+    # At 60 degrees a tag seems half as wide.
+    assert detected_share(np.array([5.0]), np.array([2.5]), 10.0) == pytest.approx([0.5])
+    normals = np.random.default_rng(0).normal(size=(4000, NOISE_PER_TAG))
+    config = TagSensorConfig(range=20.0, detection_probability=0.8, outlier_probability=0.1)
+    for distance, share in ((4.0, 1.0), (10.0, 0.5), (16.0, 0.0)):
+        ids = np.arange(4000)
+        world = World(np.zeros((0, 4)), ids, np.tile([distance, 0.0], (4000, 1)), np.full(4000, np.pi), np.zeros(3))
+        frame = detect(world, np.zeros(3), 0.0, normals, config, detection_range=10.0)
+        assert len(frame.ids) / 4000 == pytest.approx(0.8 * share, abs=0.03)
+        if share:
+            assert (np.abs(frame.range - distance) > 1.0).mean() == pytest.approx(0.1, abs=0.03)

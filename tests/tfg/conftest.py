@@ -35,6 +35,8 @@ class Simulation:
     # What the map makes of the tags: their error (n, 2) and its standard deviation (n,), m.
     error: np.ndarray | None = None
     sigma: np.ndarray | None = None
+    # Of the newest goal, s.
+    stamp: float = 0.0
 
     def turn(self, X_WA: np.ndarray) -> tuple[list[LaserScan], np.ndarray, np.ndarray]:
         """Scans, stamps and X_AB of a turn at 1 rad/s."""
@@ -75,7 +77,7 @@ class Simulation:
         )
         self.estimate = MapEstimate(
             len(self.X_MA),
-            0.0,
+            self.stamp,
             ids,
             self.p_WT[ids] + error[ids],
             X_WA,

@@ -1,11 +1,14 @@
-"""Who stands where free ground was seen does not enter the map; who stood there first leaves it when seen past."""
+"""Who stands where free ground was seen does not enter the map, but what stays does; who was there first leaves it when
+seen past."""
 
 import copy
 
 import numpy as np
 import pytest
 
+from tfg_drake.geometry.star import inside_any
 from tfg_drake.metrics import surface_coverage, surface_phantom
+from tfg_drake.tfg.passing import STAYS
 from tfg_drake.world.reachability import cut_walls
 
 
@@ -22,8 +25,8 @@ def rooms(two_rooms):
     return two_rooms
 
 
-def look(rooms, pose, *people, **options):
-    rooms.walls = np.vstack([rooms.building, *people])
+def look(rooms, pose, *people, stamp=0.0, **options):
+    rooms.walls, rooms.stamp = np.vstack([rooms.building, *people]), stamp
     return rooms.observe(np.array(pose), **options)
 
 
@@ -71,3 +74,45 @@ def test_a_thin_wall_that_was_seen_edge_on_is_mapped(rooms):
     look(rooms, [1.0, 3.0, 0.0])
     found = look(rooms, [2.5, 1.5, 1.0])
     assert surface_coverage(cut_walls(np.array([[3.0, 3.0, 4.0, 3.0]]))[0], found.segments) > 0.9
+
+
+def box(x, y, side=0.45):
+    """A chair's outline, walls (4, 4)."""
+    corners = np.array([x, y]) + side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    return np.hstack([corners, np.roll(corners, -1, axis=0)])
+
+
+def test_furniture_put_down_where_ground_was_free_is_mapped_when_it_is_seen_there_again(rooms):
+    look(rooms, [1.5, 3.0, 0.0])
+    chair = box(3.5, 3.0)
+    assert surface_phantom(look(rooms, [2.0, 2.5, 0.5], chair, stamp=5.0).segments, rooms.building) == 0.0
+    soon = look(rooms, [2.0, 2.8, 0.5], chair, stamp=5.0 + 0.9 * STAYS)
+    assert surface_phantom(soon.segments, rooms.building) == 0.0
+    look(rooms, [2.0, 2.6, 0.5], chair, stamp=5.0 + 1.1 * STAYS)
+    # From the other side it is nothing that passes by, either.
+    found = look(rooms, [5.0, 4.5, 0.5], chair, stamp=6.0 + 1.1 * STAYS)
+    assert surface_coverage(cut_walls(chair)[0], found.segments) > 0.9
+    assert surface_phantom(found.segments, np.vstack([rooms.building, chair])) == 0.0
+    # As seen from where there was nothing: it does not count as drifted there.
+    found = look(rooms, [1.5, 3.0, 0.0], chair, stamp=7.0 + 1.1 * STAYS)
+    assert surface_coverage(cut_walls(chair)[0], found.segments) > 0.9
+    assert not inside_any(np.array([[3.7, 3.2]]), found.star_offsets, found.star_vertices)[0]
+    # ... and it falls when it has been carried away again.
+    found = look(rooms, [2.0, 2.6, 0.5], stamp=60.0)
+    found = look(rooms, [5.0, 4.5, 0.5], stamp=62.0)
+    assert surface_phantom(found.segments, rooms.building) == 0.0
+
+
+def test_who_stands_where_another_stood_before_he_was_seen_past_is_not_furniture(rooms):
+    look(rooms, [1.5, 3.0, 0.0])
+    for stamp, people in ((5.0, [somebody(3.5, 3.0)]), (15.0, []), (30.0, [somebody(3.5, 3.0)])):
+        found = look(rooms, [2.0, 2.5, 0.5], *people, stamp=stamp)
+    assert surface_phantom(found.segments, rooms.building) == 0.0
+
+
+def test_a_door_that_was_shut_is_mapped(rooms):
+    look(rooms, [4.0, 3.0, 0.0])
+    door = np.array([[6.0, 2.5, 6.0, 3.5]])
+    look(rooms, [4.5, 3.0, 0.5], door, stamp=5.0)
+    found = look(rooms, [4.2, 3.2, 0.5], door, stamp=30.0)
+    assert surface_coverage(cut_walls(door)[0], found.segments) > 0.9

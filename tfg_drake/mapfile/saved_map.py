@@ -137,6 +137,7 @@ REGISTRY: Registry = {
         "star_offsets": ("k+1",),
         "star_vertices": ("v", 2),
         "tried_count": ("t",),
+        "met_stamp": ("p",),
     },
     Surfaces: {
         "kind": ("s",),
@@ -313,6 +314,8 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg.facing does not fit graph.ids"
     if len(tfg_graph.tried_count) != len(tfg_graph.tried.goal):
         return "tfg_graph.tried_count does not fit tfg_graph.tried"
+    if len(tfg_graph.met_stamp) != len(tfg_graph.met.goal):
+        return "tfg_graph.met_stamp does not fit tfg_graph.met"
     if len(tfg_graph.viewpoints.goal) != len(tfg_graph.sighted.goal):
         return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
     places = {"graph.p_ML": graph.p_ML, "graph.X_MN": graph.X_MN[:, :2]}

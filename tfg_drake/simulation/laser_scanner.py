@@ -8,11 +8,15 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig
+from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.visibility import cast_rays, disc_distances
 from tfg_drake.messages import FloatArray, LaserScan, replace
 
 # Two neighbouring rays that differ by more than this met surfaces one behind the other, m.
 EDGE = 0.1
+
+# Rays of a sweep that are cast from one place: meanwhile the robot moves on by millimetres.
+BLOCK = 16
 
 _NOTHING = np.zeros(0)
 
@@ -42,6 +46,39 @@ def scan(
     nearest = disc_distances(discs, X_WS[:2], angles + X_WS[2]) if discs is not None else _NOTHING
     ranges = _measured(walls, X_WS, angles, standard_normal, nearest, config.range, config.noise, config.least_range)
     return LaserScan(stamp, angles, ranges, config.range, (stated or config).noise)
+
+
+def swept(
+    walls: FloatArray,
+    robot: FloatArray,
+    X_BS: FloatArray,
+    sweep_time: float,
+    stamp: float,
+    angles: FloatArray,
+    standard_normal: FloatArray,
+    config: ScanConfig,
+    stated: ScanConfig | None = None,
+    discs: FloatArray | None = None,
+) -> LaserScan:
+    """One scan whose rays are taken one after the other while the robot moves on, stamped with the first of them as in
+    ROS.
+
+    robot: (5,) x, y, theta of X_WB, speed and turn rate, and stamp: s, both with the last ray. X_BS: (3,) where the
+    scanner sits. sweep_time: s from the first ray to the last. Else as `scan`. BLOCK rays each are cast from one place,
+    in their own directions.
+    """
+    at = sweep_time * (np.linspace(-1.0, 0.0, len(angles)))
+    ranges = np.empty(len(angles))
+    for block in np.array_split(np.arange(len(angles)), math.ceil(len(angles) / BLOCK)):
+        since = float(at[block].mean())
+        half = 0.5 * robot[4] * since
+        chord = robot[3] * since * np.sinc(half / math.pi)
+        X_WS = compose(compose(robot[:3], np.array([chord * math.cos(half), chord * math.sin(half), 2.0 * half])), X_BS)
+        towards = angles[block] + robot[4] * (at[block] - since)
+        # As those of a whole scan are.
+        towards.setflags(write=False)
+        ranges[block] = scan(walls, X_WS, stamp, towards, standard_normal[block], config, stated, discs).ranges
+    return LaserScan(stamp - sweep_time, angles, ranges, config.range, (stated or config).noise)
 
 
 def spoilt(scan: LaserScan, uniform: FloatArray, reality: ScanRealityConfig) -> LaserScan:

@@ -10,14 +10,15 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import OdometryConfig, OdometryRealityConfig
 from tfg_drake.messages import FloatArray, Odometry
 from tfg_drake.simulation.differential_drive import UNMOVED
 
 # Where the entries of the state begin: the time (s) it holds at, the true pose X_WB (3), the integrated pose X_OB (3),
-# the measured forward speed and turn rate, and whether the wheels stood.
-TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE, AT_REST = 0, 1, 4, 7, 8, 9
-STATE_SIZE = 10
+# the measured forward speed and turn rate, whether the wheels stood, and how far they have rolled since the last
+# tick of their encoders (m).
+TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE, AT_REST, UNCOUNTED = 0, 1, 4, 7, 8, 9, 10
+STATE_SIZE = 11
 # Motion below this turns no encoder by a tick, m and rad.
 TICK = 1e-5
 
@@ -37,6 +38,7 @@ def _integrate(
     normal: FloatArray,
     distance_noise: float,
     gyro_noise: float,
+    ticks_per_metre: float,
 ) -> FloatArray:
     duration = stamp - state[TIME]
     if duration <= 0.0:
@@ -48,13 +50,17 @@ def _integrate(
     turned = _wrap(pose[2] - state[TRUTH + 2] - moved[2] + moved[3])
     scale = 1.0 + errors[0]
     slip = distance_noise * math.sqrt(math.hypot(along, across)) * normal[0]
-    ahead = scale * along + slip
+    ahead, uncounted = scale * along + slip, 0.0
+    if ticks_per_metre > 0.0:
+        rolled = state[UNCOUNTED] + ahead
+        ahead = math.floor(rolled * ticks_per_metre) / ticks_per_metre
+        uncounted = rolled - ahead
     aside = scale * across
     turn = (1.0 + errors[2]) * turned + errors[1] * duration
     turn += gyro_noise * math.sqrt(duration) * normal[1]
 
     after = np.empty(STATE_SIZE)
-    after[TIME] = stamp
+    after[TIME], after[UNCOUNTED] = stamp, uncounted
     after[TRUTH : TRUTH + 3] = pose[:3]
     cosine, sine = math.cos(state[INTEGRATED + 2]), math.sin(state[INTEGRATED + 2])
     after[INTEGRATED] = state[INTEGRATED] + cosine * ahead - sine * aside
@@ -85,6 +91,7 @@ def integrate(
     standard_normal: FloatArray,
     config: OdometryConfig,
     moved: FloatArray = UNMOVED,
+    reality: OdometryRealityConfig | None = None,
 ) -> FloatArray:
     """The state (STATE_SIZE,) at stamp (s), some time after the one given.
 
@@ -92,11 +99,16 @@ def integrate(
     (2,) numbers, fresh every time. The distance takes the scale error and a random walk that grows with distance; the
     heading takes the gyro's scale error, its bias and a random walk that grows with time. The random walk of distance
     is slip, which the wheels' speed does not show; a robot that stands turns no wheel. moved: how far something else
-    has moved the base meanwhile, see tfg_drake.simulation.disturbance.displacement. Before any time has passed the
+    has moved the base meanwhile, see tfg_drake.simulation.disturbance.displacement. reality: what encoders and wheels
+    do besides: distance comes in whole ticks, and grows in turns, where wheels slip. Before any time has passed the
     state stays as it is.
     """
+    ticks_per_metre = 0.0
+    if reality is not None:
+        ticks_per_metre = reality.ticks_per_metre
+        errors = errors + np.array([reality.slip_per_turn_rate * abs(pose[4]), 0.0, 0.0])
     after: FloatArray = _integrate(
-        state, stamp, pose, moved, errors, standard_normal, config.distance_noise, config.gyro_noise
+        state, stamp, pose, moved, errors, standard_normal, config.distance_noise, config.gyro_noise, ticks_per_metre
     )
     return after
 

@@ -16,7 +16,7 @@ from numba import njit
 from scipy import ndimage
 
 from tfg_drake.geometry.distance import clearance, point_segment_distance
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
 from tfg_drake.world.reachability import CELL, Grid, free_cells, make_grid, reachable_cells
 from tfg_drake.world.world import World, WorldError
 
@@ -112,6 +112,11 @@ def nobody() -> People:
     """Before the first step."""
     none, pairs, nothing = np.zeros(0), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
     return People(0.0, pairs, pairs, none, none, none, nothing, nothing, ())
+
+
+def astray(people: People) -> People:
+    """People whose ways may lead into walls that have come: they look for others."""
+    return replace(people, ways=(np.zeros((0, 2)),) * len(people.ways))
 
 
 def places_at(people: People, time: float) -> FloatArray:
@@ -222,7 +227,11 @@ def way_between(ground: Ground, p_WP: FloatArray, place: float, p_WB: FloatArray
     begin = int(row[0] * ground.free.shape[1] + column[0])
     if not ground.free[row[0], column[0]]:
         p_PG = _centre(ground.grid, ground.places) - p_WP
-        begin = int(ground.places[np.argmin(np.hypot(p_PG[:, 0], p_PG[:, 1]))])
+        nearest = int(np.argmin(np.hypot(p_PG[:, 0], p_PG[:, 1])))
+        begin = int(ground.places[nearest])
+        if clearance(np.append(p_WP, p_WP + p_PG[nearest])[None], ground.walls, RADIUS)[0] == 0.0:
+            # A door has shut whoever it is in.
+            return np.zeros((0, 2))
     # Cells are left by their sides only: out of a door, a way away from p_WB may begin with a cell nearer to it.
     first = np.vstack([p_WP, _centre(ground.grid, np.array([begin]))])
     apart = min(apart, float(np.hypot(*(first - p_WB).T).min()) - CELL)

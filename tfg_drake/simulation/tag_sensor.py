@@ -126,6 +126,7 @@ def detect(
     stated: TagSensorConfig | None = None,
     tag_errors: FloatArray | None = None,
     discs: FloatArray | None = None,
+    detection_range: float = 0.0,
 ) -> TagDetections:
     """One frame of the sensor at its true pose X_WS (3,), the true ids ascending.
 
@@ -133,7 +134,7 @@ def detect(
     standard deviations told are those of the data sheet `stated`, config's where there is none: range_noise +
     range_noise_per_metre * r at the measured range r, and bearing_noise; gross errors and misread ids come on top.
     tag_errors: (n, 2) constant errors of each tag's range, m, and bearing, rad. discs: (d, 3) what else hides tags,
-    centre and radius in m.
+    centre and radius in m. detection_range: m, see `detected_share`; 0: detection does not fall with range.
     """
     rows, told = _sighted(
         world.p_WT,
@@ -154,6 +155,13 @@ def detect(
         clear = disc_distances(discs, X_WS[:2], np.arctan2(told[1], told[0])) > np.hypot(told[0], told[1])
         rows, told = rows[clear], told[:, clear]
     east, north, measured = told
+    probability: float | FloatArray = config.detection_probability
+    if detection_range > 0.0:
+        aslant = -(np.cos(world.tag_facing[rows]) * east + np.sin(world.tag_facing[rows]) * north)
+        probability = probability * detected_share(np.hypot(east, north), aslant, detection_range)
+        shown = ndtr(standard_normal[rows, 2]) < probability
+        rows, probability = rows[shown], probability[shown]
+        east, north, measured = told[:, shown]
     bearing = np.arctan2(north, east) - X_WS[2] + config.bearing_noise * standard_normal[rows, 1]
     if tag_errors is not None:
         measured += tag_errors[rows, 0]
@@ -162,7 +170,7 @@ def detect(
     # The number that let the tag be detected is uniform below the detection probability: its lowest part makes gross
     # errors, the next misread ids, and the place within its part says which.
     gross = config.outlier_probability > 0.0 or config.wrong_id_probability > 0.0
-    chance = ndtr(standard_normal[rows, 2]) / config.detection_probability if gross else np.empty(0)
+    chance = ndtr(standard_normal[rows, 2]) / probability if gross else np.empty(0)
     if config.outlier_probability > 0.0:
         bad = chance < config.outlier_probability
         measured[bad] = config.range * chance[bad] / config.outlier_probability
@@ -180,6 +188,18 @@ def detect(
         sigma_range=stated.range_noise + stated.range_noise_per_metre * measured,
         sigma_bearing=np.full(len(ids), stated.bearing_noise),
     )
+
+
+def detected_share(distance: FloatArray, ahead: FloatArray, detection_range: float) -> FloatArray:
+    """What share (n,) of the tags in view are detected, by how large they seem: all at twice the size of a tag that is
+    looked at straight from detection_range (m), half at that size, none at two thirds of it, smoothly between.
+
+    distance: (n,) m from the sensor, ahead: (n,) m of that along the tag's normal. The shape is made up; that detectors
+    of AprilTags find fewer the smaller they seem in the image, down to none, is not (Wang, Olson 2016).
+    """
+    seems = distance * distance / np.maximum(ahead * detection_range, 1e-9)
+    beyond = np.clip(seems - 0.5, 0.0, 1.0)
+    return np.asarray(1.0 - beyond * beyond * (3.0 - 2.0 * beyond))
 
 
 def correlated(before: FloatArray, fresh: FloatArray, interval: float, correlation_time: float) -> FloatArray:

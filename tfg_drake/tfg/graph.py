@@ -49,7 +49,7 @@ from tfg_drake.tfg.frontier import (
 )
 from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, nothing_otherwise, standing
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.passing import without_passers
+from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_passers
 from tfg_drake.tfg.polyline import segments_of, taken
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
@@ -103,7 +103,8 @@ class TfgGraph:
     unseen_backs: points on the far faces of thin walls that no goal has seen.
     open_ends: points in front of other faces that none has seen. sighted: tags seen on the way and not mapped,
     viewpoints: row for row the place of the robot then. tried: places where goals have tried a frontier in vain,
-    tried_count: (t,) how often.
+    tried_count: (t,) how often. met: what may have been people, where they have not been seen past since, met_stamp:
+    (p,) when, s.
     """
 
     stage: int
@@ -122,6 +123,8 @@ class TfgGraph:
     viewpoints: FrontierPoints
     tried: FrontierPoints
     tried_count: IntArray
+    met: FrontierPoints
+    met_stamp: FloatArray
 
 
 def empty_graph() -> TfgGraph:
@@ -145,6 +148,8 @@ def empty_graph() -> TfgGraph:
         points,
         points,
         none,
+        points,
+        np.zeros(0),
     )
 
 
@@ -175,7 +180,7 @@ def update(
     goal = graph.stage
     X_MA = estimate.X_MA
     earlier = X_MA[:-1] if goals is None else X_MA[goals]
-    panorama = without_passers(panorama, _place_stars(graph.star_offsets, graph.star_vertices, earlier), estimate)
+    graph, panorama = _without_passers(graph, panorama, estimate, earlier)
     links = panorama_links(panorama)
     components = segment(panorama, links)
 
@@ -265,8 +270,35 @@ def update(
         *_update_sighted(graph.sighted, graph.viewpoints, sightings, estimate),
         graph.tried,
         graph.tried_count,
+        graph.met,
+        graph.met_stamp,
     )
     return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer, goals)
+
+
+def _without_passers(
+    graph: TfgGraph, panorama: Panorama, estimate: MapEstimate, earlier: FloatArray
+) -> tuple[TfgGraph, Panorama]:
+    """The newest goal's panorama without those who pass by, and the graph before that goal, which remembers them.
+
+    earlier: (k, 3) poses in M of the goals that the graph holds the stars of.
+    """
+    stars, X_MA = _place_stars(graph.star_offsets, graph.star_vertices, earlier), estimate.X_MA
+    before = place_points(graph.met, X_MA).p
+    passers = without_passers(panorama, stars, estimate, before[graph.met_stamp <= estimate.stamp - STAYS])
+    if not (len(before) or len(passers.left_out)):
+        return graph, passers.panorama
+    stays = ~seen_past(transform(inverse(X_MA[-1]), before), passers.panorama)
+    # Whoever stands where he was is remembered since then.
+    new = passers.left_out[far_from(transform(X_MA[-1], passers.left_out), before[stays], SAME_PLACE)]
+    nothing = np.zeros(len(new))
+    met = join(select(graph.met, stays), points_of(estimate.stage - 1, new, np.zeros_like(new), nothing))
+    graph = replace(graph, met=met, met_stamp=np.append(graph.met_stamp[stays], nothing + estimate.stamp))
+    if passers.bodies:
+        bodies = [transform(X_MA[-1], body) for body in passers.bodies]
+        offsets, vertices = without_bodies(graph.star_offsets, graph.star_vertices, earlier, bodies)
+        graph = replace(graph, star_offsets=offsets, star_vertices=vertices)
+    return graph, passers.panorama
 
 
 def resolve(

@@ -1,20 +1,26 @@
 """Who passes by: what stands where an earlier goal saw free ground has come there since, and is no part of a building.
 
 The robot's way past it is the scan's affair, see `tfg_drake.planning.path`. What was there when a place was first seen
-is mapped like a wall, until it is seen past (`tfg_drake.tfg.surfaces`).
+is mapped like a wall, until it is seen past (`tfg_drake.tfg.surfaces`). Who passes walks on: what is at the same place
+still when it is looked at later, and has not been seen past meanwhile, is a door that was shut, or furniture. It is
+mapped, and nobody believes any longer that the ground is free there.
 """
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.distance import point_segment_distance
-from tfg_drake.geometry.se2 import transform
+from tfg_drake.geometry.se2 import inverse, transform, wrap_angle
+from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, replace
 from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import taken
+from tfg_drake.tfg.polyline import pack, taken
 
 # It stands this deep in what was seen to be free, m, where it is at least so wide, m: a post may have been missed. What
 # hangs together with that belongs to it as long as it is that deep.
@@ -32,25 +38,108 @@ STRIDE = 4
 # Neighbouring points farther apart than this, m, or with more bins between them that met nothing, are not of one body.
 SAME_BODY = 0.3
 GAP = 2
+# It stays where at least so much of it is this near, m, to what was left out so long before, s: people who stand and
+# talk are seen past sooner or later.
+STAYS = 20.0
+SAME_PLACE = 0.1
+SAME_SHARE = 0.5
+# What stays is taken to be as deep as it is wide, but no deeper than this, m; who stood nearer saw this far, m.
+MOST_DEPTH = 0.5
+LEAST_REACH = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Passers:
+    """What came where free ground was seen before.
+
+    panorama: as good as not having looked where somebody stood. left_out: (n, 2) m in A, what it was taken from.
+    bodies: (k, 2) m in A each, what stays in it, as it has not passed on.
+    """
+
+    panorama: Panorama
+    left_out: FloatArray
+    bodies: list[FloatArray]
 
 
 def without_passers(
-    panorama: Panorama, stars: tuple[IntArray, FloatArray, FloatArray], estimate: MapEstimate
-) -> Panorama:
-    """The newest goal's panorama, which is as good as not having looked where somebody stood; itself if nobody did.
+    panorama: Panorama,
+    stars: tuple[IntArray, FloatArray, FloatArray],
+    estimate: MapEstimate,
+    before: FloatArray,
+) -> Passers:
+    """The newest goal's panorama without those who pass by.
 
     Those earlier goals are asked round which all landmarks are well known seen from the robot. stars: theirs, in the
-    map frame, as in `tfg_drake.geometry.star`.
+    map frame, as in `tfg_drake.geometry.star`. before: (n, 2) m in M, what was left out at least STAYS ago.
     """
+    nobody = Passers(panorama, np.zeros((0, 2)), [])
     here = estimate.X_MA[-1]
     rows = np.flatnonzero(np.hypot(*(stars[2] - here[:2]).T) <= REACH)
     rows = rows[_well_known(stars[2][rows], estimate)]
     if not len(rows):
-        return panorama
+        return nobody
     offsets, vertices = taken(rows, stars[0], stars[1])
     met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
-    passing = _passing(transform(here, met.points), offsets, vertices, stars[2][rows])
-    return replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)) if passing.any() else panorama
+    points = met.points
+    passing = _passing(transform(here, points), offsets, vertices, stars[2][rows])
+    if not passing.any():
+        return nobody
+    bodies = []
+    if len(before):
+        tree = cKDTree(transform(inverse(here), before))
+        for body in _bodies(np.flatnonzero(passing), points):
+            if np.mean(tree.query(points[body])[0] <= SAME_PLACE) >= SAME_SHARE:
+                passing[body] = False
+                bodies.append(points[body])
+    return Passers(
+        replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)),
+        points[passing & np.isfinite(points[:, 0])],
+        bodies,
+    )
+
+
+def _bodies(bins: IntArray, points: FloatArray) -> list[IntArray]:
+    """Those of some of the bins of a panorama's points (b, 2) that hang together, and have met something."""
+    bins = bins[np.isfinite(points[bins, 0])]
+    apart = np.hypot(*np.diff(points[bins], axis=0).T) > SAME_BODY
+    return np.split(bins, np.flatnonzero(apart) + 1)
+
+
+def seen_past(p_AP: FloatArray, panorama: Panorama) -> BoolArray:
+    """Which points (n, 2), m in A, the panorama saw DEPTH past, in their bin and its neighbours, (n,)."""
+    bins = len(panorama.ranges)
+    reach = np.nan_to_num(panorama.ranges, nan=0.0, posinf=panorama.range_max)
+    bearing = np.arctan2(p_AP[:, 1], p_AP[:, 0]) % (2.0 * np.pi)
+    b = np.minimum((bearing * (bins / (2.0 * np.pi))).astype(np.int64), bins - 1)
+    least = np.minimum(np.minimum(reach[b - 1], reach[b]), reach[(b + 1) % bins])
+    return np.asarray(least > np.hypot(*p_AP.T) + DEPTH)
+
+
+def without_bodies(
+    star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray, p_MP: list[FloatArray]
+) -> tuple[IntArray, FloatArray]:
+    """The stars, offsets (k + 1,) and vertices (v, 2) in the frames of their goals X_MA (k, 3), without what bodies
+    (n, 2), m in M, stand in and hide."""
+    stars = np.split(star_vertices.copy(), star_offsets[1:-1])
+    for body in p_MP:
+        stars = [_without(star, transform(inverse(X), body)) for star, X in zip(stars, X_MA, strict=True)]
+    return pack(stars)
+
+
+def _without(star: FloatArray, body: FloatArray) -> FloatArray:
+    """A star polygon (v, 2) round the origin that ends in front of a body (n, 2)."""
+    body = body[inside_any(body, np.array([0, len(star)]), star)]
+    if not len(body):
+        return star
+    middle = float(np.arctan2(*body.mean(axis=0)[::-1]))
+    towards = wrap_angle(np.arctan2(body[:, 1], body[:, 0]) - middle)
+    sides = middle + np.array([towards.min(), towards.max()])
+    width = float(np.hypot(*np.ptp(body, axis=0)))
+    reach = max(float(np.hypot(*body.T).min()) - min(width, MOST_DEPTH), LEAST_REACH)
+    bearing = wrap_angle(np.arctan2(star[:, 1], star[:, 0]) - middle)
+    clear = star[(bearing < towards.min()) | (bearing > towards.max())]
+    cut = np.vstack([clear, reach * np.stack([np.cos(sides), np.sin(sides)], axis=1)])
+    return np.asarray(cut[np.argsort(np.arctan2(cut[:, 1], cut[:, 0]) % (2.0 * np.pi), kind="stable")])
 
 
 def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:

@@ -30,7 +30,7 @@ TORN = 1.0
 COMPLETE = 2.5
 # Rules that look for the next goal in all of the map at every stage: nothing rests.
 FAR_SIGHTED = ("argmax", "random")
-_POINTS = ("shadows", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried")
+_POINTS = ("shadows", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried", "met")
 
 
 def empty_graphs() -> Parted[TfgGraph]:
@@ -187,6 +187,7 @@ def joined(graphs: Sequence[TfgGraph], goals: Sequence[IntArray]) -> TfgGraph:
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         tried_count=np.concatenate([graph.tried_count for graph in graphs]),
+        met_stamp=np.concatenate([graph.met_stamp for graph in graphs]),
         **rows,
         **points,
     )
@@ -209,6 +210,7 @@ def _of_goals(graph: TfgGraph, goals: IntArray, which: BoolArray) -> TfgGraph:
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         tried_count=graph.tried_count[theirs[graph.tried.goal]],
+        met_stamp=graph.met_stamp[theirs[graph.met.goal]],
         **points,
     )
 

@@ -1,0 +1,68 @@
+"""What takes time to be thought of: messages that come out later than they went in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.messages import message
+from tfg_drake.systems.ports import (
+    declare_message_input,
+    declare_message_output,
+    eval_message,
+    set_state_message,
+    state_message,
+)
+
+PERIOD = 1.0 / 16.0
+
+
+@message
+class _Queue:
+    """Messages, each with the time, s, at which it is due; the first is the one that is shown."""
+
+    messages: tuple[tuple[float, Any], ...]
+
+
+class MessageDelay(LeafSystem):
+    """Shows each message so much later, in their order.
+
+    .. pydrake_system::
+
+        name: MessageDelay
+        input_ports:
+        - (name)_at_once
+        output_ports:
+        - (name)
+
+    The message that is there at first is shown at once.
+    """
+
+    def __init__(self, name: str, delay: float):
+        """name: of the output. delay: s."""
+        super().__init__()
+        self._delay = delay
+        self._input = declare_message_input(self, f"{name}_at_once")
+        self._queue = self.DeclareAbstractState(AbstractValue.Make(_Queue(())))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        # Until there is a first message, the input's own.
+        tickets = {self.abstract_state_ticket(self._queue), self.input_port_ticket(self._input.get_index())}
+        declare_message_output(self, name, self._Shown, tickets)
+
+    def _Shown(self, context: Context) -> object:
+        messages = state_message(context, self._queue, _Queue).messages
+        return messages[0][1] if messages else eval_message(self._input, context, object)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        queue, now = state_message(context, self._queue, _Queue), context.get_time()
+        newest, messages = eval_message(self._input, context, object), queue.messages
+        if not messages or messages[-1][1] is not newest:
+            messages = (*messages, (now + self._delay, newest))
+        while len(messages) > 1 and messages[1][0] <= now:
+            messages = messages[1:]
+        if messages is queue.messages:
+            return EventStatus.DidNothing()
+        set_state_message(state, self._queue, _Queue(messages))
+        return EventStatus.Succeeded()
