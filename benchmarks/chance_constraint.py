@@ -25,7 +25,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from tfg_drake.config import RISKS, OdometryConfig, PlannerConfig, TagSensorConfig
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
 from tfg_drake.messages import MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner

@@ -20,11 +20,11 @@ from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
 from threadpoolctl import threadpool_limits
 
+from tfg_drake.comparison.metrics import align, landmark_rmse
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, inverse, transform
-from tfg_drake.metrics import align, landmark_rmse
 from tfg_drake.simulation.differential_drive import THETA, X, Y
 from tfg_drake.simulation.odometry import TRUTH
 from tfg_drake.simulation.tag_sensor import visible_tags

@@ -18,7 +18,7 @@ from unittest import mock
 
 import numpy as np
 
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.slam import estimator
 from tfg_drake.slam.estimator_state import EstimatorState

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.messages import LaserScan, replace
 from tfg_drake.safety.scan_watch import ScanWatch

@@ -21,6 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
+from tfg_drake.comparison.metrics import align
 from tfg_drake.config import GridConfig, OdometryConfig
 from tfg_drake.datasets.breezyslam import load_breezyslam
 from tfg_drake.datasets.carmen import load_carmen
@@ -28,7 +29,6 @@ from tfg_drake.datasets.recording import ScanLog
 from tfg_drake.geometry import se2
 from tfg_drake.grid import gmapping
 from tfg_drake.messages import FloatArray, GridMap
-from tfg_drake.metrics import align
 
 CARMEN = ("intel", "freiburg-079", "aces")
 # Without a gyro the rover's heading is lost between scans half a radian apart: one every so many m or rad.

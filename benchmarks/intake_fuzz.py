@@ -37,18 +37,18 @@ import numpy as np
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.hardware.device import BaseState, Device
+from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
+from tfg_drake.hardware.emulation.emulator import Emulator
+from tfg_drake.hardware.emulation.ros2_emulator import Ros2Emulator
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.codec import HEADER, MAX_PAYLOAD, checksum, encode
 from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.kobuki.driver import connect
-from tfg_drake.hardware.kobuki.emulator import Emulator
 from tfg_drake.hardware.plausible import Judge
 from tfg_drake.hardware.ros import ros2
 from tfg_drake.hardware.ros.conversions import COLUMNS, ros_time
-from tfg_drake.hardware.ros.emulated_turtlebot import EmulatedTurtlebot
 from tfg_drake.hardware.ros.intake import Intake
 from tfg_drake.hardware.ros.preset import Topic, load_preset
-from tfg_drake.hardware.ros.ros2_emulator import Ros2Emulator
 from tfg_drake.hardware.sensor_source import SourceSpec, open_sources
 from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections

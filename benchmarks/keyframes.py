@@ -19,10 +19,10 @@ from unittest import mock
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tfg_drake.diagrams.run import explore
+from tfg_drake.comparison.metrics import landmark_rmse
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import inverse, transform
-from tfg_drake.metrics import landmark_rmse
 from tfg_drake.slam import estimator
 from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.slam.estimator_state import initial_state

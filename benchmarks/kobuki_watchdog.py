@@ -20,8 +20,8 @@ import time
 from collections.abc import Callable
 
 from tfg_drake.hardware.device import Device
+from tfg_drake.hardware.emulation.emulator import Emulator
 from tfg_drake.hardware.kobuki.driver import connect
-from tfg_drake.hardware.kobuki.emulator import Emulator
 from tfg_drake.hardware.kobuki.payloads import BaseControl
 
 _STOP = BaseControl(0, 0)

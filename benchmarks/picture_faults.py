@@ -26,7 +26,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
-from tfg_drake.hardware.kobuki.emulator import Emulator
+from tfg_drake.hardware.emulation.emulator import Emulator
 
 CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore"]
 HANDSHAKE = (

@@ -28,16 +28,16 @@ from unittest import mock
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, replace
 from tfg_drake.planning import planner
 from tfg_drake.planning.goal_choice import choose, remember
 from tfg_drake.planning.roadmap import RoadmapState
 from tfg_drake.planning.roadmap_parts import whole_roadmap
-from tfg_drake.resting import Parted
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 from tfg_drake.tfg.graph import TfgGraph, resolve
+from tfg_drake.tfg.resting import Parted
 from tfg_drake.tfg.working_map import update, whole_graph, working_map
 
 # Distance between two copies, m, and between their tags' ids.

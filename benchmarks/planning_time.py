@@ -21,7 +21,7 @@ from unittest import mock
 
 import numpy as np
 
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 from tfg_drake.planning import goal_choice, planner, revisit
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake import metrics
+from tfg_drake.comparison import metrics
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import compose, rotation
 from tfg_drake.mapfile.saved_map import load_map
-from tfg_drake.trajectory import poses_at, read_tum
+from tfg_drake.storage.trajectory import poses_at, read_tum
 
 CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
 FIELDS = ("outcome", "time", "distance", "mapped", "position", "heading", "landmarks", "aligned", "contacts")

@@ -51,12 +51,12 @@ def replay(folder: Path) -> dict[str, float]:
     import numpy as np
     from threadpoolctl import threadpool_limits
 
-    from tfg_drake import metrics
+    from tfg_drake.comparison import metrics
     from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
     from tfg_drake.geometry import se2
-    from tfg_drake.port_recording import read_recording
     from tfg_drake.slam import estimator
     from tfg_drake.slam.estimator_state import initial_state
+    from tfg_drake.storage.port_recording import read_recording
 
     scenario = LoadScenario(filename=folder / "scenario.yaml")
     recording = read_recording(folder)

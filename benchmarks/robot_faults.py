@@ -39,14 +39,14 @@ import disk_full
 from picture_faults import HANDSHAKE, KEY, MALFORMED, STARTING, click, frame, send
 
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
+from tfg_drake.hardware.emulation.emulated_base import FULL
+from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
+from tfg_drake.hardware.emulation.emulator import Emulator
+from tfg_drake.hardware.emulation.emulator_orders import order
+from tfg_drake.hardware.emulation.ros2_emulator import Ros2Emulator
+from tfg_drake.hardware.emulation.sensor_faults import sensor_fault
 from tfg_drake.hardware.kobuki import odometry
-from tfg_drake.hardware.kobuki.emulated_base import FULL
-from tfg_drake.hardware.kobuki.emulator import Emulator
-from tfg_drake.hardware.kobuki.emulator_orders import order
-from tfg_drake.hardware.ros.emulated_turtlebot import EmulatedTurtlebot
 from tfg_drake.hardware.ros.preset import load_preset
-from tfg_drake.hardware.ros.ros2_emulator import Ros2Emulator
-from tfg_drake.hardware.sensor_faults import sensor_fault
 
 # The wheels must stand after this, s; where the scan's content must be watched for a while to see what is wrong, this.
 BOUND, SLOW_BOUND = 0.6, 2.0

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from pydrake.systems.framework import Diagram
 
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.robots import SIMULATED
-from tfg_drake.diagrams.run import explore
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, Scenario
 from tfg_drake.systems.cpu_meter import CpuMeter
 

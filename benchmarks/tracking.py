@@ -19,7 +19,7 @@ import numpy as np
 import shapely
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.messages import FloatArray
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tfg_drake import kernels
-from tfg_drake.diagrams import explore_command, run_folder
-from tfg_drake.diagrams.command_line import BadInput, compile_kernels, wait_for_enter, wait_for_kernels
-from tfg_drake.diagrams.command_line import bad_input as _bad_input
-from tfg_drake.diagrams.kobuki_command import kobuki_app
-from tfg_drake.diagrams.map_command import map_app
-from tfg_drake.diagrams.ros_command import ros2_app
-from tfg_drake.diagrams.screen import Screen
+from tfg_drake.diagrams.commands import explore as explore_command
+from tfg_drake.diagrams.commands.command_line import BadInput, compile_kernels, wait_for_enter, wait_for_kernels
+from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
+from tfg_drake.diagrams.commands.kobuki import kobuki_app
+from tfg_drake.diagrams.commands.map import map_app
+from tfg_drake.diagrams.commands.ros import ros2_app
+from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.missions import run_folder
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
@@ -153,7 +154,7 @@ def explore(
         if compilation is None:
             wait_for_kernels(show, _interrupted, need)
 
-        from tfg_drake.diagrams import run
+        from tfg_drake.diagrams.missions import run
 
         if meshcat is None and not headless:
             meshcat = explore_command.start_meshcat()
@@ -230,8 +231,9 @@ def compare(
         if any([world, tag_spacing, start]) and (world is None or world.exists()):
             wait_for_kernels(show, _interrupted)
 
-        from tfg_drake.diagrams import compare_command, comparison_report
-        from tfg_drake.diagrams.sweep import SweepError, Task, parse_methods
+        from tfg_drake.diagrams.commands import compare as compare_command
+        from tfg_drake.diagrams.missions import comparison_report
+        from tfg_drake.diagrams.missions.sweep import SweepError, Task, parse_methods
 
         name = explore_command.run_name(scenario, world)
         try:
@@ -287,7 +289,7 @@ def slam(
             wait_for_kernels(show, _interrupted)
 
         from tfg_drake.datasets.recording import DatasetError
-        from tfg_drake.diagrams import slam_command
+        from tfg_drake.diagrams.commands import slam as slam_command
 
         try:
             result = slam_command.run_slam(dataset, robot, out, slam_command.Progress(show, _interrupted))
@@ -313,8 +315,8 @@ def figures(
         show("loading")
         wait_for_kernels(show, _interrupted)
 
-        from tfg_drake.diagrams.figures import write_figures, write_tables
-        from tfg_drake.diagrams.sweep import SweepError
+        from tfg_drake.diagrams.missions.figures import write_figures, write_tables
+        from tfg_drake.diagrams.missions.sweep import SweepError
 
         def on_stage(stage: int, time: float) -> bool:
             show(f"the mission to draw: stage {stage}, {time:.0f} s")

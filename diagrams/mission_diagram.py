@@ -11,7 +11,7 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario
-from tfg_drake.port_recording import PortWriter
+from tfg_drake.storage.port_recording import PortWriter
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
 from tfg_drake.systems.port_recorder import PortRecorder

@@ -11,7 +11,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.methods import Method
-from tfg_drake.diagrams.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.battery_watch import BatteryWatch

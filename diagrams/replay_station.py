@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.robots import SIMULATED, Robot
-from tfg_drake.port_recording import PortRecording
+from tfg_drake.storage.port_recording import PortRecording
 from tfg_drake.systems.port_player import PortPlayer
 
 

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
-from tfg_drake.operation import Request
+from tfg_drake.mission.operation import Request
 
 
 @dataclasses.dataclass(frozen=True)

@@ -36,9 +36,9 @@ from tfg_drake.config import (
     TagConfig,
     TagSensorConfig,
 )
+from tfg_drake.storage.yaml_text import parse_yaml
 from tfg_drake.world.changing import successive
 from tfg_drake.world.world import World, WorldError, check_world
-from tfg_drake.yaml_text import parse_yaml
 
 
 class ScenarioError(ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tfg_drake.hardware.device import BaseState, Device
 from tfg_drake.hardware.remarks import Spells, battery, begun
-from tfg_drake.operation import Request
+from tfg_drake.mission.operation import Request
 
 # By the name of the remark that is told with it.
 REQUESTS: dict[str, Request] = {"battery low": "recall", "battery dangerous": "end"}

@@ -13,7 +13,7 @@ import threading
 import tty
 import weakref
 
-from tfg_drake.operation import Request
+from tfg_drake.mission.operation import Request
 
 KEYS: dict[str, Request] = {"e": "enable", " ": "stop", "s": "stop", "p": "pause", "q": "end"}
 HELP = "keys: e enable the wheels, space (or s) emergency stop, p pause or resume, q end"

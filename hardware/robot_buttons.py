@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tfg_drake.hardware.device import BaseState, Device
-from tfg_drake.operation import Request
+from tfg_drake.mission.operation import Request
 
 # Of a Kobuki B0, B1 and B2, by their bits.
 BUTTONS: dict[int, Request] = {1: "stop", 2: "pause", 4: "enable"}

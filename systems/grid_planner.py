@@ -22,7 +22,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.planner import initial_state
-from tfg_drake.pose_prediction import pose_at
+from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,

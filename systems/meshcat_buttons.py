@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pydrake.geometry import Meshcat
 
-from tfg_drake.operation import Request
+from tfg_drake.mission.operation import Request
 from tfg_drake.systems.picture import Picture, picture_of
 
 # Name, the request and the key that does the same.

@@ -19,7 +19,7 @@ from tfg_drake.messages import (
     PathStatus,
     TfgMap,
 )
-from tfg_drake.mission import MissionInputs, initial_status, step
+from tfg_drake.mission.sequence import MissionInputs, initial_status, step
 from tfg_drake.systems.ports import (
     declare_message_input,
     eval_message,
@@ -33,7 +33,7 @@ MAPS: Mapping[str, type] = {"map": MapEstimate, "tfg": TfgMap}
 
 
 class MissionSequencer(LeafSystem):
-    """Runs `tfg_drake.mission.step` and ends the simulation with the mission.
+    """Runs `tfg_drake.mission.sequence.step` and ends the simulation with the mission.
 
     .. pydrake_system::
 

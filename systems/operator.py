@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from tfg_drake.operation import Operation, Request, requested
+from tfg_drake.mission.operation import Operation, Request, requested
 from tfg_drake.systems.ports import set_state_message, state_message
 
 PERIOD = 1.0 / 16.0
@@ -17,7 +17,7 @@ _log = logging.getLogger("tfg_drake.operator")
 
 
 class Operator(LeafSystem):
-    """Turns an operator's requests into what base and mission are told, see tfg_drake.operation.
+    """Turns an operator's requests into what base and mission are told, see tfg_drake.mission.operation.
 
     .. pydrake_system::
 

@@ -6,7 +6,7 @@ from functools import partial
 
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from tfg_drake.port_recording import COMMAND, MESSAGES, PortRecording
+from tfg_drake.storage.port_recording import COMMAND, MESSAGES, PortRecording
 from tfg_drake.systems.ports import declare_message_output
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
-from tfg_drake.port_recording import COMMAND, ENABLED, MESSAGES, PortWriter
+from tfg_drake.storage.port_recording import COMMAND, ENABLED, MESSAGES, PortWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
 # The explorer's: it sees no message that is not recorded.
@@ -12,7 +12,7 @@ PERIOD = 1.0 / 16.0
 
 
 class PortRecorder(LeafSystem):
-    """Writes what the station's ports carry to a file, see tfg_drake.port_recording.
+    """Writes what the station's ports carry to a file, see tfg_drake.storage.port_recording.
 
     .. pydrake_system::
 

@@ -22,7 +22,6 @@ from tfg_drake.messages import (
 from tfg_drake.planning.planner import PlannerState, initial_state, make_roadmap, obstacles_in_map, step
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState
 from tfg_drake.planning.roadmap_parts import whole_roadmap
-from tfg_drake.resting import Parted
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -31,6 +30,7 @@ from tfg_drake.systems.ports import (
     set_state_message,
     state_message,
 )
+from tfg_drake.tfg.resting import Parted
 
 PERIOD = 1 / 16
 

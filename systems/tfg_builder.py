@@ -10,7 +10,6 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, WorkingMap, message, replace
-from tfg_drake.resting import Parted
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
@@ -22,6 +21,7 @@ from tfg_drake.systems.ports import (
 )
 from tfg_drake.tfg.graph import Sightings, TfgGraph, no_sightings, note_sightings, resolve
 from tfg_drake.tfg.panorama import build_panorama
+from tfg_drake.tfg.resting import Parted
 from tfg_drake.tfg.working_map import empty_graphs, empty_working_map, update, whole_graph, working_map
 
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.

@@ -13,11 +13,6 @@ from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
-from tfg_drake.caption import HEIGHT as CAPTION_HEIGHT
-from tfg_drake.caption import WIDTH as CAPTION_WIDTH
-from tfg_drake.caption import Colour, caption_gltf, gain_colours, render_caption
-from tfg_drake.drawing import Mesh as Triangles
-from tfg_drake.drawing import discs, ellipses, outline_segments, polyline_segments, ribbons
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.frontier import FREE as FREE_CELL
 from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
@@ -35,9 +30,14 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
 )
-from tfg_drake.palette import BARE_SURFACE, DOUBTFUL, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
-from tfg_drake.pose_prediction import pose_at
+from tfg_drake.pictures.caption import HEIGHT as CAPTION_HEIGHT
+from tfg_drake.pictures.caption import WIDTH as CAPTION_WIDTH
+from tfg_drake.pictures.caption import Colour, caption_gltf, gain_colours, render_caption
+from tfg_drake.pictures.drawing import Mesh as Triangles
+from tfg_drake.pictures.drawing import discs, ellipses, outline_segments, polyline_segments, ribbons
+from tfg_drake.pictures.palette import BARE_SURFACE, DOUBTFUL, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
 from tfg_drake.simulation.people import RADIUS, People, places_at
+from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.picture import Picture, picture_of
 from tfg_drake.systems.ports import declare_message_input, eval_message
 from tfg_drake.world.world import World

@@ -24,9 +24,9 @@ from numba.core.dispatcher import Dispatcher
 from tfg_drake import kernels
 from tfg_drake.config import GAINS
 from tfg_drake.diagrams import cli
-from tfg_drake.diagrams.figures import write_figures
 from tfg_drake.diagrams.methods import METHODS
-from tfg_drake.diagrams.mission import Mission
+from tfg_drake.diagrams.missions.figures import write_figures
+from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.kernels import LOOK, MISSION, OTHER, Kernel, read_table, spelled, write_table
 from tfg_drake.messages import LaserScan

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from tfg_drake.hardware.watchdog import Limits
-from tfg_drake.yaml_text import parse_yaml
+from tfg_drake.storage.yaml_text import parse_yaml
 
 PRESETS = Path(__file__).parent / "presets"
 

@@ -6,7 +6,7 @@ from tfg_drake.comparison.curves import Curve, band
 from tfg_drake.comparison.figures import FinalMap, colours, draw_costs, draw_coverage, draw_errors, draw_maps
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.messages import GridMap
-from tfg_drake.paper_figures import write_figure
+from tfg_drake.pictures.paper_figures import write_figure
 from tfg_drake.world.world import World
 
 WORLD = World(

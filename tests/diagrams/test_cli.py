@@ -8,8 +8,9 @@ import time
 
 import pytest
 
-from tfg_drake.diagrams import cli, explore_command
-from tfg_drake.diagrams.mission import Progress
+from tfg_drake.diagrams import cli
+from tfg_drake.diagrams.commands import explore as explore_command
+from tfg_drake.diagrams.missions.mission import Progress
 
 ROOM = """
 seed: 3
@@ -221,7 +222,7 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
     def fail(*_arguments):
         raise ValueError("no way\nmore")
 
-    monkeypatch.setattr("tfg_drake.diagrams.report.write_report", fail)
+    monkeypatch.setattr("tfg_drake.diagrams.missions.report.write_report", fail)
     code, _, err = call("explore", room, "--headless", "--max-time", "1", "--out", str(tmp_path))
     assert code == 3
     assert err.startswith("tfg-drake: internal error: ValueError: no way more (test_cli.py, line ")

@@ -12,7 +12,7 @@ from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.kobuki.emulator import Emulator
+from tfg_drake.hardware.emulation.emulator import Emulator
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections

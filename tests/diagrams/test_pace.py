@@ -1,6 +1,6 @@
 """A mission that begins while kernels are still compiled."""
 
-from tfg_drake.diagrams import run
+from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
 
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from tfg_drake.diagrams import run
 from tfg_drake.diagrams.methods import FindMethod
+from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.replay_station import MakeReplayStation, ReplayRobot
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
-from tfg_drake.port_recording import read_recording
+from tfg_drake.storage.port_recording import read_recording
 
 ROOM = """
 seed: 3

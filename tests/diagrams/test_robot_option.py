@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tfg_drake.port_recording import PortWriter
+from tfg_drake.storage.port_recording import PortWriter
 
 ROBOTS = "kobuki, ros2, rosbridge"
 SOCKETS = ["--tags", "socket:127.0.0.1:1", "--scan", "socket:127.0.0.1:1"]

@@ -7,14 +7,15 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import DiagramBuilder
 
-from tfg_drake.diagrams import explore_command, run
+from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.methods import FindMethod
+from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.mapfile.saved_map import load_map
-from tfg_drake.trajectory import read_tum
+from tfg_drake.storage.trajectory import read_tum
 
 ROOM = """
 seed: 3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import ChangeConfig, TagConfig
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mapfile.saved_map import load_map
 

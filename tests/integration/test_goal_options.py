@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import GAINS, GOAL_RULES
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tfg_drake.diagrams.run import explore
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario
 
 ROOM = """

@@ -10,8 +10,8 @@ import pytest
 
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import compose
-from tfg_drake.hardware.kobuki.emulator import Emulator
-from tfg_drake.trajectory import read_tum
+from tfg_drake.hardware.emulation.emulator import Emulator
+from tfg_drake.storage.trajectory import read_tum
 
 WORLD = MakeWorld(LoadScenario("house").world)
 

@@ -12,7 +12,7 @@ import umsgpack
 
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.viewer import FREE, ViewerMissing, _stars, scene_page, serve
-from tfg_drake.palette import EDGE
+from tfg_drake.pictures.palette import EDGE
 
 
 def commands(page):

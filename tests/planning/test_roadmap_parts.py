@@ -10,7 +10,7 @@ from tfg_drake.planning.planner import grow, initial_state, step
 from tfg_drake.planning.roadmap import extend
 from tfg_drake.planning.roadmap_parts import cut, empty_roadmaps, joined, whole_roadmap
 from tfg_drake.planning.routes import routes
-from tfg_drake.resting import awake, extended, rearranged
+from tfg_drake.tfg.resting import awake, extended, rearranged
 
 CORRIDOR = np.array([[x, y, x + 1, y] for x in range(80) for y in (-1.0, 1.0)], dtype=float)
 GOALS = [(x, 0, 0) for x in range(3, 78, 4)]

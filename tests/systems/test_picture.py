@@ -7,7 +7,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from tests.systems.web_page import WebPage
-from tfg_drake.operation import Operation, requested
+from tfg_drake.mission.operation import Operation, requested
 from tfg_drake.systems import picture as module
 from tfg_drake.systems.meshcat_buttons import MeshcatButtons
 from tfg_drake.systems.picture import Picture, open_meshcat

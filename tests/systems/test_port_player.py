@@ -5,7 +5,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
-from tfg_drake.port_recording import MESSAGES, PortWriter, read_recording
+from tfg_drake.storage.port_recording import MESSAGES, PortWriter, read_recording
 from tfg_drake.systems.port_player import PortPlayer
 from tfg_drake.systems.port_recorder import PERIOD, PortRecorder
 from tfg_drake.systems.ports import declare_message_output

@@ -6,8 +6,8 @@ import copy
 import numpy as np
 import pytest
 
+from tfg_drake.comparison.metrics import surface_coverage, surface_phantom
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.metrics import surface_coverage, surface_phantom
 from tfg_drake.tfg.passing import STAYS
 from tfg_drake.world.reachability import cut_walls
 

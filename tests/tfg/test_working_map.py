@@ -165,7 +165,7 @@ def test_nothing_rests_where_all_of_the_map_is_asked_at_every_stage(simulate, se
 
 def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_it_is(simulate, monkeypatch) -> None:
     """A passage 1 m wide along a room, whose map has drifted by 1 m into the passage; before, a wall far away."""
-    monkeypatch.setattr("tfg_drake.resting.LEAST_GOALS", 1)
+    monkeypatch.setattr("tfg_drake.tfg.resting.LEAST_GOALS", 1)
     walls = [[-3.0, 0.2, 3.0, 0.2], [3.0, 0.2, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [998.0, 2.0, 1002.0, 2.0]]
     walls += [[-8.0, 0.0, 8.0, 0.0], [-8.0, -1.0, 8.0, -1.0], [-1.0, -1.0, -1.0, -0.45]]
     in_room, in_passage = np.array([-2.0, 1.6, 0.0]), np.array([0.5, -0.5, 0.0])
@@ -217,7 +217,7 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
 
 def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_view(simulate, monkeypatch) -> None:
     """The end of a wall that its goal only looked along has drifted into the middle of where the robot is."""
-    monkeypatch.setattr("tfg_drake.resting.LEAST_GOALS", 1)
+    monkeypatch.setattr("tfg_drake.tfg.resting.LEAST_GOALS", 1)
     box = [[-3.0, -3.0, 3.0, -3.0], [3.0, -3.0, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [-3.0, 3.0, -3.0, -3.0]]
     elsewhere = [[998.0, 2.0, 1002.0, 2.0], [96.0, 2.0, 108.0, 2.0]]
     world = simulate([*elsewhere, *box], noise=0.0)

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tfg_drake.comparison.metrics import pose_errors
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.metrics import pose_errors
-from tfg_drake.trajectory import poses_at
+from tfg_drake.storage.trajectory import poses_at
 
 # The scanner's view counts from poses this far apart, m or rad, whichever comes first.
 STEP, TURN = 0.25, 0.25

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 
 from tfg_drake.comparison.curves import Band
 from tfg_drake.comparison.statistics import Spread
-from tfg_drake.figure import draw_grid, draw_landmarks, draw_surfaces
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GridMap
+from tfg_drake.pictures.figure import draw_grid, draw_landmarks, draw_surfaces
 from tfg_drake.world.world import World
 
 # Okabe and Ito's colours, which the colour-blind can tell apart too.

@@ -9,10 +9,10 @@ import itertools
 
 import numpy as np
 
+from tfg_drake.comparison.metrics import align, rmse
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
-from tfg_drake.metrics import align, rmse
 
 # True poses farther apart than this leave the time between them without truth, s.
 LONGEST_GAP = 1.0

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from tfg_drake.files import write_atomic
 from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.storage.files import write_atomic
 
 _SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
 # Landmarks are named where there are no more than this.

@@ -23,7 +23,7 @@ from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.square_pnp import square_centers, undistort
 from tfg_drake.datasets.text import GREATEST, find_file, parse_numbers, read_text
 from tfg_drake.messages import FloatArray, IntArray, Odometry
-from tfg_drake.yaml_text import parse_yaml
+from tfg_drake.storage.yaml_text import parse_yaml
 
 # Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
 CORNER_NOISE = 0.5

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tfg_drake.files import write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.slam.camera_model import CameraModel
@@ -22,6 +21,7 @@ from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.range_scale import RangeScale
+from tfg_drake.storage.files import write_atomic
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.caption import Colour
-from tfg_drake.drawing import Mesh, discs, ellipses, outline_segments, ribbons
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.mapfile.landmark_table import landmarks_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END
+from tfg_drake.pictures.caption import Colour
+from tfg_drake.pictures.drawing import Mesh, discs, ellipses, outline_segments, ribbons
+from tfg_drake.pictures.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END
 
 FREE: Colour = (0.94, 0.96, 0.92)
 GOAL: Colour = (0.45, 0.25, 0.60)

@@ -42,8 +42,8 @@ from tfg_drake.planning.roadmap import (
 )
 from tfg_drake.planning.roadmap_parts import cut, empty_roadmaps, joined, whole_roadmap
 from tfg_drake.planning.routes import roadmap_message, routes
-from tfg_drake.pose_prediction import pose_at
-from tfg_drake.resting import Parted, extended, rearranged
+from tfg_drake.slam.pose_prediction import pose_at
+from tfg_drake.tfg.resting import Parted, extended, rearranged
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1

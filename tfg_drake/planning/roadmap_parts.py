@@ -9,7 +9,7 @@ import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, replace
 from tfg_drake.planning.roadmap import Edges, RoadmapState, empty_roadmap, place_in_map
-from tfg_drake.resting import Parted, undivided, whole
+from tfg_drake.tfg.resting import Parted, undivided, whole
 
 _NODES = ("anchor", "p_AN", "points", "sigma", "settled")
 

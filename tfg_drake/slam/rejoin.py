@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tfg_drake.comparison.metrics import align
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, MapEstimate, replace
-from tfg_drake.metrics import align
 from tfg_drake.slam.keyframe_graph import WITNESSES, Keyframe, KeyframeGraph, rows_of
 from tfg_drake.slam.map_solver import solve
 

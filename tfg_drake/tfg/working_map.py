@@ -15,12 +15,12 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, WorkingMap, replace
-from tfg_drake.resting import Parted, awake, extended, rearranged, undivided, whole
 from tfg_drake.tfg import graph as tfg_graph
 from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
 from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, empty_map
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import taken
+from tfg_drake.tfg.resting import Parted, awake, extended, rearranged, undivided, whole
 from tfg_drake.tfg.surfaces import Surfaces
 
 # How far two places that were once next to each other may have been torn apart by a loop that closed, m.

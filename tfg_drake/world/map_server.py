@@ -12,11 +12,11 @@ import numpy as np
 import yaml
 from PIL import Image, UnidentifiedImageError
 
-from tfg_drake.files import read_bytes
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.storage.files import read_bytes
+from tfg_drake.storage.yaml_text import parse_yaml
 from tfg_drake.world.world import WorldError
-from tfg_drake.yaml_text import parse_yaml
 
 # Walls may leave the cells' borders by this many cells: the staircases of slanted walls stay within one.
 _TOLERANCE = 1.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tfg_drake.hardware.kobuki.emulator import Emulator
+from tfg_drake.hardware.emulation.emulator import Emulator
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import time
 
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
-from tfg_drake.hardware.ros.emulated_turtlebot import EmulatedTurtlebot
+from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
 from tfg_drake.hardware.ros.preset import load_preset
 
 PRESET = load_preset("emulated")

@@ -1,0 +1,1 @@
+"""The commands of tfg-drake, a file each."""

@@ -1,0 +1,92 @@
+"""`tfg-drake compare`: a sweep run, or resumed, with its progress."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from tfg_drake.comparison.measures import POSITION, TIME
+from tfg_drake.comparison.runs import Run, sample
+from tfg_drake.comparison.statistics import spread
+from tfg_drake.diagrams.missions.sweep import Task, open_sweep, run_local
+
+
+class Progress:
+    """How far a sweep has come: shown, and without a terminal a line a run."""
+
+    def __init__(self, planned: int, there: int, show: Callable[[str], object]) -> None:
+        """planned: runs in all; there: of an earlier sweep."""
+        self._planned, self._there, self._done, self._since = planned, there, 0, time.monotonic()
+        self._show = show
+        if there:
+            print(f"{there} of {planned} runs are there already", flush=True)
+        show(self.line())
+
+    def __call__(self, run: Run) -> None:
+        """Take note of a run that has ended."""
+        self._done += 1
+        self._show(self.line())
+        if not sys.stdout.isatty():
+            print(f"{run.method}, seed {run.seed}: {run.outcome}; {self.line()}", flush=True)
+
+    def line(self) -> str:
+        """How many runs are done, and how long the rest will take at the speed so far."""
+        done, left = self._there + self._done, self._planned - self._there - self._done
+        if not self._done or not left:
+            return f"{done} of {self._planned} runs"
+        seconds = left * (time.monotonic() - self._since) / self._done
+        remaining = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+        return f"{done} of {self._planned} runs, about {remaining} left"
+
+
+def run_sweep(
+    tasks: Sequence[Task],
+    out: Path,
+    jobs: int,
+    address: str | None,
+    interrupted: threading.Event,
+    show: Callable[[str], object],
+) -> list[Run]:
+    """Run what is missing of a sweep, on this machine or on the Ray cluster at `address`; `show` says how far it is.
+
+    Returns all runs there are, in the order of the tasks.
+
+    Raises:
+        SweepError: the folder holds another sweep, or there is no such cluster.
+        OSError: a file cannot be written.
+    """
+    runs = {(run.method, run.seed): run for run in open_sweep(tasks, out)}
+    missing = [task for task in tasks if (task.method, task.seed) not in runs]
+    note = Progress(len(tasks), len(runs), show)
+    for run in _run(missing, out, jobs, address, interrupted) if missing else ():
+        runs[run.method, run.seed] = run
+        note(run)
+    keys = [(task.method, task.seed) for task in tasks]
+    return [runs[key] for key in keys if key in runs]
+
+
+def _run(
+    tasks: Sequence[Task], out: Path, jobs: int, address: str | None, interrupted: threading.Event
+) -> Iterator[Run]:
+    if address is None:
+        return run_local(tasks, out, jobs, interrupted)
+    from tfg_drake.diagrams.missions.ray_sweep import run_on_ray
+
+    return run_on_ray(tasks, out, address, interrupted)
+
+
+def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
+    """A line a method: outcomes, and the means of time and position error."""
+    lines = []
+    for method in methods:
+        outcomes = Counter(run.outcome for run in runs if run.method == method)
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "no run"
+        time, position = (spread(sample(runs, method, measure.read)).mean.value for measure in (TIME, POSITION))
+        means = f"; time {time:.0f} s, position error {position:.3f} m" if math.isfinite(time + position) else ""
+        lines.append(f"{method:<13} {counts}{means}")
+    return lines

@@ -1,0 +1,238 @@
+"""What the command explore consists of: the robot that it drives, its progress on the screen, its closing table."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tfg_drake import kernels
+from tfg_drake.diagrams.commands.command_line import bad_input
+
+if TYPE_CHECKING:
+    from tfg_drake.diagrams.methods import Method
+    from tfg_drake.diagrams.missions.mission import Progress
+    from tfg_drake.diagrams.robots import Robot
+    from tfg_drake.diagrams.scenario import Scenario
+
+# Exit code where the map or the summary could not be written.
+NOT_WRITTEN = 4
+# What remarks what an operator is to see at once.
+REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording")
+
+
+def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
+    """What a run is called by: its robot, its world or its scenario."""
+    if robot != "sim":
+        return robot.partition(":")[0]
+    return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
+
+
+def kernels_needed(scenario: str, method: str, robot: str, changes: Sequence[Any]) -> int:
+    """What kernels a mission may call: few in a shipped scenario as it is, by the usual method."""
+    shipped = (Path(__file__).parent / "scenarios" / f"{scenario}.yaml").is_file()
+    plain = shipped and method == "tfg" and robot == "sim" and not any(changes)
+    return kernels.MISSION if plain else kernels.OTHER
+
+
+def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:
+    """Raises BadInput: what fits a simulated robot only is refused for a real one, and the other way round."""
+    from tfg_drake.config import ROBOTS
+
+    if robot not in ROBOTS:
+        for link, value in links.items():
+            if value is not None:
+                bad_input(f"--{link} {value}: is for a real robot; give --robot {', '.join(ROBOTS)} too")
+    if robot == "sim":
+        return
+    if robot not in ROBOTS and not robot.startswith("replay:"):
+        bad_input(f"--robot {robot}: no such robot; name one of sim, {', '.join(ROBOTS)}, replay:RUN_DIR")
+    for option, given in place.items():
+        if given is not None:
+            bad_input(f"{option}: is for a simulated robot; leave it out")
+    if realtime_rate and robot in ROBOTS:
+        bad_input("--realtime-rate: a real robot's time is real; leave it out")
+
+
+def check_kept(out: Path, replayed: str | None = None, inputs: Sequence[Path] = ()) -> None:
+    """Raises BadInput where a run in the folder would be lost that nothing brings back, or what somebody wrote: one of
+    the files that are read has the name of the scenario that a run leaves, and is none."""
+    from tfg_drake.config import ROBOTS
+    from tfg_drake.storage.port_recording import recorded_robot
+
+    for file in inputs:
+        if file.resolve() == (out / "scenario.yaml").resolve() and not (out / "stages.jsonl").exists():
+            bad_input(f"--out {out}: its scenario.yaml, which is read, would be written over; name another folder")
+    if replayed is not None and out.resolve() == Path(replayed).resolve():
+        bad_input(f"--out {out}: holds the run that is replayed; name another folder")
+    robot = recorded_robot(out)
+    if robot in ROBOTS:
+        bad_input(f"--out {out}: holds the run of a real robot ({robot}), which nothing brings back; name another")
+
+
+@contextlib.contextmanager
+def open_robot(
+    name: str,
+    scenario: Scenario,
+    method: Method,
+    meshcat: Any,
+    interrupted: threading.Event,
+    on_signal: Callable[[int, Any], None],
+) -> Iterator[tuple[Robot, Scenario]]:
+    """The robot to drive, and the scenario within its limits; raises BadInput where there is none.
+
+    A real robot is left safe by SIGTERM and SIGHUP, too: on_signal handles them. A rehearsal ends when interrupted.
+    """
+    from tfg_drake.diagrams.robots import SIMULATED
+
+    if name == "sim":
+        yield SIMULATED, scenario
+        return
+
+    from tfg_drake.diagrams.real_robot import OpenRobot, Rehearse
+    from tfg_drake.hardware.device import DeviceError
+    from tfg_drake.hardware.keyboard import HELP
+
+    if name.startswith("replay:"):
+        from tfg_drake.diagrams.replay_station import ReplayRobot
+        from tfg_drake.diagrams.scenario import LoadScenario
+        from tfg_drake.storage.port_recording import RecordingError, read_recording
+
+        folder = Path(name.removeprefix("replay:"))
+        try:
+            robot = ReplayRobot(read_recording(folder))
+        except RecordingError as error:
+            bad_input(f"--robot replay: {error}")
+        of_run = folder / "scenario.yaml"
+        if robot.world_known and scenario.world != LoadScenario(of_run).world:
+            bad_input(f"--robot {name}: that run's world is another; leave the scenario out, or base it on {of_run}")
+        yield robot, scenario
+        return
+    with contextlib.ExitStack() as stack:
+        try:
+            opened = stack.enter_context(OpenRobot(scenario, meshcat))
+        except DeviceError as error:
+            bad_input(str(error))
+        print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
+        for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what is known is written
+            signal.signal(number, on_signal)
+        Rehearse(scenario, method, interrupted)
+        print(HELP, flush=True)
+        yield opened
+
+
+@contextlib.contextmanager
+def remarks_on_screen() -> Iterator[None]:
+    """What base, operator, picture and the run's files remark is shown, too."""
+    import logging
+
+    handler = logging.StreamHandler(sys.stdout)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+
+
+def start_meshcat() -> Any:
+    """The picture, its address printed."""
+    from tfg_drake.systems.picture import Picture, open_meshcat
+
+    picture = Picture(open_meshcat())
+    print(f"Meshcat: {picture.meshcat.web_url()}", flush=True)
+    return picture
+
+
+def show_beginning(
+    meshcat: Any,
+    scenario: Scenario,
+    title: str,
+    compilation: kernels.Compilation,
+    show: Callable[[str], object],
+    interrupted: threading.Event,
+) -> None:
+    """Shows the picture as it is before the mission, until there are the kernels that it begins with."""
+    from tfg_drake.diagrams.scenario import MakeWorld
+    from tfg_drake.systems.visualizer import TfgVisualizer
+
+    world = MakeWorld(scenario.world)
+    picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, title)
+    while not (compilation.ready or interrupted.is_set()):
+        picture.word = compilation.word
+        picture.ShowBeginning()
+        show(compilation.word)
+        time.sleep(0.1)
+
+
+def progress_line(progress: Progress) -> str:
+    """How far the mission has come, on one line of a terminal of 80 columns; what is done now where it has ended."""
+    if progress.outcome:
+        # In a building of thousands of tags the last solve takes half a minute.
+        return f"{progress.time:5.0f} s  {progress.outcome}: solving the whole map, writing the run's files"
+    where = f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}"
+    if progress.word:
+        return f"{where} {progress.word}"
+    speed = progress.time / max(progress.wall_time, 1e-9)
+    error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
+    return f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
+
+
+def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
+    """What the closing table says of files that could not be written, or not all of them: which, and why."""
+    return [("not whole", f"{name}: {reason}") for name, reason in unwritten.items()]
+
+
+def is_kept(unwritten: dict[str, str]) -> bool:
+    """Whether the map and the summary of a run are on the disk."""
+    return not unwritten.keys() & {"map.npz", "grid.npz", "summary.json"}
+
+
+def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """The closing table: name and value, "-" where there is none."""
+
+    def number(value: float | None, form: str, factor: float = 1.0) -> str:
+        return "-" if value is None else form.format(factor * value)
+
+    position, heading = summary["position_error_m"] or {}, summary["heading_error_rad"] or {}
+    mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    rows = {
+        "outcome": f"{summary['outcome']}: {summary['reason']}",
+        "time": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
+        "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
+        "landmarks": "-",
+        "pose error": "-",
+        "coverage": "-",
+        "safety": "-",
+    }
+    if mapped is not None:
+        rows["landmarks"] = f"{mapped}"
+    if mapped is not None and present is not None:
+        rows["landmarks"] += (
+            f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
+        )
+    if summary["landmarks_doubtful"]:
+        rows["landmarks"] += f"; doubtful: tags {', '.join(map(str, summary['landmarks_doubtful']))}"
+    if position.get("mean") is not None:
+        rows["pose error"] = (
+            f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"
+            f" {number(heading.get('mean'), '{:.4f}')} rad mean"
+        )
+    if summary["surface_coverage"] is not None:
+        shares = {"area": summary["area_coverage"], "surface": summary["surface_coverage"]}
+        known = [f"{100.0 * share:.1f} % of the {what}" for what, share in shares.items() if share is not None]
+        rows["coverage"] = ", ".join(known)
+    if summary["contacts"] is not None:
+        clearance = number(summary["min_clearance_m"], "{:.2f}")
+        rows["safety"] = f"{summary['contacts']} contacts, least clearance {clearance} m"
+    return list(rows.items())

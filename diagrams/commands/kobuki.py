@@ -1,0 +1,157 @@
+"""`tfg-drake kobuki`: a look at the base on its serial port, or an emulated one. Needs no Drake without a scenario."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import signal
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tfg_drake.diagrams.commands.command_line import bad_input
+
+if TYPE_CHECKING:
+    from tfg_drake.hardware.device import BaseState, Device
+    from tfg_drake.hardware.emulation.emulator import Emulator
+    from tfg_drake.messages import Hazards, Odometry
+
+# How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
+DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
+
+kobuki_app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@kobuki_app.callback()
+def _commands() -> None:
+    """The Kobuki base on its serial port, or an emulated one."""
+
+
+@kobuki_app.command()
+def check(
+    port: Annotated[str, typer.Option(metavar="DEV", help="The base's serial port.")] = "/dev/kobuki",
+    drive: Annotated[bool, typer.Option("--drive", help="Drive 20 cm ahead; make room for it.")] = False,
+) -> None:
+    """Say how a base is: its versions, battery and sensors."""
+    from tfg_drake.hardware.device import DeviceError
+    from tfg_drake.hardware.kobuki.driver import connect
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with connect(port) as device:
+            _, hazards, state = _newest(device)
+            for name, value in report_rows(state, hazards):
+                print(f"{name:<12}{value}", flush=True)
+            if drive:
+                print(f"{'drive':<12}{_drive_ahead(device)}")
+    except DeviceError as error:
+        bad_input(str(error))
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+
+
+def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
+    """What the base said last; raises DeviceError where it has said nothing within ANSWER_TIMEOUT."""
+    from tfg_drake.hardware.device import ANSWER_TIMEOUT, BaseState, DeviceError
+    from tfg_drake.messages import Hazards, Odometry
+
+    end = time.monotonic() + ANSWER_TIMEOUT
+    while time.monotonic() < end:
+        odometry, hazards, state = device.newest(Odometry), device.newest(Hazards), device.newest(BaseState)
+        if odometry is not None and hazards is not None and state is not None:
+            return odometry, hazards, state
+        time.sleep(0.01)
+    raise DeviceError(device.locked or "the base says nothing of itself; switch it off and on again")
+
+
+def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
+    """What a connected base says, as names and values."""
+    from tfg_drake.hardware.remarks import where
+
+    low = "; charge it" if state.battery_level != "good" else ""
+    charger = f"{state.charger}, {'charging' if state.charging else 'full'}" if state.charger else "none"
+    return [
+        ("firmware", state.firmware),
+        ("hardware", state.hardware),
+        ("id", state.unique_id),
+        ("battery", f"{state.battery:.1f} V{low}" if state.battery > 0.0 else "says nothing of its voltage"),
+        ("charger", charger),
+        ("overcurrent", where(state.overcurrent)),
+        ("bumper", where(hazards.bumper)),
+        ("cliff", where(hazards.cliff)),
+        ("wheel drop", where(hazards.wheel_drop)),
+    ]
+
+
+def _drive_ahead(device: Device) -> str:
+    """Drives DISTANCE ahead and says how that went; raises DeviceError where something is in the way."""
+    from tfg_drake.geometry.se2 import between
+    from tfg_drake.hardware.device import DeviceError
+
+    device.enable()
+    begin, (start, _, _), driven = time.monotonic(), _newest(device), False
+    while device.locked is None:
+        odometry, hazards, _ = _newest(device)
+        if hazards.bumper or hazards.cliff or hazards.wheel_drop:
+            raise DeviceError("the drive was stopped by bumper, cliff or wheel drop; make room ahead of the base")
+        if time.monotonic() - begin > DRIVE_WITHIN:
+            raise DeviceError(f"the base did not drive {DISTANCE:g} m within {DRIVE_WITHIN:g} s; let its wheels turn")
+        x, y, turned = between(start.X_OB, odometry.X_OB)
+        left = DISTANCE - x
+        driven = driven or left < 1e-3
+        if driven and odometry.at_rest:
+            return f"{x:.3f} m ahead, {y:+.3f} m to the left, {math.degrees(turned):+.1f} degrees"
+        device.command(0.0 if driven else min(SPEED, math.sqrt(2.0 * DECELERATION * left)), 0.0)
+        time.sleep(0.02)
+    raise DeviceError(device.locked or "the drive was broken off")
+
+
+@kobuki_app.command()
+def emulate(
+    world: Annotated[
+        str, typer.Option(metavar="none|SCENARIO", help="Where it stands: on an empty plane, or in a scenario.")
+    ] = "none",
+) -> None:
+    """Emulate a Kobuki until Ctrl-C; prints its device, then the address that serves its tags and scans.
+
+    Lines on standard input make things happen to it, see docs/kobuki_emulator.md. At the end it prints its true pose.
+    """
+    from tfg_drake.hardware.emulation.emulator_orders import order
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    # In the background of a terminal its input ends, or the whole program would be stopped.
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    with contextlib.suppress(KeyboardInterrupt), _emulator(world) as emulator:
+        try:
+            print(emulator.device, flush=True)
+            print("{}:{}".format(*emulator.sensors), flush=True)
+            with contextlib.suppress(OSError):
+                for line in sys.stdin or ():
+                    try:
+                        if answer := order(emulator, line):
+                            print(answer, flush=True)
+                    except ValueError as error:
+                        print(f"tfg-drake: {error}", file=sys.stderr, flush=True)
+            threading.Event().wait()
+        finally:
+            print(json.dumps(emulator.report()), flush=True)
+
+
+def _emulator(world: str) -> Emulator:
+    from tfg_drake.hardware.emulation.emulator import Emulator
+
+    if world == "none":
+        return Emulator()
+
+    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, ScenarioError
+
+    try:
+        scenario = LoadScenario(world)
+    except ScenarioError as error:
+        bad_input(str(error))
+    return Emulator(MakeWorld(scenario.world), scenario.robot, scenario.tags, scenario.scan, scenario.seed)

@@ -1,0 +1,111 @@
+"""`tfg-drake map`: what is in a saved map, a look at it, and other formats. Needs no Drake."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, wait_for_kernels
+from tfg_drake.diagrams.commands.screen import Screen
+
+if TYPE_CHECKING:
+    from tfg_drake.mapfile.saved_map import SavedMap
+
+SUFFIXES = (".g2o", ".csv", ".png", ".pdf", ".html")
+
+MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map file, such as a run's map.npz.")]
+
+map_app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@map_app.callback()
+def _commands() -> None:
+    """Look at a saved map, or write it in another format."""
+
+
+@map_app.command()
+def info(map_file: MapArgument) -> None:
+    """Say what is in a map."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from tfg_drake.mapfile.summary import map_rows
+
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for name, value in map_rows(_load(map_file), map_file.stat().st_size):
+        table.add_row(name, value)
+    Console(highlight=False).print(table)
+
+
+@map_app.command()
+def view(map_file: MapArgument) -> None:
+    """Show a map in the browser, in Meshcat."""
+    from tfg_drake.mapfile.viewer import serve
+
+    with serve(_page(_load(map_file), map_file)) as address:
+        print(f"Meshcat: {address}", flush=True)
+        wait_for_enter()
+
+
+@map_app.command()
+def export(
+    map_file: MapArgument,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help=f"The file to write: {', '.join(SUFFIXES)}.")],
+) -> None:
+    """Write a map in another format, by the suffix of OUT."""
+    from tfg_drake.mapfile.g2o import g2o_text
+    from tfg_drake.mapfile.landmark_table import landmark_csv
+    from tfg_drake.mapfile.summary import map_rows
+    from tfg_drake.pictures.figure import draw_map
+    from tfg_drake.storage.files import write_atomic
+
+    suffix = out.suffix.lower()
+    if suffix not in SUFFIXES:
+        bad_input(f"{out}: unknown format; name a file that ends in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+    saved = _load(map_file)
+    try:
+        if suffix == ".g2o":
+            write_atomic(out, g2o_text(saved))
+        elif suffix == ".csv":
+            write_atomic(out, landmark_csv(saved))
+        elif suffix == ".html":
+            write_atomic(out, _page(saved, map_file))
+        else:
+            rows = dict(map_rows(saved, map_file.stat().st_size))
+            draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['goals']}\n{rows['deviation']}", saved)
+    except OSError as error:
+        bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
+
+
+def _load(path: Path) -> SavedMap:
+    # Its free space is measured by a kernel.
+    with Screen() as show:
+        show(f"reading {path}")
+        if path.is_file():
+            wait_for_kernels(show, threading.Event())
+        return _read(path)
+
+
+def _read(path: Path) -> SavedMap:
+    from tfg_drake.mapfile.saved_map import MapFileError, load_map
+
+    try:
+        return load_map(path)
+    except MapFileError as error:
+        bad_input(str(error))
+
+
+def _page(saved: SavedMap, path: Path) -> str:
+    from tfg_drake.mapfile.summary import map_rows
+    from tfg_drake.mapfile.viewer import ViewerMissing, scene_page
+
+    rows = dict(map_rows(saved, path.stat().st_size))
+    figures = [("goals and glances", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
+    figures += [(name, rows[name]) for name in ("free space", "frontiers")]
+    try:
+        return scene_page(saved, path.name, figures)
+    except ViewerMissing as error:
+        bad_input(str(error))

@@ -1,0 +1,79 @@
+"""`tfg-drake ros2`: a TurtleBot on the ROS 2 graph that is not there."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tfg_drake.diagrams.commands.command_line import bad_input
+
+if TYPE_CHECKING:
+    from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
+
+ros2_app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@ros2_app.callback()
+def _commands() -> None:
+    """A robot on a ROS 2 graph."""
+
+
+@ros2_app.command()
+def emulate(
+    scenario: Annotated[str, typer.Argument(help="Where it stands: a shipped scenario or a YAML file.")] = "house",
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Of its noise [default: the scenario's].")] = None,
+    network: Annotated[bool, typer.Option("--network", help="Join the whole network, not this machine only.")] = False,
+) -> None:
+    """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON, as it does
+    for a line `report` on its standard input.
+
+    Its preset is `emulated`: tags come as plain detections, because apriltag_msgs is not in every ROS. It keeps to this
+    machine, because a real robot in the network would obey what is meant for it.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if seed is not None and seed < 0:
+        bad_input(f"--seed {seed}: must be 0 or more")
+
+    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, ScenarioError
+    from tfg_drake.hardware.device import DeviceError
+    from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
+    from tfg_drake.hardware.emulation.ros2_emulator import Ros2Emulator
+    from tfg_drake.hardware.ros.preset import load_preset
+
+    preset = load_preset("emulated")
+    if network:
+        preset = dataclasses.replace(preset, discovery="subnet")
+    try:
+        loaded = LoadScenario(scenario)
+        robot = EmulatedTurtlebot(
+            MakeWorld(loaded.world),
+            preset,
+            loaded.tags,
+            loaded.scan,
+            loaded.odometry,
+            loaded.seed if seed is None else seed,
+        )
+        emulator = Ros2Emulator(robot, preset)
+    except (ScenarioError, DeviceError) as error:
+        bad_input(str(error))
+    with contextlib.suppress(KeyboardInterrupt):
+        for topic in emulator.topics:
+            print(f"{topic.name:<14}{topic.type}", flush=True)
+        threading.Thread(target=_report, args=(robot,), daemon=True).start()
+        emulator.run(lambda: True)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    emulator.close()
+    print(json.dumps(robot.truth()), flush=True)
+
+
+def _report(robot: EmulatedTurtlebot) -> None:
+    for line in sys.stdin or ():
+        if line.strip() == "report":
+            print(json.dumps(robot.truth()), flush=True)

@@ -1,0 +1,226 @@
+"""`tfg-drake slam`: the estimator alone on a recorded data set, and what is kept of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from tfg_drake import __version__
+from tfg_drake.datasets.evaluation import landmark_error, robot_error
+from tfg_drake.datasets.figure import draw_slam
+from tfg_drake.datasets.g2o import write_g2o
+from tfg_drake.datasets.load import load_dataset
+from tfg_drake.datasets.online import run_online
+from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
+from tfg_drake.diagrams.missions.run_folder import open_run_folder
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.slam.batch_smoother import smooth
+from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.trajectory import write_tum
+
+_log = logging.getLogger("tfg_drake.slam_command")
+
+SCHEMA = 1
+# What a graph without a robot's way in it is solved by.
+GRAPH_METHOD = "batch"
+# Called with the part of the work ("online" or "batch") and the share of it done, 0 to 1.
+OnProgress = Callable[[str, float], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class SlamResult:
+    """The summary and the folder it is in."""
+
+    summary: dict[str, Any]
+    folder: Path
+
+
+class Interrupted(Exception):
+    """Ctrl-C came before the end; there is no result."""
+
+
+class Progress:
+    """What is shown of the work: call it with the part and the share done.
+
+    Raises:
+        Interrupted: by the call, once the event is set.
+    """
+
+    def __init__(self, show: Callable[[str], object], interrupted: threading.Event) -> None:
+        self._show, self._interrupted = show, interrupted
+
+    def __call__(self, part: str, share: float) -> None:
+        if self._interrupted.is_set():
+            raise Interrupted
+        self._show(f"{part} {100.0 * share:3.0f} %")
+
+
+def run_slam(
+    dataset: Path, robot: int | None = None, out: Path | None = None, on_progress: OnProgress | None = None
+) -> SlamResult:
+    """Run the estimator on a data set, online and then smoothed over all data, and write DIR/summary.json, figure.png,
+    log.txt and trajectories; of a g2o graph, which is only solved, solved.g2o.
+
+    Raises:
+        DatasetError: the data set cannot be used; nothing is written.
+        OSError: the folder cannot be written, or another run is at work in it.
+    """
+    report = on_progress or (lambda _part, _share: None)
+    cpu, wall = time.process_time(), time.monotonic()
+    loaded = load_dataset(dataset, robot)
+    name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
+    # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
+    with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
+        for note in loaded.notes:
+            _log.info("%s", note)
+        if isinstance(loaded, PoseGraph):
+            figures = _solve_graph(loaded, dataset, name, folder.path, report)
+        else:
+            figures = _run_recording(loaded, folder.path, report)
+        summary = {
+            "schema": SCHEMA,
+            "version": __version__,
+            "dataset": str(dataset),
+            "name": name,
+            **figures,
+            "cpu_time_s": time.process_time() - cpu,
+            "wall_time_s": time.monotonic() - wall,
+        }
+        write_atomic(folder.path / "summary.json", json.dumps(summary, indent=2) + "\n")
+    return SlamResult(summary, folder.path)
+
+
+def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """The closing table: name and value, "-" where there is none."""
+
+    def metres(key: str) -> str:
+        return "-" if summary[key] is None else f"{summary[key]:.3f} m"
+
+    used, rejected = summary["measurements_used"], summary["measurements_rejected"]
+    rows = [("data set", f"{summary['name']}, {summary['method']}")]
+    mapped = f"{summary['landmarks_mapped']} mapped"
+    if summary["method"] == GRAPH_METHOD:  # It has no ground truth.
+        rows.append(("landmarks", mapped))
+    else:
+        robot = (
+            f"RMSE {metres('robot_rmse_m')} smoothed, {metres('online_rmse_m')} online where landmarks were in view,"
+        )
+        rows.append(("robot", f"{robot} {metres('online_blind_too_rmse_m')} with the blind stretches"))
+        errors = f"RMSE {metres('landmark_rmse_m')} smoothed, {metres('online_landmark_rmse_m')} online"
+        rows.append(("landmarks", f"{mapped}, {errors}"))
+    if summary["landmarks_misfit"]:
+        rows.append(("", f"RMSE {metres('landmark_rmse_without_misfits_m')} without those far from the given truth"))
+    rows += [
+        ("measurements", f"{used} used, {rejected} rejected, final error {summary['final_error']:.6g}"),
+        ("CPU time", f"{summary['cpu_time_s']:.1f} s"),
+    ]
+    return rows + [("note", note) for note in summary["notes"]]
+
+
+def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> dict[str, Any]:
+    start = time.process_time()
+    online = run_online(recording, on_progress=lambda share: report("online", share))
+    middle = time.process_time()
+    smoothed = smooth(recording.odometry, recording.detections, recording.model, lambda share: report("batch", share))
+    end = time.process_time()
+    truth = recording.truth or _no_truth()
+    robot = robot_error(truth, smoothed.stamps, smoothed.X_MB)
+    online_robot = robot_error(truth, online.stamps[online.seen], online.X_MB[online.seen])
+    blind_too = robot_error(truth, online.stamps, online.X_MB)
+    landmarks = landmark_error(truth, smoothed.ids, smoothed.p_ML)
+    online_landmarks = landmark_error(truth, online.map.ids, online.map.p_ML) if online.map is not None else None
+
+    write_tum(folder / "trajectory.tum", smoothed.stamps, smoothed.X_MB)
+    write_tum(folder / "online.tum", online.stamps, online.X_MB)
+    # Without a truth for one of the two the other's alignment serves both.
+    X_landmarks = landmarks.X_WM if len(landmarks.ids) else robot.X_WM
+    X_robot = robot.X_WM if robot.compared else landmarks.X_WM
+    X_online = online_robot.X_WM if online_robot.compared else X_robot
+    draw_slam(
+        folder / "figure.png",
+        f"{recording.name}: each aligned to the truth",
+        {"smoothed": transform(X_robot, smoothed.X_MB[:, :2]), "online": transform(X_online, online.X_MB[:, :2])},
+        truth.X_WB[:, :2],
+        smoothed.ids,
+        transform(X_landmarks, smoothed.p_ML),
+        truth.ids,
+        truth.p_WL,
+        landmarks.misfit_ids,
+    )
+    return {
+        "method": "online+batch",
+        "outcome": "complete",
+        "robot_rmse_m": _number(robot.rmse),
+        "online_rmse_m": _number(online_robot.rmse),
+        "online_blind_too_rmse_m": _number(blind_too.rmse),
+        "landmark_rmse_m": _number(landmarks.rmse),
+        "landmark_rmse_without_misfits_m": _number(landmarks.rmse_without),
+        "online_landmark_rmse_m": _number(online_landmarks.rmse) if online_landmarks is not None else None,
+        "landmarks_mapped": len(smoothed.ids),
+        "landmarks_misfit": landmarks.misfit_ids.tolist(),
+        "final_error": smoothed.half_chi_square,
+        "measurements_used": smoothed.used,
+        "measurements_rejected": smoothed.rejected,
+        "calibration": smoothed.calibration.tolist(),
+        "online_cpu_s": middle - start,
+        "batch_cpu_s": end - middle,
+        "notes": [*recording.notes, *landmarks.notes],
+    }
+
+
+def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, report: OnProgress) -> dict[str, Any]:
+    start = time.process_time()
+    try:
+        solved = solve_pose_graph(graph, lambda share: report("batch", share))
+    except ValueError as error:
+        raise DatasetError(f"{dataset}: {error}; add an edge or the vertices' values") from error
+    write_g2o(folder / "solved.g2o", solved)
+    draw_slam(
+        folder / "figure.png",
+        name,
+        {"smoothed": solved.X_MB[:, :2]},
+        np.empty((0, 2)),
+        solved.landmark_ids,
+        solved.p_ML,
+        np.empty(0, dtype=np.int64),
+        np.empty((0, 2)),
+        np.empty(0, dtype=np.int64),
+    )
+    return {
+        "method": GRAPH_METHOD,
+        "outcome": "complete",
+        "robot_rmse_m": None,
+        "online_rmse_m": None,
+        "online_blind_too_rmse_m": None,
+        "landmark_rmse_m": None,
+        "landmark_rmse_without_misfits_m": None,
+        "online_landmark_rmse_m": None,
+        "landmarks_mapped": len(solved.landmark_ids),
+        "landmarks_misfit": [],
+        "final_error": half_chi_square(solved),
+        "measurements_used": len(graph.edges) + len(graph.sightings),
+        "measurements_rejected": 0,
+        "calibration": None,
+        "online_cpu_s": None,
+        "batch_cpu_s": time.process_time() - start,
+        "notes": [*graph.notes],
+    }
+
+
+def _no_truth() -> GroundTruth:
+    return GroundTruth(np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

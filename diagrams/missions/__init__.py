@@ -1,0 +1,1 @@
+"""A mission run to its end, its folder and report; many of them compared."""

@@ -1,0 +1,158 @@
+"""The files of a comparison, made from its runs' folders: runs.csv, figures, report.md and report.html."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.comparison.curves import Band, Curve, averaged, band, coverage_curve, error_curves
+from tfg_drake.comparison.figures import FinalMap, draw_costs, draw_coverage, draw_errors, draw_maps
+from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, VARIABLES
+from tfg_drake.comparison.report import Comparison, Picture, markdown, page
+from tfg_drake.comparison.runs import Run, sample, to_csv
+from tfg_drake.comparison.statistics import spread
+from tfg_drake.diagrams.missions.errors import EVERY
+from tfg_drake.diagrams.missions.sweep import Task
+from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.grid.saved_grid import load_grid
+from tfg_drake.mapfile.saved_map import load_map
+from tfg_drake.messages import FloatArray
+from tfg_drake.pictures.paper_figures import write_figure
+from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.trajectory import read_tum
+from tfg_drake.world.reachability import make_grid, reachable_cells
+
+# Errors against time are averaged over about so many stretches; coverage is given every so many m.
+_STRETCHES, _DISTANCE_STEP = 150, 0.5
+
+
+def write_comparison(runs: Sequence[Run], tasks: Sequence[Task], out: Path, command: str) -> None:
+    """Write runs.csv, the figures, report.md and report.html; command: what repeats it.
+
+    Raises OSError where a file cannot be written.
+    """
+    methods = list(dict.fromkeys(task.method for task in tasks))
+    write_atomic(out / "runs.csv", to_csv(runs))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("drake", "gtsam", "numpy", "numba"))
+    comparison = Comparison(
+        title=f"{' against '.join(methods) if len(methods) < 3 else f'{len(methods)} methods'} in {tasks[0].name}",
+        methods=methods,
+        runs=runs,
+        planned=len(tasks),
+        command=command,
+        versions=f"tfg-drake {version('tfg-drake')}, Python {platform.python_version()}, {packages};"
+        f" {platform.system()} on {platform.machine()}.",
+    )
+    pictures = list(_pictures(methods, runs, {task.seed: task.scenario for task in tasks}, out))
+    write_atomic(out / "report.md", markdown(comparison, pictures))
+    write_atomic(out / "report.html", page(comparison, pictures))
+
+
+def _pictures(
+    methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario], out: Path
+) -> Iterator[Picture]:
+    """The figures, each written as it is made; without runs that count there are none."""
+    counted = [run for run in runs if run.counts]
+    if not counted:
+        return
+    errors = {run.folder: _errors(run.folder) for run in counted}
+    stretch = _round(max((run.summary or {})["sim_time_s"] for run in counted) / _STRETCHES)
+    position, heading = (
+        _bands(methods, counted, lambda run, i=i: averaged(errors[run.folder][i], stretch), stretch)  # type: ignore[misc]
+        for i in range(2)
+    )
+    cells = {seed: _cells(scenarios[seed]) for seed in {run.seed for run in counted}}
+    share = _bands(
+        methods, counted, lambda run: _coverage(run, scenarios[run.seed], cells[run.seed]), _DISTANCE_STEP, hold=True
+    )
+    number = max(sum(run.method == method for run in counted) for method in methods)
+    lines = f"Lines: mean over {number} seeds, thin where some of the runs have ended; shade: their range."
+    costs = {
+        measure.label: {method: spread(sample(counted, method, measure.read)) for method in methods}
+        for measure in (VARIABLES, MAP_SIZE, CPU_IDLE)
+    }
+    maps = _maps(methods, counted, scenarios)
+    shown = f" (seed {maps[0].seed})" if len({one.seed for one in maps}) == 1 else ""
+    for name, caption, figure in (
+        (
+            "errors",
+            f"Error of the online estimate against time, averaged over {stretch:g} s. {lines}",
+            draw_errors(position, heading),
+        ),
+        (
+            "coverage",
+            "Share of the reachable area that the scanner has seen from the robot's true poses, against the distance"
+            f" driven. {lines}",
+            draw_coverage(share),
+        ),
+        ("maps", f"The map at the end of a run of each method{shown}.", draw_maps(maps)),
+        (
+            "costs",
+            "What a map takes: its variables, its file, and the share of one core that estimator and planner leave"
+            " idle at real time; means over the runs.",
+            draw_costs(costs),
+        ),
+    ):
+        png = next(path for path in write_figure(figure, out, name) if path.suffix == ".png")
+        yield Picture(name, caption, png.read_bytes())
+
+
+def _bands(
+    methods: Sequence[str], runs: Sequence[Run], curve: Callable[[Run], Curve], step: float, *, hold: bool = False
+) -> dict[str, Band]:
+    """The band of each method that has one."""
+    bands = {m: band([curve(run) for run in runs if run.method == m], step, hold=hold) for m in methods}
+    return {method: one for method, one in bands.items() if one is not None}
+
+
+def _round(step: float) -> float:
+    """The next greater 1, 2 or 5 times a power of ten; 0.1 for less than that, as of a run that ended at once."""
+    if step < 0.1:
+        return 0.1
+    power = 10.0 ** np.floor(np.log10(step))
+    return float(next(digit * power for digit in (1.0, 2.0, 5.0, 10.0) if digit * power >= step))
+
+
+def _errors(folder: Path) -> tuple[Curve, Curve]:
+    return error_curves(*read_tum(folder / "trajectory.tum"), *read_tum(folder / "truth.tum"))
+
+
+def _coverage(run: Run, scenario: Scenario, p_WC: FloatArray) -> Curve:
+    _, X_WB = read_tum(run.folder / "truth.tum")
+    walls = MakeWorld(scenario.world).walls
+    return coverage_curve(X_WB, p_WC, walls, scenario.scan.range, scenario.scan.field_of_view)
+
+
+def _cells(scenario: Scenario) -> FloatArray:
+    """Centres (c, 2) in W of the reachable cells that coverage is counted on."""
+    world = MakeWorld(scenario.world)
+    grid = make_grid(world)
+    reachable = reachable_cells(grid, world, scenario.robot.radius)
+    thinned = np.zeros_like(reachable)
+    thinned[::EVERY, ::EVERY] = reachable[::EVERY, ::EVERY]
+    return grid.centers(thinned)
+
+
+def _maps(methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario]) -> list[FinalMap]:
+    """Of each method the map of one run: of the first seed that all have, or else of its own first."""
+    seeds = [{run.seed for run in runs if run.method == method} for method in methods]
+    common = min(set.intersection(*seeds), default=None)
+    chosen = [next((run for run in runs if run.method == m and common in (run.seed, None)), None) for m in methods]
+    return [_final_map(run, scenarios[run.seed]) for run in chosen if run is not None]
+
+
+def _final_map(run: Run, scenario: Scenario) -> FinalMap:
+    _, X_WB = read_tum(run.folder / "truth.tum")
+    landmarks, cells = run.folder / "map.npz", run.folder / "grid.npz"
+    return FinalMap(
+        method=run.method,
+        seed=run.seed,
+        world=MakeWorld(scenario.world),
+        X_WB=X_WB,
+        saved=load_map(landmarks) if landmarks.exists() else None,
+        grid=load_grid(cells) if cells.exists() else None,
+    )

@@ -1,0 +1,187 @@
+"""The figures of a run's summary that say how far it is from the world, and from the truth."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.comparison import metrics
+from tfg_drake.comparison.curves import scan_coverage
+from tfg_drake.diagrams.missions.mission import Departure, Mission
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.geometry.se2 import compose, inverse, transform
+from tfg_drake.grid.frontier import OCCUPIED, classify
+from tfg_drake.grid.runs import cell_sides
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
+from tfg_drake.storage.trajectory import poses_at
+from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
+from tfg_drake.world.world import World
+
+# What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
+# but corners that a scan happens to miss.
+EVERY = 4
+NEARLY_ALL = 0.99
+# Scans this near to where a goal's turn or glance began count, m.
+IN_PLACE = 0.1
+
+
+class KnownWorld:
+    """The world that a mission was in, as it was at its end, and what of it could be reached: figures of a map in it.
+
+    reachable: (t,) of its tags.
+    """
+
+    def __init__(self, world: World, scenario: Scenario, X_WB: FloatArray | None = None) -> None:
+        """X_WB: (3,) where the robot was at the end, if that is known: a door may have shut behind it."""
+        self._world, self._scenario = world, scenario
+        self._grid = make_grid(world)
+        self._cells = reachable_cells(self._grid, world, scenario.robot.radius)
+        if X_WB is not None and scenario.reality.changes:
+            self._cells |= reachable_cells(self._grid, replace(world, start=X_WB), scenario.robot.radius)
+        tags = scenario.tags
+        self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
+
+    def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
+        """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
+        segments = _mapped_surfaces(mission.X_WM, tfg, mission.grid)
+        return {
+            **_landmarks(
+                self._world, self.reachable, estimate, mission.grid is None, mission.X_WM, mission.camera.sigma[0]
+            ),
+            **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
+        }
+
+    def way_figures(
+        self, mission: Mission, stamps: FloatArray, X_WB: FloatArray, true_stamps: FloatArray, X_WB_true: FloatArray
+    ) -> dict[str, Any]:
+        """How far the estimated poses X_WB (n, 3) at stamps (n,), s, are from the true ones (m, 3), and what was seen
+        from those."""
+        X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
+        area = _area(self._scenario, self._world, self._grid, self._cells, mission, true_stamps, X_WB_true)
+        return {
+            "distance_m": path_length(X_WB_true),
+            **_consistency(mission, compose(inverse(mission.X_WM), X_WD_true)),
+            **pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
+            **area,
+        }
+
+
+def path_length(X_WB: FloatArray) -> float:
+    """Length of the way through poses (n, 3), m."""
+    return float(np.linalg.norm(np.diff(X_WB[:, :2], axis=0), axis=1).sum())
+
+
+def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
+    """Statistics of the distance of poses (n, 3) from the true ones, nan without any."""
+    position, heading = metrics.pose_errors(X_WB, X_WB_true)
+    return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
+
+
+def _landmarks(
+    world: World,
+    reachable: BoolArray,
+    estimate: MapEstimate | None,
+    maps_landmarks: bool,
+    X_WM: FloatArray,
+    yaw_sigma: float,
+) -> dict[str, Any]:
+    """yaw_sigma: rad, of the camera's yaw, on which hangs how the map lies in the world, X_WM (3,)."""
+    mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
+    trusted = ~estimate.is_doubtful if estimate is not None else np.zeros(0, dtype=np.bool_)
+    counted = trusted & np.isin(mapped, world.tag_ids[reachable])
+    figures: dict[str, Any] = {
+        "landmarks_present": len(world.tag_ids),
+        "landmarks_reachable": int(np.count_nonzero(reachable)),
+        "landmarks_mapped": int(np.count_nonzero(counted)) if maps_landmarks else None,
+        "landmarks_extra": int(np.count_nonzero(trusted & ~counted)) if maps_landmarks else None,
+        "landmark_rmse_m": math.nan,
+        "landmark_error_max_m": math.nan,
+        "landmark_rmse_aligned_m": math.nan,
+        "landmark_anees": math.nan,
+        "landmark_nees": math.nan,
+    }
+    if estimate is None:
+        return figures
+    row_of_tag = {tag: row for row, tag in enumerate(world.tag_ids.tolist())}
+    known = np.array([i for i, tag in enumerate(mapped.tolist()) if trusted[i] and tag in row_of_tag], dtype=np.int64)
+    rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
+    p_ML_true = transform(inverse(X_WM), world.p_WT[rows])
+    p_ML = estimate.p_ML[known]
+    # It turns all of the map.
+    turned = yaw_sigma * np.stack([-p_ML[:, 1], p_ML[:, 0]], axis=1)
+    each = estimate.landmark_covariance[known] + turned[:, :, None] * turned[:, None, :]
+    entry = estimate.local_entry[known]
+    of_joint = entry >= 0
+    entry = entry[of_joint]
+    entries = np.stack([2 * entry, 2 * entry + 1], axis=1).ravel()
+    covariance = estimate.covariance[np.ix_(entries, entries)] + np.outer(turned[of_joint], turned[of_joint])
+    return figures | {
+        "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
+        "landmark_error_max_m": float(np.max(np.hypot(*(p_ML - p_ML_true).T), initial=0.0)),
+        "landmark_rmse_aligned_m": metrics.landmark_rmse_aligned(p_ML, p_ML_true),
+        "landmark_anees": metrics.anees(p_ML - p_ML_true, each),
+        "landmark_nees": metrics.landmark_nees(p_ML[of_joint], p_ML_true[of_joint], covariance),
+    }
+
+
+def _consistency(mission: Mission, X_MD_true: FloatArray) -> dict[str, Any]:
+    # The estimator knows the robot by the camera's heading.
+    X_MD = np.array([one.X_MD for one in mission.departures]).reshape(-1, 3) - [0.0, 0.0, mission.camera.yaw]
+    covariance = np.array([one.covariance for one in mission.departures]).reshape(-1, 3, 3)
+    return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
+
+
+def _mapped_surfaces(X_WM: FloatArray, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
+    """Segments (n, 4) in W of what a map takes for obstacle surfaces; of a grid, a side of every occupied cell."""
+    if tfg is not None:
+        p_MS = tfg.segments
+    elif grid is not None:
+        p_MS = cell_sides(grid, classify(grid) == OCCUPIED)
+    else:
+        p_MS = np.zeros((0, 4))
+    return transform(X_WM, p_MS.reshape(-1, 2)).reshape(-1, 4)
+
+
+def _surfaces(scenario: Scenario, world: World, grid: Grid, cells: BoolArray, segments: FloatArray) -> dict[str, float]:
+    surface = reachable_surface(world, grid, cells, scenario.scan.range)
+    return {
+        "surface_coverage": metrics.surface_coverage(surface, segments),
+        "surface_phantom_m": metrics.surface_phantom(segments, world.walls),
+    }
+
+
+def _area(
+    scenario: Scenario,
+    world: World,
+    grid: Grid,
+    cells: BoolArray,
+    mission: Mission,
+    stamps: FloatArray,
+    X_WB: FloatArray,
+) -> dict[str, float]:
+    """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
+
+    Seen from where the goals' turns and glances began, by a method that maps only there; by the scanner on the whole
+    way by one that maps all along.
+    """
+    scan = scenario.scan
+    thinned = np.zeros_like(cells)
+    thinned[::EVERY, ::EVERY] = cells[::EVERY, ::EVERY]
+    rows, share = scan_coverage(X_WB, grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
+    nearly = np.flatnonzero(share >= NEARLY_ALL)
+    coverage = float(share[-1]) if len(share) else math.nan
+    if mission.grid is None:
+        looked = np.concatenate(
+            [np.zeros(0, dtype=np.int64), *(_looked(one, stamps, X_WB) for one in mission.departures)]
+        )
+        _, share = scan_coverage(X_WB[looked], grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
+        coverage = float(share[-1]) if len(share) else 0.0
+    return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
+
+
+def _looked(one: Departure, stamps: FloatArray, X_WB: FloatArray) -> IntArray:
+    """Rows of the true poses X_WB (n, 3) at stamps (n,) from which one goal's scans were kept."""
+    rows = np.flatnonzero((stamps >= one.since) & (stamps <= one.stamp))
+    return rows[np.hypot(*(X_WB[rows, :2] - X_WB[rows[:1], :2]).T) < IN_PLACE] if len(rows) else rows

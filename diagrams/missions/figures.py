@@ -1,0 +1,104 @@
+"""`tfg-drake figures`: the paper's figures and tables from missions of our own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import Simulator
+from threadpoolctl import threadpool_limits
+
+from tfg_drake.comparison.paper_tables import METHODS, parameter_table, performance_table
+from tfg_drake.diagrams.commands.compare import run_sweep
+from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
+from tfg_drake.diagrams.missions.sweep import Task
+from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
+from tfg_drake.messages import FloatArray
+from tfg_drake.pictures.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg, write_figure
+from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.storage.files import write_atomic
+
+# The stage whose gains are drawn, half-way: much is known, much is open.
+GAIN_STAGE = 60
+# Pictures of the map's growth.
+GROWTH = 4
+# Simulated time between two looks at the mission, s.
+STEP = 0.5
+LONGEST = 3600.0
+# Missions of each method for Table II, as many as in the paper.
+RUNS = 4
+
+
+def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tuple[list[Stage], FloatArray, FloatArray]:
+    """What the explorer had before it at every stage of a mission, and its way: stamps (n,), s, and places p_MB (n, 2).
+
+    Until the mission's end or until on_stage, called with stage and time (s) of each, says that it is enough.
+    """
+    diagram, _, pose_log = MakeMissionDiagram(scenario, MakeWorld(scenario.world))
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    diagram.SetRandomContext(context, RandomGenerator(scenario.seed))
+    explorer = diagram.GetSubsystemByName("explorer")
+    own = explorer.GetMyContextFromRoot(context)
+    simulator.Initialize()
+    stages: list[Stage] = []
+    while context.get_time() < LONGEST:
+        simulator.AdvanceTo(context.get_time() + STEP)
+        goal = explorer.GetOutputPort("goal").Eval(own)
+        if goal.stage > len(stages):
+            estimate, tfg, roadmap = (explorer.GetOutputPort(name).Eval(own) for name in ("map", "tfg", "roadmap"))
+            stages.append(Stage(estimate, tfg, roadmap, goal))
+            if on_stage(goal.stage, context.get_time()):
+                break
+        if explorer.GetOutputPort("mission").Eval(own).phase == "done":
+            break
+    data = pose_log.FindLog(context).data()
+    return stages, data[0], data[1:3].T
+
+
+def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[Path]:
+    """Run a mission in `paper` and write the figures; returns the files.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    scenario = LoadScenario(FindScenario("paper"))
+    with threadpool_limits(limits=1):
+        stages, stamps, p_MB = stages_of(scenario, on_stage)
+    chosen = stages[min(GAIN_STAGE, len(stages)) - 1]
+    parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+    growth = [stages[round(k * (len(stages) - 1) / (GROWTH - 1))] for k in range(GROWTH)]
+    figures = {
+        "information_gain": draw_gains(chosen, parameters),
+        "priors": draw_priors(chosen, parameters),
+        "tfg": draw_tfg(chosen),
+        "growth": draw_growth(growth, stamps, p_MB),
+    }
+    return [path for name, figure in figures.items() for path in write_figure(figure, folder, name)]
+
+
+def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str], object]) -> Path:
+    """Run RUNS missions of each method of Table II in `paper`, less those that are in the folder, and write the tables.
+
+    show: is told how far they are.
+
+    Raises:
+        SweepError: the folder holds other missions.
+        OSError: a file cannot be written.
+    """
+    scenarios = [LoadScenario(FindScenario("paper")) for _ in range(RUNS)]
+    for seed, scenario in enumerate(scenarios):
+        scenario.seed = seed
+    tasks = [Task(method, scenario, "paper", "paper", LONGEST) for scenario in scenarios for method in METHODS]
+    sweep = folder / "table-2"
+    sweep.mkdir(parents=True, exist_ok=True)
+    runs = run_sweep(tasks, sweep, 1, None, interrupted, show)
+    scenario, world = scenarios[0], MakeWorld(scenarios[0].world)
+    width, height = np.ptp(world.walls.reshape(-1, 2), axis=0)
+    parameters = parameter_table((width, height), len(world.tag_ids), scenario.tags, scenario.scan, scenario.grid)
+    path = folder / "tables.md"
+    write_atomic(path, f"{parameters}\n{performance_table(runs, 'paper')}")
+    return path

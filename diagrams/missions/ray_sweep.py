@@ -1,0 +1,115 @@
+"""A sweep's missions on a Ray cluster: each in a process of its own, its folder brought back to where it was started.
+
+The machines share no disk: a run's folder comes back as an archive. They need the same version of tfg_drake, and for
+the same bits the same locked versions and model of CPU.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import shutil
+import socket
+import tempfile
+import threading
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from tfg_drake import __version__
+from tfg_drake.comparison.runs import Run
+from tfg_drake.diagrams.missions.sweep import SweepError, Task, attempt
+
+# A mission whose worker or machine died is begun again this often.
+RETRIES = 3
+# How often an interrupt is looked for, s.
+_POLL = 0.2
+# How long a cluster may take to answer, s.
+_PATIENCE = 5.0
+
+
+def run_on_ray(tasks: Sequence[Task], out: Path, address: str, interrupted: threading.Event) -> Iterator[Run]:
+    """Run the tasks on a cluster and yield each as it ends, as `sweep.run_local` does.
+
+    address: "local" starts a cluster on this machine, one mission a core; anything else is a cluster's to join, such as
+    "auto" or "head:6379". Raises SweepError without Ray or where there is no such cluster.
+    """
+    ray = connect(address)
+    try:
+        mission = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_mission)
+        running = {mission.remote(task, __version__): task for task in tasks}
+        while running and not interrupted.is_set():
+            done, _ = ray.wait(list(running), num_returns=1, timeout=_POLL)
+            for reference in done:
+                task = running.pop(reference)
+                folder = task.folder(out)
+                try:
+                    archive, summary, failure = ray.get(reference)
+                except ray.exceptions.RayError as error:
+                    summary, failure = None, " ".join(f"{type(error).__name__}: {error}".split())[:200]
+                else:
+                    if archive:
+                        _unpack(archive, folder)
+                yield Run(task.method, task.seed, folder, summary, failure)
+        for reference in running:
+            ray.cancel(reference, force=True)
+    finally:
+        ray.shutdown()
+
+
+def connect(address: str) -> Any:
+    """The module ray, connected to a cluster; raises SweepError."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Nobody else hears of a sweep.
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    try:
+        import ray
+    except ImportError:
+        raise SweepError('--ray: Ray is not installed; pip install -e ".[ray]"') from None
+    try:
+        _knock(address)
+        dashboard = False if address == "local" else None
+        ray.init(address=address, include_dashboard=dashboard, log_to_driver=False, logging_level=logging.ERROR)
+    except (OSError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split()).split(". ")[0]
+        raise SweepError(f"--ray {address}: no cluster there ({reason}); start one with ray start --head") from None
+    return ray
+
+
+def _knock(address: str) -> None:
+    """Raises OSError or ValueError where nobody listens at an address HOST:PORT; Ray itself would try for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
+
+
+def _mission(task: Task, version: str) -> tuple[bytes, dict[str, Any] | None, str]:
+    """In a worker: one task. Its folder as an archive, its summary, its failure."""
+    if version != __version__:
+        return b"", None, f"a worker has tfg_drake {__version__}, not {version}; install the same on all"
+    with tempfile.TemporaryDirectory(prefix="tfg-drake-") as folder:
+        summary, failure = attempt(task, Path(folder))
+        return _pack(Path(folder)), summary, failure
+
+
+def _pack(folder: Path) -> bytes:
+    """The files of a run's folder as a zip archive."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.iterdir()):
+            archive.write(path, path.name)
+    return buffer.getvalue()
+
+
+def _unpack(archive: bytes, folder: Path) -> None:
+    """The folder as it was packed, in place of what is there: whole or not at all."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    try:
+        zipfile.ZipFile(io.BytesIO(archive)).extractall(temporary)
+        temporary.chmod(0o755)
+        shutil.rmtree(folder, ignore_errors=True)
+        temporary.replace(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

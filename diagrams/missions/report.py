@@ -1,0 +1,201 @@
+"""What is kept of a run: its folder's map, trajectories and figure, and the summary of them."""
+
+from __future__ import annotations
+
+import json
+import math
+import resource
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tfg_drake import __version__
+from tfg_drake.diagrams.missions.errors import KnownWorld, path_length, pose_errors
+from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.run_folder import RunFolder
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.grid.saved_grid import save_grid
+from tfg_drake.mapfile.saved_map import save_map
+from tfg_drake.messages import MapEstimate
+from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.trajectory import write_tum
+
+SCHEMA = 1
+NO_POSES = np.zeros((0, 3))
+
+
+def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
+    """Write map.npz or grid.npz, summary.json, trajectory.tum, truth.tum and figure.png, and return the summary.
+
+    What would take the world or the truth is null where that is not known, and there is no truth.tum. The distance is
+    that of the estimate then, and every landmark that is not doubtful counts as mapped. A file that cannot be written
+    is told to the folder, and the others are written all the same.
+    """
+    tfg, estimate, grid = mission.tfg, mission.map, mission.grid
+    map_bytes = 0
+    final = mission.final_map()
+    if final is not None:
+        saved, estimate, tfg = final
+        folder.attempt("map.npz", lambda path: save_map(path, saved))
+        map_bytes = _size(folder.path / "map.npz")
+    if grid is not None:
+        folder.attempt("grid.npz", lambda path: save_grid(path, grid))
+        map_bytes = _size(folder.path / "grid.npz")
+    stamps, X_WB = mission.estimated_poses()
+    true_poses = mission.true_poses()
+
+    summary: dict[str, Any] = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "scenario": name,
+        "world": world_name,
+        "seed": scenario.seed,
+        "method": mission.method.name,
+        "outcome": mission.outcome,
+        "reason": mission.reason,
+        "sim_time_s": mission.end_time,
+        "wall_time_s": mission.wall_time,
+        "cpu_time_s": mission.cpu_time,
+        "real_time_factor": mission.end_time / mission.wall_time,
+        "distance_m": path_length(X_WB),
+        "stages": len(mission.stages),
+        "landmarks_present": None,
+        "landmarks_reachable": None,
+        "landmarks_mapped": _landmarks_mapped(mission, estimate),
+        "landmarks_doubtful": _landmarks_doubtful(mission, estimate),
+        "landmarks_extra": None,
+        "landmark_rmse_m": None,
+        "landmark_error_max_m": None,
+        "landmark_rmse_aligned_m": None,
+        "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
+        "landmark_anees": None,
+        "landmark_nees": None,
+        "pose_anees": None,
+        **pose_errors(NO_POSES, NO_POSES),
+        "surface_coverage": None,
+        "surface_phantom_m": None,
+        "area_coverage": None,
+        "area_seen_s": None,
+        "explored_s": mission.explored_time,
+        "contacts": None,
+        "contacts_received": None,
+        "min_clearance_m": None,
+        "map_variables": _variables(mission, estimate),
+        "map_bytes": map_bytes,
+        "calibration": _calibration(mission, estimate),
+        "estimator_cpu_s": mission.estimator_cpu,
+        "planner_cpu_s": mission.planner_cpu,
+        "simulator_cpu_s": mission.cpu_time - mission.estimator_cpu - mission.planner_cpu,  # all the rest
+        "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+        "stage_ms": _spread([1e3 * seconds for stage, seconds in mission.stage_cpu.items() if stage > 0]),
+    }
+    reachable = np.zeros(0, dtype=np.bool_)
+    world = mission.world_then
+    if world is not None:
+        known = KnownWorld(world, scenario, None if true_poses is None else true_poses[1][-1])
+        reachable = known.reachable
+        summary |= known.map_figures(mission, estimate, tfg)
+        if true_poses is not None:
+            summary |= known.way_figures(mission, stamps, X_WB, *true_poses)
+    if mission.truth is not None:
+        truth = mission.truth
+        summary |= {
+            "contacts": truth.contacts,
+            "contacts_received": truth.contacts_received,
+            "min_clearance_m": truth.clearance,
+        }
+    summary = _null_where_not_finite(summary)
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    folder.attempt("summary.json", lambda path: write_atomic(path, text))
+    folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
+    if true_poses is not None:
+        folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
+    X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
+    seen = (world, estimate, tfg, grid, X_WB, X_WB_true, reachable, mission.X_WM)
+    folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
+    return summary
+
+
+def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, Any]:
+    """What the estimator has learnt of camera and tags."""
+    camera, errors = mission.camera, np.zeros(2) if estimate is None else estimate.tag_error
+    yaw, offset = camera.sigma.tolist()
+    return {
+        "camera_yaw_rad": {"value": camera.yaw, "deviation": yaw},
+        "camera_clock_offset_s": {"value": camera.offset, "deviation": offset},
+        "tag_range_error_m": float(errors[0]),
+        "tag_bearing_error_rad": float(errors[1]),
+    }
+
+
+def _draw(*arguments: Any) -> None:
+    """`draw_run`, whose libraries stay out of a mission's memory."""
+    from tfg_drake.pictures.figure import draw_run
+
+    draw_run(*arguments)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
+
+
+def _landmarks_mapped(mission: Mission, estimate: MapEstimate | None) -> int | None:
+    """Landmarks in the map that are not doubtful, None of a method that maps none."""
+    if mission.grid is not None:
+        return None
+    return int(np.count_nonzero(~estimate.is_doubtful)) if estimate is not None else 0
+
+
+def _landmarks_doubtful(mission: Mission, estimate: MapEstimate | None) -> list[int] | None:
+    """Ids of the tags that were seen but are not known to be at any one place, None of a method that maps none."""
+    if mission.grid is not None:
+        return None
+    return list(map(int, estimate.doubtful)) if estimate is not None else []
+
+
+def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:
+    if mission.grid is not None:
+        return {"cells": mission.grid.probability.size}  # of the best particle's map
+    return {
+        "landmarks": len(estimate.ids) if estimate is not None else 0,
+        "poses": 2 * len(mission.departures),  # arrival and departure
+        "calibration": 1,  # the range scale
+    }
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    if not values:
+        return dict.fromkeys(("median", "p99", "max"), math.nan)
+    median, p99 = np.percentile(values, [50.0, 99.0])
+    return {"median": float(median), "p99": float(p99), "max": max(values)}
+
+
+def _null_where_not_finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _null_where_not_finite(item) for key, item in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _title(summary: dict[str, Any]) -> str:
+    def value(number: float | None, form: str) -> str:
+        return "-" if number is None else form.format(number)
+
+    parts = []
+    mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    if mapped is not None and reachable is not None:
+        parts.append(
+            f"{mapped} of {reachable} landmarks, RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
+        )
+    elif mapped is not None:
+        parts.append(f"{mapped} landmarks")
+    if summary["contacts"] is not None:
+        parts.append(
+            f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
+            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
+        )
+    return (
+        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"
+        f" {summary['sim_time_s']:.0f} s, {summary['distance_m']:.0f} m, {summary['stages']} stages\n{'; '.join(parts)}"
+    )

@@ -1,0 +1,179 @@
+"""A whole mission: station, explorer and picture in one diagram, run to its end, and what is kept of it.
+
+A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
+trajectory.tum (in W), truth.tum where the truth is known, ports.mcap (what the station's ports carried), figure.png,
+scenario.yaml (resolved) and log.txt. The map is there while it grows. A file that cannot be written, as to a full disk,
+ends no mission.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydrake.common.yaml import yaml_dump_typed
+from threadpoolctl import threadpool_limits
+
+from tfg_drake import __version__
+from tfg_drake.diagrams.methods import METHODS, Method
+from tfg_drake.diagrams.missions.mission import Mission, Progress
+from tfg_drake.diagrams.missions.report import write_report
+from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
+from tfg_drake.diagrams.robots import SIMULATED, Robot
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.grid.saved_grid import save_grid
+from tfg_drake.kernels import Compilation
+from tfg_drake.mapfile.saved_map import save_map
+from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+    from tfg_drake.systems.picture import Picture
+
+# A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
+QUICKLY_KEPT = 0.02
+KEPT_SHARE = 0.01
+
+_log = logging.getLogger("tfg_drake.run")
+
+
+@dataclasses.dataclass(frozen=True)
+class RunResult:
+    """A finished mission: the contents of summary.json and stages.jsonl, the folder they are in, the files there that
+    could not be written, with the reason, and the CPU seconds of the explorer's components by what they did."""
+
+    summary: dict[str, Any]
+    stages: list[dict[str, Any]]
+    folder: Path
+    unwritten: dict[str, str]
+    spent: dict[str, float]
+
+
+def explore(
+    scenario: Scenario,
+    *,
+    method: Method = METHODS["tfg"],
+    robot: Robot = SIMULATED,
+    name: str = "scenario",
+    world_name: str | None = None,
+    meshcat: Meshcat | Picture | None = None,
+    realtime_rate: float = 0.0,
+    max_time: float = 3600.0,
+    out_dir: Path | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    interrupted: threading.Event | None = None,
+    record: bool = True,
+    kernels: Compilation | None = None,
+) -> RunResult:
+    """Run one mission to its end and write its folder.
+
+    Args:
+        scenario: everything that defines the run, the seed included.
+        method: what explores.
+        robot: what it drives.
+        name: what the run is called in titles and the folder's name; world_name the world's, the same by default.
+        meshcat: where to show it; None for no picture.
+        realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
+        max_time: simulated s after which the outcome is time_limit, as it is when the robot's station ends.
+        out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
+        on_progress: called about once a simulated second, and once more before the files of the run are written.
+        interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
+        record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
+            grows; not for what a seed gives again.
+        kernels: those who compile the kernels that come after its first look, which takes its time until all are there.
+
+    The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
+    the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
+    there is gets written.
+
+    Raises:
+        OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
+            later is told in the log and in the result.
+    """
+    # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
+    with (
+        threadpool_limits(limits=1),
+        open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder,
+        folder.logging(),
+    ):
+        write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
+        _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
+        title = name if method.name == "tfg" else f"{name}, {method.name}"
+        with contextlib.ExitStack() as stack:
+            writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name)) if record else None
+            folder.keep_reserve()
+            stop = interrupted if interrupted is not None else stack.enter_context(_interrupts())
+            mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}", robot, writer)
+            folder.append("stages.jsonl", "")
+            keep = _Keeper(mission, folder) if record else None
+            mission.run(
+                realtime_rate,
+                max_time,
+                stop,
+                lambda line: folder.append("stages.jsonl", line),
+                on_progress,
+                keep,
+                kernels,
+            )
+            folder.give_up_reserve()
+            summary = write_report(mission, scenario, folder, name, world_name or name)
+            mission.say(mission.outcome.replace("_", " "))
+            mission.show()
+        if writer is not None and writer.failure is not None:
+            folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
+        folder.append("stages.jsonl", "")  # What could not be written before.
+        _log.info("%s: %s", summary["outcome"], summary["reason"])
+    return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent)
+
+
+class _Keeper:
+    """Keeps the map of a mission under way on the disk: that of the newest stage, unless it takes too much time."""
+
+    def __init__(self, mission: Mission, folder: RunFolder) -> None:
+        self._mission, self._folder = mission, folder
+        self._stage, self._again = 0, 0.0
+
+    def __call__(self) -> None:
+        mission = self._mission
+        newest = mission.tfg if mission.tfg is not None else mission.grid
+        if newest is None or newest.stage <= self._stage or time.monotonic() < self._again:
+            return
+        start = time.thread_time()
+        grid, found = mission.grid, mission.newest_map()
+        if grid is not None:
+            self._folder.attempt("grid.npz", lambda path: save_grid(path, grid, final=False))
+        elif found is not None:
+            self._folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
+        self._stage = newest.stage
+        spent = time.thread_time() - start
+        if spent > QUICKLY_KEPT:
+            self._again = time.monotonic() + spent / KEPT_SHARE
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C sets; later ones are KeyboardInterrupts as usual."""
+    event = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield event
+        return
+    previous = signal.getsignal(signal.SIGINT)
+
+    def first(_signal: int, _frame: object) -> None:
+        event.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    signal.signal(signal.SIGINT, first)
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, previous)

@@ -1,0 +1,214 @@
+"""Many missions, each in a process of its own: several methods on the same seeds, into one folder that can be resumed.
+
+    DIR/sweep.json                       what is compared; another sweep's folder is refused
+    DIR/runs/<method>/seed-<n>/          a run's folder as `tfg-drake explore` leaves it, but for ports.mcap
+    DIR/runs/<method>/seed-<n>/task.json its receipt, written last: without one that matches, the run is done again
+
+A mission is a process because Drake never frees a diagram of Python systems, and so that one that dies takes no other
+with it. It depends on its task alone: how many run beside it, or where, changes no bit of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from pydrake.common.yaml import yaml_dump_typed
+
+from tfg_drake import __version__
+from tfg_drake.comparison.runs import Run
+from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
+from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.storage.files import write_atomic
+
+# How often an interrupt is looked for, s.
+_POLL = 0.2
+
+
+class SweepError(Exception):
+    """The sweep cannot be run; the message is one line that names the culprit and the mend."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """One mission: a method on a scenario, whose seed is the run's. name, world_name: as for `run.explore`. max_time:
+    simulated s. source: the path of the method's file, "" for one that comes with the project."""
+
+    method: str
+    scenario: Scenario
+    name: str
+    world_name: str
+    max_time: float
+    source: str = ""
+
+    @property
+    def seed(self) -> int:
+        """The run's seed."""
+        return self.scenario.seed
+
+    def folder(self, out: Path) -> Path:
+        """Where the run goes in the sweep's folder."""
+        return out / "runs" / self.method / f"seed-{self.seed}"
+
+    def receipt(self) -> dict[str, Any]:
+        """What tells the task from any other."""
+        digest = hashlib.sha256(yaml_dump_typed(self.scenario).encode()).hexdigest()
+        code = hashlib.sha256(Path(self.source).read_bytes()).hexdigest() if self.source else None
+        task = {"version": __version__, "scenario": self.name, "world": self.world_name, "scenario_sha256": digest}
+        return task | {"max_time_s": self.max_time, "method": self.method, "method_sha256": code, "seed": self.seed}
+
+
+def parse_methods(text: str, scenario: Scenario) -> dict[str, str]:
+    """The methods that a list such as "tfg,mine.py" names: their names, and the paths of those that are files.
+
+    Raises SweepError for one that there is not, or that the scenario lacks something for.
+    """
+    methods: dict[str, str] = {}
+    for word in (word.strip() for word in text.split(",")):
+        try:
+            method = FindMethod(word)
+            method.Check(scenario)
+        except MethodError as error:
+            raise SweepError(f"--methods {error}") from None
+        if method.name in methods:
+            raise SweepError(f"--methods {text}: names {method.name} twice; name each once")
+        methods[method.name] = "" if word in METHODS else str(Path(word).resolve())
+    return methods
+
+
+def run_one(task: Task, folder: Path) -> dict[str, Any]:
+    """Run a mission in this process, leave its folder and its receipt, and return its summary."""
+    (folder / "task.json").unlink(missing_ok=True)
+    # Whoever started this process looks after Ctrl-C.
+    result = run.explore(
+        task.scenario,
+        method=FindMethod(task.source or task.method),
+        name=task.name,
+        world_name=task.world_name,
+        max_time=task.max_time,
+        out_dir=folder,
+        interrupted=threading.Event(),
+        record=False,  # A megabyte and a half a minute, and what one seed gives again.
+    )
+    write_receipt(task, folder)
+    return result.summary
+
+
+def write_receipt(task: Task, folder: Path) -> None:
+    """Say that a run's folder is whole."""
+    write_atomic(folder / "task.json", json.dumps(task.receipt(), indent=2) + "\n")
+
+
+def open_sweep(tasks: Sequence[Task], out: Path) -> list[Run]:
+    """Claim a folder for a sweep and return the runs that are there already.
+
+    More seeds or methods may be asked for than before; what all runs share must be the same. Raises SweepError.
+    """
+    receipt = tasks[0].receipt()
+    # The first task's seed is always the first: its scenario stands for that of all seeds.
+    sweep = {key: value for key, value in receipt.items() if key not in ("method", "method_sha256", "seed")}
+    path = out / "sweep.json"
+    if path.exists():
+        there = _read(path)
+        different = [key for key, value in sweep.items() if there is None or there.get(key) != value]
+        if different:
+            what = "scenario's values" if different == ["scenario_sha256"] else ", ".join(different)
+            raise SweepError(f"{out}: holds another comparison ({what} differ); name another folder with --out")
+    write_atomic(path, json.dumps(sweep, indent=2) + "\n")
+    finished = [(task, _finished(task, out)) for task in tasks]
+    return [Run(task.method, task.seed, task.folder(out), summary) for task, summary in finished if summary]
+
+
+def run_local(tasks: Sequence[Task], out: Path, jobs: int, interrupted: threading.Event) -> Iterator[Run]:
+    """Run the tasks, at most `jobs` at a time, and yield each as it ends; when interrupted, end them all at once.
+
+    A task whose process raises or is killed is a run without a summary; its folder keeps what there was.
+    """
+    waiting, running = list(reversed(tasks)), dict[Any, tuple[Task, Any]]()  # by connection: task and process
+    try:
+        while (waiting or running) and not interrupted.is_set():
+            while waiting and len(running) < jobs:
+                task = waiting.pop()
+                connection, process = _start(task, task.folder(out))
+                running[connection] = (task, process)
+            for ready in wait(list(running), timeout=_POLL):
+                task, process = running.pop(ready)
+                summary, failure = _result(ready, process)
+                yield Run(task.method, task.seed, task.folder(out), summary, failure)
+    finally:
+        for _, process in running.values():
+            process.terminate()
+        for _, process in running.values():
+            process.join()
+
+
+def _start(task: Task, folder: Path) -> tuple[Connection, Any]:
+    """A process at work on a task, and where its result will come from."""
+    context = multiprocessing.get_context("spawn")
+    receiving, sending = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(task, folder, sending), daemon=True)
+    # The terminal sends Ctrl-C to all of its processes; a mask is inherited, and the parent alone answers.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    sending.close()
+    return receiving, process
+
+
+def _work(task: Task, folder: Path, sending: Connection) -> None:
+    """What a process does: one task, and nothing once whoever wanted it is gone."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    sending.send(attempt(task, folder))
+
+
+def attempt(task: Task, folder: Path) -> tuple[dict[str, Any] | None, str]:
+    """`run_one`, with an error outside the mission as one line instead of an exception."""
+    try:
+        return run_one(task, folder), ""
+    except (Exception, SystemExit) as error:
+        return None, " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _result(connection: Any, process: Any) -> tuple[dict[str, Any] | None, str]:
+    """Summary and failure of a process that has answered, or ended without."""
+    with connection, contextlib.suppress(EOFError):
+        summary, failure = connection.recv()
+        process.join()
+        return summary, failure
+    process.join()
+    code = process.exitcode
+    return None, f"killed by {signal.Signals(-code).name}" if code < 0 else f"the process ended with exit code {code}"
+
+
+def _finished(task: Task, out: Path) -> dict[str, Any] | None:
+    """The summary of a task's run in the sweep's folder, None where it must be run."""
+    folder = task.folder(out)
+    return _read(folder / "summary.json") if _read(folder / "task.json") == task.receipt() else None
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None

@@ -1,0 +1,1 @@
+"""Robots that are not there, to try the real drivers against."""

@@ -1,0 +1,206 @@
+"""A TurtleBot 4 that is not there: the simulator's dynamics and sensor models, in real time, in the form of ROS
+messages (dictionaries of their fields), for whichever transport."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.config import OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.geometry import se2
+from tfg_drake.hardware.emulation.sensor_faults import Fault, unchanged
+from tfg_drake.hardware.ros import conversions
+from tfg_drake.hardware.ros.preset import Preset
+from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections
+from tfg_drake.simulation import differential_drive, laser_scanner, odometry, tag_sensor
+from tfg_drake.world.world import World
+
+# A step of it, s; odometry comes with every one, tags and a scan with every third.
+PERIOD = 1.0 / 32.0
+SENSE_EVERY = 3
+# The greatest acceleration of a Create 3, m/s^2.
+ACCELERATION = 0.9
+# Commands and poses remembered: ten minutes.
+_REMEMBERED = 20_000
+
+Fields = dict[str, Any]
+
+
+class EmulatedTurtlebot:
+    """Stepped by whoever owns it; every time is the host's monotonic clock, s.
+
+    It has no watchdog of its own: it keeps the velocity it was last told, so a stop is the driver's doing.
+
+    silent: the topics' keys that say nothing. faults: what is wrong with "tags" or "scan", see
+    sensor_faults. clock: the robot's ROS clock minus the host's, s. commands: (time, speed,
+    turn rate) as told, poses: (time, X_WB), the truth; the newest last.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        preset: Preset,
+        tags: TagSensorConfig,
+        scanner: ScanConfig,
+        wheels: OdometryConfig,
+        seed: int | None = None,
+    ) -> None:
+        """preset: the mount of its scanner, its frames. seed: of the sensors' noise, None for none."""
+        self._world, self._preset = world, preset
+        # A TurtleBot 4's lidar sees all round; as it is mounted, a narrower field of view would not see ahead.
+        self._tags, self._wheels = tags, wheels
+        self._scanner = dataclasses.replace(scanner, field_of_view=2.0 * math.pi)
+        self._robot = RobotConfig(max_acceleration=ACCELERATION)
+        self._angles = laser_scanner.ray_angles(self._scanner)
+        self._random = None if seed is None else np.random.default_rng(seed)
+        self._run_errors = odometry.run_errors(self._noise(3), wheels)
+        self._base = differential_drive.initial_state(world.start, world.walls, self._robot)
+        self._odometry = odometry.initial_state(world.start)
+        self._steps, self._distance = 0, 0.0
+        self._command = (0.0, 0.0)
+        self.silent: set[str] = set()
+        self.faults: dict[str, Fault] = {}
+        self.clock = time.time() - time.monotonic()
+        self.commands: collections.deque[tuple[float, float, float]] = collections.deque(maxlen=_REMEMBERED)
+        self.poses: collections.deque[tuple[float, FloatArray]] = collections.deque(maxlen=_REMEMBERED)
+        for _ in range(SENSE_EVERY):
+            self.step()  # compiles what is to be compiled, before anybody waits for it
+
+    def drive(self, command: Any) -> None:
+        """Takes a geometry_msgs/TwistStamped in, of either transport."""
+        twist = conversions.field(command, "twist")
+        self._command = (float(conversions.field(twist, "linear.x")), float(conversions.field(twist, "angular.z")))
+        self.commands.append((time.monotonic(), *self._command))
+
+    def step(self) -> dict[str, Fields]:
+        """One period on; the messages to publish, by their key in the preset's topics, and "tf"."""
+        now = time.monotonic()
+        before = self._base[differential_drive.X : differential_drive.Y + 1]
+        self._base = differential_drive.step(
+            self._base, np.array(self._command), self._world.walls, self._robot, PERIOD
+        )
+        self._steps += 1
+        pose = self._base[differential_drive.X : differential_drive.TURN_RATE + 1]
+        X_WB = pose[:3].copy()
+        self._distance += float(np.hypot(*(X_WB[:2] - before)))
+        self.poses.append((now, X_WB))
+        self._odometry = odometry.integrate(
+            self._odometry, self._steps * PERIOD, pose, self._run_errors, self._noise(2), self._wheels
+        )
+        frames, mount = self._preset.frames, self._preset.scanner
+        stamp = conversions.ros_time(now + self.clock)
+        wheels = odometry.message(self._odometry)
+        messages = {
+            "odometry": _odometry({"stamp": stamp, "frame_id": frames.odom}, frames.base, wheels),
+            "tf": _transform({"stamp": stamp, "frame_id": frames.odom}, frames.base, wheels.X_OB),
+        }
+        if self._steps % SENSE_EVERY == 0:
+            X_WS = se2.compose(X_WB, np.array([mount.x, mount.y, mount.yaw]))
+            seen = laser_scanner.scan(
+                self._world.walls, X_WS, 0.0, self._angles, self._noise(len(self._angles)), self._scanner
+            )
+            if (said := self._told("scan", seen)) is not None:
+                messages["scan"] = _scan({"stamp": stamp, "frame_id": "rplidar_link"}, said)
+            normal = self._noise(len(self._world.tag_ids) * tag_sensor.NOISE_PER_TAG)
+            found = tag_sensor.detect(self._world, X_WB, 0.0, normal.reshape(-1, tag_sensor.NOISE_PER_TAG), self._tags)
+            if (said := self._told("tags", found)) is not None:
+                messages["detections"] = _cloud({"stamp": stamp, "frame_id": frames.base}, said)
+        return {key: message for key, message in messages.items() if key not in self.silent}
+
+    def run(
+        self, publish: Callable[[str, Fields], None], spin: Callable[[float], None], go_on: Callable[[], bool]
+    ) -> None:
+        """Steps in real time while go_on(): publish(key, message), and spin(duration, s), which calls `drive`."""
+        due = time.monotonic()
+        while go_on():
+            due = max(due + PERIOD, time.monotonic() - 5.0 * PERIOD)  # a loaded machine: late, but not for ever
+            for key, message in self.step().items():
+                publish(key, message)
+            spin(max(0.0, due - time.monotonic()))
+
+    def truth(self) -> dict[str, Any]:
+        """How it fared: stamp (s of this machine's monotonic clock), pose X_WB (m, rad), contacts with walls so far and
+        distance gone so far (m)."""
+        base = self._base
+        return {
+            "stamp": self.poses[-1][0],
+            "pose": base[differential_drive.X : differential_drive.THETA + 1].tolist(),
+            "contacts": int(base[differential_drive.CONTACTS]),
+            "distance": self._distance,
+        }
+
+    def _told(self, sensor: str, message: Any) -> Any:
+        return self.faults.get(sensor, unchanged)(message)
+
+    def _noise(self, n: int) -> FloatArray:
+        return np.zeros(n) if self._random is None else self._random.normal(size=n)
+
+
+def _pose(X: FloatArray) -> tuple[Fields, Fields]:
+    """Position and orientation."""
+    x, y, theta = X.tolist()
+    return {"x": x, "y": y, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}
+
+
+def _odometry(header: Fields, base: str, message: Odometry) -> Fields:
+    position, orientation = _pose(message.X_OB)
+    v, w = message.V_B.tolist()
+    return {
+        "header": header,
+        "child_frame_id": base,
+        "pose": {"pose": {"position": position, "orientation": orientation}},
+        "twist": {"twist": conversions.twist(v, w)},
+    }
+
+
+def _transform(header: Fields, base: str, X_OB: FloatArray) -> Fields:
+    translation, turn = _pose(X_OB)
+    transform = {"translation": translation, "rotation": turn}
+    return {"transforms": [{"header": header, "child_frame_id": base, "transform": transform}]}
+
+
+def _scan(header: Fields, scan: LaserScan) -> Fields:
+    # The definition has no word for a scan without rays but a list without ranges.
+    angles = scan.angles if len(scan.angles) > 1 else np.array([0.0, 1.0])
+    return {
+        "header": header,
+        "angle_min": float(angles[0]),
+        "angle_max": float(angles[-1]),
+        "angle_increment": float(angles[1] - angles[0]),
+        "time_increment": 0.0,
+        "range_min": 0.05,
+        "range_max": scan.range_max,
+        "ranges": scan.ranges.tolist(),
+    }
+
+
+def _cloud(header: Fields, detections: TagDetections) -> Fields:
+    """What conversions.plain_detections reads."""
+    small = (detections.ids < 2**32).all()
+    layout = np.dtype([("id", "<u4" if small else "<f8")] + [(name, "<f8") for name in conversions.COLUMNS[1:]])
+    points = np.zeros(len(detections.ids), dtype=layout)
+    points["id"] = detections.ids
+    for name in conversions.COLUMNS[1:]:
+        points[name] = getattr(detections, name)
+    assert layout.fields is not None
+    fields = [
+        {"name": name, "offset": layout.fields[name][1], "datatype": 6 if name == "id" and small else 8, "count": 1}
+        for name in conversions.COLUMNS
+    ]
+    return {
+        "header": header,
+        "height": 1,
+        "width": len(points),
+        "fields": fields,
+        "is_bigendian": False,
+        "point_step": layout.itemsize,
+        "row_step": points.nbytes,
+        "data": points.tobytes(),
+        "is_dense": True,
+    }

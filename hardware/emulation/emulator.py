@@ -1,0 +1,178 @@
+"""A Kobuki on a pseudo-terminal, in real time: a stand-in for the base that needs no base."""
+
+from __future__ import annotations
+
+import collections
+import random
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.hardware.emulation.emulated_base import PERIOD, EmulatedBase
+from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
+from tfg_drake.hardware.emulation.sensor_faults import Fault, unchanged
+from tfg_drake.hardware.kobuki.codec import COMMANDS, Deframer, decode, encode
+from tfg_drake.hardware.kobuki.payloads import BaseControl
+from tfg_drake.hardware.kobuki.sensor_socket import SensorSocket, sensor_line
+from tfg_drake.messages import LaserScan, TagDetections
+from tfg_drake.simulation.differential_drive import CONTACTS
+from tfg_drake.simulation.laser_scanner import ray_angles, scan
+from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
+from tfg_drake.world.world import World
+
+# Commands remembered, some twenty seconds of a driver's.
+_REMEMBERED = 1000
+# How late a late frame is, s.
+DELAY = 0.2
+
+
+def empty_plane() -> World:
+    """A world without walls and tags; the robot starts at the origin."""
+    return World(np.zeros((0, 4)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0), np.zeros(3))
+
+
+class Emulator:
+    """The base behind a pseudo-terminal, from `with` or start() until close().
+
+    device: the path that a driver opens; it is there while the cable is plugged in, as udev's are. sensors: address
+    (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands: what a driver told
+    the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic(). corrupt, lost, late:
+    shares of frames that leave with a byte changed, not at all, or DELAY late with their old stamp. silent: it says
+    nothing, but obeys. faults: what is wrong with "tags" or "scan" on the socket, see sensor_faults.
+
+    Stamps of tags and scans are s of time.monotonic(), too. There are no stamps of frames but the base's own.
+    """
+
+    def __init__(
+        self,
+        world: World | None = None,
+        robot: RobotConfig | None = None,
+        tags: TagSensorConfig | None = None,
+        scanner: ScanConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        """world: an empty plane where there is none. seed: of the sensors' noise and of the corrupted bytes."""
+        self._world = world or empty_plane()
+        self._tags, self._scanner = tags or TagSensorConfig(), scanner or ScanConfig()
+        self._angles = ray_angles(self._scanner)
+        self._noise, self._chance = np.random.default_rng(seed), random.Random(seed)
+        self.base = EmulatedBase(self._world.walls, self._world.start, robot or RobotConfig())
+        self.commands: collections.deque[tuple[float, BaseControl]] = collections.deque(maxlen=_REMEMBERED)
+        self.corrupt = self.lost = self.late = 0.0
+        self.silent = False
+        self.faults: dict[str, Fault] = {}
+        # Late frames, and when they are due, s of the base's time.
+        self._late: collections.deque[tuple[float, bytearray]] = collections.deque()
+        self._folder = tempfile.TemporaryDirectory(prefix="kobuki-")
+        self.device = str(Path(self._folder.name) / "kobuki")
+        self._line: PseudoTerminal | None = None
+        # Held while the base is looked at or moves.
+        self._lock = threading.Lock()
+        self._begin = 0.0
+        self._socket = SensorSocket()
+        self.sensors = self._socket.address
+        self.plug()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="kobuki-emulator", daemon=True)
+
+    def start(self) -> None:
+        """Switches the base on. All kernels are compiled before time begins to count."""
+        self.base.step()
+        self._sense(time.monotonic(), -1.0)
+        self._begin = time.monotonic() - self.base.time
+        self._thread.start()
+
+    def plug(self) -> None:
+        """Puts the cable in, where it is out."""
+        with self._lock:
+            if self._line is None:
+                self._line, self._deframer = PseudoTerminal(Path(self.device)), Deframer()
+
+    def unplug(self) -> None:
+        """Pulls the cable; the base goes on with what it was told last."""
+        with self._lock:
+            if self._line is not None:
+                self._line.close()
+            self._line = None
+
+    def report(self) -> dict[str, object]:
+        """The truth: stamp (s of time.monotonic()), pose X_WB (m, rad), contacts so far, distance gone so far (m)."""
+        with self._lock:
+            return {
+                "stamp": self._begin + self.base.time,
+                "pose": self.base.pose.tolist(),
+                "contacts": int(self.base.state[CONTACTS]),
+                "distance": self.base.distance,
+            }
+
+    def close(self) -> None:
+        """Switches the base off and pulls the cable."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.unplug()
+        self._folder.cleanup()
+        self._socket.close()
+
+    def __enter__(self) -> Emulator:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while not self._stop.wait(max(0.0, self._begin + self.base.time + PERIOD - time.monotonic())):
+            with self._lock:
+                before = self.base.time
+                if self._line is not None:
+                    self._listen(self._line)
+                self.base.step()
+                if self._line is not None:
+                    self._speak(self._line)
+            self._sense(self._begin, before)
+
+    def _listen(self, line: PseudoTerminal) -> None:
+        for payload in self._deframer.feed(line.read()):
+            for part in decode(payload, COMMANDS):
+                self.base.obey(part)
+                if isinstance(part, BaseControl):
+                    self.commands.append((time.monotonic(), part))
+
+    def _speak(self, line: PseudoTerminal) -> None:
+        frame = bytearray(encode(*self.base.feedback()))
+        if self._chance.random() < self.corrupt:
+            frame[self._chance.randrange(len(frame))] ^= self._chance.randrange(1, 256)
+        if self._chance.random() < self.late:
+            self._late.append((self.base.time + DELAY, frame))
+        elif not self.silent and self._chance.random() >= self.lost:
+            line.write(frame)
+        while self._late and self._late[0][0] <= self.base.time:
+            _, frame = self._late.popleft()
+            line.write(frame)
+
+    def _sense(self, begin: float, before: float) -> None:
+        """Tags and a scan, each when another of its periods is over since `before`, s."""
+        now, pose, world = self.base.time, self.base.pose, self._world
+        if _count(now, self._tags.rate) > _count(before, self._tags.rate):
+            normal = self._noise.normal(size=(len(world.tag_ids), NOISE_PER_TAG))
+            self._say("tags", detect(world, pose, begin + now, normal, self._tags))
+        if _count(now, self._scanner.rate) > _count(before, self._scanner.rate):
+            normal = self._noise.normal(size=len(self._angles))
+            self._say("scan", scan(world.walls, pose, begin + now, self._angles, normal, self._scanner))
+
+    def _say(self, sensor: str, message: TagDetections | LaserScan) -> None:
+        if (said := self.faults.get(sensor, unchanged)(message)) is not None:
+            self._socket.send(sensor_line(said))
+
+
+def _count(now: float, rate: float) -> int:
+    """Periods of a rate (Hz) that are over."""
+    return int(now * rate + 1e-6)

@@ -1,0 +1,43 @@
+"""What a command says of itself while it works."""
+
+import time
+
+from tfg_drake.diagrams.commands import screen
+
+
+def lines(capsys, count):
+    """The first lines that are written, as many as these."""
+    written = ""
+    while written.count("\n") < count:
+        time.sleep(0.01)
+        written += capsys.readouterr().out
+    return written.splitlines()[:count]
+
+
+def test_what_takes_long_is_said_again(capsys, monkeypatch):
+    monkeypatch.setattr(screen, "INTERVAL", 0.05)
+    monkeypatch.setattr(screen, "LONG", 0.0)
+    with screen.Screen() as show:
+        show("thinking")
+        assert lines(capsys, 3) == ["thinking (0 s)"] * 3
+        show("writing")
+        assert "writing (0 s)" in lines(capsys, 5)
+    capsys.readouterr()
+    time.sleep(0.1)
+    assert capsys.readouterr().out == ""
+
+
+def test_what_is_soon_done_is_not_said(capsys, monkeypatch):
+    monkeypatch.setattr(screen, "INTERVAL", 1e6)
+    with screen.Screen() as show:
+        for share in range(100):
+            show(f"{share} %")
+    assert capsys.readouterr().out == ""
+
+
+def test_a_terminal_has_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    with screen.Screen() as show:
+        show("thinking")
+        assert show.line() == "thinking"
+    assert "\nthinking" not in capsys.readouterr().out

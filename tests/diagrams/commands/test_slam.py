@@ -1,0 +1,132 @@
+"""tfg-drake slam from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tfg_drake.datasets.mrclam import COMMAND_LATENCY
+
+
+@pytest.fixture
+def mrclam(tmp_path):
+    """A drive round a circle of 2 m with four landmarks, two of them named as each other in the truth."""
+    folder = tmp_path / "Small"
+    folder.mkdir()
+    ids = [6, 7, 8, 9, 10]
+    p_WL = np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.5], [0.0, -3.0], [1.0, 1.0]])
+    named = p_WL[[1, 0, 2, 3, 4]]
+    folder.joinpath("Barcodes.dat").write_text("".join(f"{i} {i + 50}\n" for i in [1, *ids]))
+    folder.joinpath("Landmark_Groundtruth.dat").write_text(
+        "".join(f"{i} {x} {y} 0 0\n" for i, (x, y) in zip(ids, named, strict=True))
+    )
+    odometry, measurements, truth = [], [], []
+    for k in range(240):
+        t, angle = 0.25 * k, 0.025 * k
+        x, y, heading = 2.0 * np.sin(angle), -2.0 * np.cos(angle), angle
+        odometry.append(f"{t - COMMAND_LATENCY} {1.05 * 0.2} {1.09 * 0.1}\n")
+        truth.append(f"{t} {x} {y} {heading}\n")
+        for i, p in zip(ids, p_WL, strict=True):
+            d = p - (x, y)
+            bearing = (np.arctan2(d[1], d[0]) - heading + np.pi) % (2 * np.pi) - np.pi
+            measurements.append(f"{t} {i + 50} {np.hypot(*d)} {bearing}\n")
+    for name, lines in (("Odometry", odometry), ("Measurement", measurements), ("Groundtruth", truth)):
+        folder.joinpath(f"Robot1_{name}.dat").write_text("".join(lines))
+    return folder
+
+
+def test_what_was_mended_of_a_recording_is_said_once(call, tmp_path, mrclam):
+    file = mrclam / "Robot1_Measurement.dat"
+    rows = file.read_text().splitlines()
+    file.write_text("\n".join([*rows[100:], *rows[:100], "59.75 56"]))
+    code, printed, complaint = call("slam", str(mrclam), "--out", str(tmp_path / "run"))
+    assert (code, complaint) == (0, "")
+    mended = "Robot1_Measurement.dat: the last row cut off, left out; 100 rows out of order, sorted"
+    assert printed.count(mended) == 1
+    assert mended in (tmp_path / "run" / "log.txt").read_text()
+
+
+def test_a_recording_is_run_judged_and_kept(call, tmp_path, mrclam):
+    out = tmp_path / "run"
+    code, printed, complaint = call("slam", str(mrclam), "--out", str(out), "--json")
+    assert (code, complaint) == (0, "")
+    summary = json.loads((out / "summary.json").read_text())
+    assert json.loads(printed.splitlines()[-1]) == summary
+    assert summary["method"] == "online+batch"
+    assert summary["robot_rmse_m"] < 1e-4
+    assert summary["online_rmse_m"] < 1e-2
+    assert summary["landmarks_mapped"] == 5
+    assert summary["landmarks_misfit"] == [6, 7]
+    assert summary["landmark_rmse_m"] > 1.0
+    assert summary["landmark_rmse_without_misfits_m"] < 1e-4
+    assert summary["measurements_used"] == 5 * 240
+    assert summary["measurements_rejected"] == 0
+    assert summary["final_error"] < 1e-3
+    note = "landmarks 6 and 7 lie 4.2 m from the given truth: each where the other should be"
+    assert summary["notes"] == [note]
+    assert note in printed
+    assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert len((out / "trajectory.tum").read_text().splitlines()) >= 240
+    assert len((out / "online.tum").read_text().splitlines()) == 239  # no odometry beyond the last frame
+
+
+def test_a_graph_is_solved(call, tmp_path):
+    path = tmp_path / "two.g2o"
+    path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 0 1 2 0 0 1 0 0 1 0 1\n")
+    code, printed, complaint = call("slam", str(path), "--out", str(tmp_path / "run"), "--json")
+    assert (code, complaint) == (0, "")
+    summary = json.loads(printed.splitlines()[-1])
+    assert summary["method"] == "batch"
+    assert summary["final_error"] == pytest.approx(0.25)
+    assert summary["measurements_used"] == 2
+    assert summary["robot_rmse_m"] is summary["online_rmse_m"] is summary["landmark_rmse_m"] is None
+    assert "RMSE" not in printed.split("{")[0]
+    assert "VERTEX_SE2 1 1.5" in (tmp_path / "run" / "solved.g2o").read_text()
+
+
+def test_a_loose_graph_is_named(call, tmp_path):
+    path = tmp_path / "loose.g2o"
+    path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 2 3 1 0 0 1 0 0 1 0 1\n")
+    code, _, complaint = call("slam", str(path), "--out", str(tmp_path / "run"))
+    mend = "add an edge, or FIX a pose of its part"
+    expected = f"tfg-drake: {path}: nothing ties vertex 2 to vertex 0; {mend}\n"
+    assert (code, complaint) == (2, expected)
+
+
+def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
+    out = ["--out", str(tmp_path / "run")]
+    text = tmp_path / "notes.txt"
+    text.write_text("")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    graph = tmp_path / "a.g2o"
+    graph.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    for arguments, expected in [
+        ([str(tmp_path / "none")], f"{tmp_path / 'none'}: no such file or folder; name a data set"),
+        ([str(text)], f"{text}: not a data set; name a .g2o file, or an MR.CLAM or TagSLAM folder"),
+        (
+            [str(empty)],
+            f"{empty}: holds neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM);"
+            " name a folder with one of them",
+        ),
+        ([str(mrclam), "--robot", "9"], "--robot 9: MR.CLAM has robots 1 to 5"),
+        (
+            [str(mrclam), "--robot", "2"],
+            f"{mrclam / 'Robot2_Odometry.dat'}: no such file, nor with .gz; put it there",
+        ),
+        ([str(graph), "--robot", "1"], f"--robot 1: {graph} has one robot only; leave --robot out"),
+    ]:
+        code, _, complaint = call("slam", *arguments, *out)
+        assert (code, complaint) == (2, f"tfg-drake: {expected}\n")
+
+
+def test_ctrl_c_ends_it(mrclam, tmp_path):
+    import threading
+
+    from tfg_drake.diagrams.commands.slam import Interrupted, Progress, run_slam
+
+    event = threading.Event()
+    event.set()
+    with pytest.raises(Interrupted):
+        run_slam(mrclam, None, tmp_path / "run", Progress(lambda _text: None, event))
+    assert not (tmp_path / "run" / "summary.json").exists()

@@ -1,0 +1,42 @@
+import pytest
+
+from tfg_drake.diagrams import cli
+from tfg_drake.diagrams.missions import figures
+from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
+
+
+def test_stages_hold_what_belongs_together_and_end_when_told():
+    scenario = LoadScenario(FindScenario("paper"))
+    stages, stamps, p_MB = figures.stages_of(scenario, lambda stage, time: stage == 2)
+    assert [stage.goal.stage for stage in stages] == [1, 2]
+    for stage in stages:
+        assert stage.estimate.stage == stage.tfg.stage == stage.roadmap.stage == stage.goal.stage
+    assert p_MB.shape == (len(stamps), 2)
+    assert abs(p_MB[0]).max() < 0.01
+
+
+def test_the_command_writes_every_figure_and_names_it(tmp_path, monkeypatch, capsys):
+    stages_of = figures.stages_of
+    monkeypatch.setattr(figures, "stages_of", lambda scenario, _: stages_of(scenario, lambda stage, time: stage == 2))
+    monkeypatch.setattr(figures, "RUNS", 1)
+    monkeypatch.setattr(figures, "LONGEST", 40.0)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["figures", "--out", str(tmp_path)])
+    assert end.value.code == 0
+    names = sorted(path.name for path in tmp_path.iterdir())
+    figures_of = ("growth", "information_gain", "priors", "tfg")
+    assert names == sorted(
+        [name + suffix for name in figures_of for suffix in (".pdf", ".png")] + ["table-2", "tables.md"]
+    )
+    tables = (tmp_path / "tables.md").read_text()
+    assert "| landmarks | 274 | 274 |" in tables
+    assert "| running time (s) | 2433 ± 546 | 40 | 2293 ± 375 | 40 |" in tables
+    assert str(tmp_path / "growth.png") in capsys.readouterr().out
+
+
+def test_a_folder_that_cannot_be_written_is_refused_in_one_line(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit) as end:
+        cli.main(["figures", "--out", str(tmp_path / "file")])
+    assert end.value.code == 2
+    assert capsys.readouterr().err == f"tfg-drake: --out {tmp_path / 'file'}: is a file; name a folder\n"

@@ -1,0 +1,256 @@
+import json
+import math
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+from pydrake.geometry import Meshcat, MeshcatParams
+
+from tfg_drake.diagrams import mission_diagram
+from tfg_drake.diagrams.methods import FindMethod, Method
+from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.run_folder import make_run_folder
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.grid.saved_grid import load_grid
+from tfg_drake.mapfile.saved_map import load_map
+from tfg_drake.storage.trajectory import read_tum
+
+ROOM = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
+explorer: {first_look: 8}
+"""
+# What a machine's speed and load may change.
+MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s"}
+MACHINE |= {"peak_rss_bytes", "stage_ms"}
+_FIELDS = """schema version scenario world seed method outcome reason sim_time_s wall_time_s cpu_time_s real_time_factor
+distance_m stages landmarks_present landmarks_reachable landmarks_mapped landmarks_doubtful landmarks_extra
+landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m landmark_entropy_nats landmark_anees landmark_nees
+pose_anees position_error_m heading_error_rad surface_coverage surface_phantom_m area_coverage area_seen_s explored_s
+contacts contacts_received min_clearance_m map_variables map_bytes calibration estimator_cpu_s planner_cpu_s
+simulator_cpu_s peak_rss_bytes stage_ms"""
+FIELDS = _FIELDS.split()
+
+
+def room():
+    return ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return run.explore(room(), name="room", out_dir=tmp_path_factory.mktemp("run"))
+
+
+def test_a_small_room_is_explored_to_its_end(finished):
+    summary = finished.summary
+    assert summary["outcome"] == "complete"
+    assert summary["landmarks_mapped"] == summary["landmarks_reachable"] == summary["landmarks_present"] > 10
+    assert summary["landmark_rmse_m"] < 0.1
+    assert summary["contacts"] == 0
+    assert summary["area_coverage"] > 0.99
+    assert 0.0 < summary["explored_s"] <= summary["sim_time_s"]
+
+
+def test_the_summary_has_every_field_in_order(finished):
+    written = json.loads((finished.folder / "summary.json").read_text())
+    assert written == finished.summary
+    assert list(written) == FIELDS
+    for name in ("position_error_m", "heading_error_rad"):
+        assert list(written[name]) == ["mean", "std", "max", "final"]
+    assert list(written["map_variables"]) == ["landmarks", "poses", "calibration"]
+    assert list(written["stage_ms"]) == ["median", "p99", "max"]
+
+
+def test_stages_are_written_line_by_line(finished):
+    written = (finished.folder / "stages.jsonl").read_text().splitlines()
+    lines = [json.loads(line, parse_constant=pytest.fail) for line in written]
+    assert lines == finished.stages
+    assert [line["stage"] for line in lines] == list(range(1, finished.summary["stages"] + 1))
+    first = lines[0]
+    np.testing.assert_allclose(first["goal"], [2.0, 1.5, 0.3], atol=1e-9)
+    assert first["predicted_gain"] is None
+    # Everything is new: from the prior of 10 m an axis to the entropy that is left.
+    prior = first["landmarks"] * math.log(2.0 * math.pi * math.e * 10.0**2)
+    assert first["realised_gain"] == pytest.approx(prior - first["entropy_nats"])
+    # A glance on the way is no goal that anything was predicted of.
+    goals = [line for line in lines[1:] if line["predicted_gain"] is not None]
+    assert goals
+    for line in goals:
+        assert line["predicted_gain"] == pytest.approx(line["exploitation"] + line["exploration"])
+    # The map is solved once more at the end.
+    assert lines[-1]["entropy_nats"] == pytest.approx(finished.summary["landmark_entropy_nats"], abs=0.02)
+
+
+def test_the_folder_is_whole(finished):
+    names = "figure.png log.txt map.npz ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
+    assert sorted(path.name for path in finished.folder.iterdir()) == names.split()
+    assert (finished.folder / "figure.png").read_bytes().startswith(b"\x89PNG")
+    saved = load_map(finished.folder / "map.npz")
+    assert len(saved.ids) == finished.summary["map_variables"]["landmarks"]
+    assert LoadScenario(finished.folder / "scenario.yaml") == room()
+
+
+def test_the_trajectories_share_a_frame_and_end_together(finished):
+    stamps, X_WB = read_tum(finished.folder / "trajectory.tum")
+    true_stamps, X_WB_true = read_tum(finished.folder / "truth.tum")
+    np.testing.assert_allclose(X_WB[0, :2], [2.0, 1.5], atol=1e-6)
+    # The camera's yaw was not known then.
+    assert X_WB[0, 2] == pytest.approx(0.3, abs=0.02)
+    assert true_stamps[-1] <= finished.summary["sim_time_s"] <= true_stamps[-1] + 0.1
+    truth = X_WB_true[np.searchsorted(true_stamps, stamps)]
+    error = np.linalg.norm(X_WB[:, :2] - truth[:, :2], axis=1)
+    assert error.mean() == pytest.approx(finished.summary["position_error_m"]["mean"], abs=1e-6)
+    assert error.max() < 0.2
+
+
+def test_the_same_seed_gives_the_same_run(finished, tmp_path):
+    again = run.explore(room(), name="room", out_dir=tmp_path)
+    assert {k: v for k, v in again.summary.items() if k not in MACHINE} == {
+        k: v for k, v in finished.summary.items() if k not in MACHINE
+    }
+    for name in ("stages.jsonl", "map.npz", "trajectory.tum", "truth.tum", "scenario.yaml", "ports.mcap"):
+        assert (tmp_path / name).read_bytes() == (finished.folder / name).read_bytes(), name
+
+
+def test_the_time_limit_ends_a_mission(tmp_path):
+    seen = []
+    result = run.explore(room(), max_time=28.5, out_dir=tmp_path, on_progress=seen.append)
+    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 28.5)
+    assert result.summary["reason"] == "the time limit of 28.5 s was reached"
+    assert [progress.time for progress in seen] == [*np.arange(1.0, 29.0), 28.5, 28.5]
+    assert [progress.outcome for progress in seen] == [*[""] * 29, "time_limit"]
+    assert seen[-1].landmarks == result.summary["landmarks_mapped"] > 0
+    assert 10.0 < seen[-1].area < 24.1
+
+
+def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
+    summary = run.explore(room(), max_time=1.0, out_dir=tmp_path).summary
+    assert list(summary) == FIELDS
+    assert summary["stages"] == summary["landmarks_mapped"] == summary["map_bytes"] == 0
+    assert summary["landmark_rmse_m"] is summary["landmark_entropy_nats"] is summary["pose_anees"] is None
+    assert summary["area_coverage"] == 0.0
+    assert not (tmp_path / "map.npz").exists()
+
+
+def test_ctrl_c_leaves_a_usable_result(tmp_path):
+    def interrupt(progress):
+        if progress.time == 26.0 and not progress.outcome:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    result = run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
+    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 26 s")
+    assert load_map(tmp_path / "map.npz").stage == 1
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_second_ctrl_c_aborts(tmp_path):
+    def interrupt(_progress):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
+
+
+@pytest.mark.parametrize("error", [ValueError("no way\nmore"), SystemExit("no way\nmore")])
+def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, monkeypatch, error):
+    class Failing(mission_diagram.PoseVector):
+        def _CalcVector(self, context, output):
+            if context.get_time() > 25.5:
+                raise error
+            super()._CalcVector(context, output)
+
+    monkeypatch.setattr(mission_diagram, "PoseVector", Failing)
+    summary = run.explore(room(), out_dir=tmp_path).summary
+    assert summary["outcome"] == "fault"
+    assert summary["reason"] == f"{type(error).__name__} at 25.56 s: no way"
+    assert summary["stages"] == 1
+    assert list(summary) == FIELDS
+    assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
+
+
+def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
+    def fail(_scenario):
+        raise ValueError("\nno way\nmore")
+
+    method = Method("failing", "", fail)
+    summary = run.explore(room(), method=method, out_dir=tmp_path).summary
+    assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
+    assert list(summary) == FIELDS
+    # Of the truth nothing is known.
+    names = "figure.png log.txt ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum"
+    assert sorted(path.name for path in tmp_path.iterdir()) == names.split()
+    assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
+
+
+def test_a_caller_may_end_a_mission(tmp_path):
+    stop = threading.Event()
+    stop.set()
+    summary = run.explore(room(), out_dir=tmp_path, interrupted=stop).summary
+    assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted at 0 s")
+
+
+def test_default_folders_do_not_collide(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run.time, "strftime", lambda _format: "20260101-120000")
+    folders = [make_run_folder(None, "paper-4").name for _ in range(2)]
+    assert folders == ["20260101-120000-paper-4", "20260101-120000-paper-4-2"]
+
+
+def test_the_mission_may_run_outside_the_main_thread(tmp_path):
+    results = []
+    worker = threading.Thread(target=lambda: results.append(run.explore(room(), max_time=1.0, out_dir=tmp_path)))
+    worker.start()
+    worker.join()
+    assert results[0].summary["outcome"] == "time_limit"
+
+
+def test_a_grid_mission_has_a_grid_and_no_landmarks(tmp_path):
+    summary = run.explore(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path).summary
+    assert (summary["method"], summary["outcome"], summary["contacts"]) == ("grid-nearest", "complete", 0)
+    assert list(summary) == FIELDS
+    assert summary["landmarks_mapped"] is None
+    assert summary["landmark_rmse_m"] is None
+    assert list(summary["map_variables"]) == ["cells"]
+    assert summary["area_coverage"] > 0.99
+    assert summary["surface_coverage"] > 0.9
+    assert summary["position_error_m"]["max"] < 0.1
+    grid = load_grid(tmp_path / "grid.npz")
+    assert grid.probability.size == summary["map_variables"]["cells"]
+    assert not (tmp_path / "map.npz").exists()
+    again = run.explore(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path / "again").summary
+    assert {key: again[key] for key in again if key not in MACHINE} == {
+        key: summary[key] for key in summary if key not in MACHINE
+    }
+
+
+@pytest.mark.parametrize("name", ["weighted", "random"])
+def test_other_methods_end_a_mission_too(name, tmp_path):
+    summary = run.explore(room(), method=FindMethod(name), name="room", max_time=300.0, out_dir=tmp_path).summary
+    assert summary["outcome"] in ("complete", "time_limit")
+    assert summary["contacts"] == 0
+    assert summary["area_coverage"] > 0.99
+
+
+def test_a_scripted_drive_maps_what_it_passes(tmp_path):
+    scenario = room()
+    scenario.drive = [[4.0, 1.5], [5.0, 3.0]]
+    summary = run.explore(scenario, method=FindMethod("scripted"), name="room", out_dir=tmp_path).summary
+    assert summary["stages"] == 3
+    assert summary["outcome"] in ("complete", "stuck")
+    assert summary["landmarks_mapped"] > 10
+    assert summary["position_error_m"]["max"] < 0.1
+
+
+@pytest.mark.parametrize("name", ["grid-nearest", "scripted"])
+def test_a_method_without_every_port_is_shown_too(name, tmp_path):
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    scenario = room()
+    scenario.drive = [[4.0, 1.5]]
+    arguments = {"method": FindMethod(name), "meshcat": meshcat, "max_time": 2.0, "out_dir": tmp_path}
+    assert run.explore(scenario, **arguments).summary["outcome"] == "time_limit"

@@ -1,0 +1,191 @@
+import importlib.util
+import json
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from tfg_drake.diagrams.missions import ray_sweep
+from tfg_drake.diagrams.missions.sweep import SweepError, Task, open_sweep, parse_methods, run_local
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+
+ROOM = """
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
+"""
+# What a machine's speed and load may change.
+MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s"}
+MACHINE |= {"peak_rss_bytes", "stage_ms"}
+
+
+def tasks(seeds=2, methods=("tfg",), **changes):
+    scenario = ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
+    found = []
+    for seed in range(seeds):
+        scenario.seed = seed
+        basis = {"name": "room", "world_name": "room", "max_time": 9.0} | changes
+        found += [Task(method, LoadScenario(data=ROOM, defaults=scenario), **basis) for method in methods]
+    return found
+
+
+def lasting(run):
+    return {key: value for key, value in run.summary.items() if key not in MACHINE}
+
+
+def by_seed(runs):
+    return {run.seed: run for run in runs}
+
+
+@pytest.fixture(scope="module")
+def one_job(tmp_path_factory):
+    """Two runs, one after the other, and their folder."""
+    out = tmp_path_factory.mktemp("sweep")
+    assert open_sweep(tasks(), out) == []
+    return by_seed(run_local(tasks(), out, 1, threading.Event())), out
+
+
+def test_a_run_leaves_its_folder_and_receipt(one_job):
+    runs, out = one_job
+    assert [run.outcome for run in runs.values()] == ["time_limit", "time_limit"]
+    assert runs[0].folder == out / "runs" / "tfg" / "seed-0"
+    assert {"summary.json", "task.json", "truth.tum", "trajectory.tum"} < set(os.listdir(runs[0].folder))
+    receipt = json.loads((runs[0].folder / "task.json").read_text())
+    assert (receipt["method"], receipt["seed"], receipt["max_time_s"]) == ("tfg", 0, 9.0)
+
+
+def test_two_at_a_time_make_the_same_bits(one_job, tmp_path):
+    runs = by_seed(run_local(tasks(), tmp_path, 2, threading.Event()))
+    assert {seed: lasting(run) for seed, run in runs.items()} == {s: lasting(r) for s, r in one_job[0].items()}
+    same = [(run.folder / "truth.tum").read_bytes() for run in (runs[0], one_job[0][0])]
+    assert same[0] == same[1]
+
+
+def test_finished_runs_are_not_run_again(one_job, tmp_path):
+    out = one_job[1]
+    assert [run.summary for run in open_sweep(tasks(), out)] == [run.summary for run in one_job[0].values()]
+    # More seeds and methods may be asked for.
+    assert len(open_sweep(tasks(3, ("tfg", "tfg-nearest")), out)) == 2
+
+
+@pytest.mark.parametrize("name", ["task.json", "summary.json"])
+def test_a_run_that_is_not_whole_is_run_again(one_job, name):
+    runs, out = one_job
+    file = runs[1].folder / name
+    contents = file.read_text()
+    for broken in ("", contents.replace('"seed": 1', '"seed": 7') if name == "task.json" else contents[:50]):
+        file.write_text(broken)
+        assert [run.seed for run in open_sweep(tasks(), out)] == [0]
+    file.write_text(contents)
+
+
+def test_another_sweeps_folder_is_refused(one_job):
+    out = one_job[1]
+    mend = "name another folder with --out"
+    with pytest.raises(SweepError) as caught:
+        open_sweep(tasks(max_time=10.0), out)
+    assert str(caught.value) == f"{out}: holds another comparison (max_time_s differ); {mend}"
+    other = tasks()
+    for task in other:
+        task.scenario.robot.max_speed = 0.2
+    with pytest.raises(SweepError) as caught:
+        open_sweep(other, out)
+    assert str(caught.value) == f"{out}: holds another comparison (scenario's values differ); {mend}"
+
+
+def test_a_killed_or_failed_run_stops_no_other(tmp_path):
+    some = tasks(3)
+    some[2].folder(tmp_path).parent.mkdir(parents=True)
+    some[2].folder(tmp_path).write_text("in the way")
+    killer = threading.Thread(target=kill_first)
+    killer.start()
+    runs = by_seed(run_local(some, tmp_path, 1, threading.Event()))
+    killer.join()
+    assert [runs[seed].outcome for seed in range(3)] == ["failed", "time_limit", "failed"]
+    assert runs[0].reason == "killed by SIGKILL"
+    assert runs[2].reason.startswith("NotADirectoryError: ")
+    assert [run.seed for run in open_sweep(some, tmp_path)] == [1]
+
+
+def kill_first():
+    while not multiprocessing.active_children():
+        time.sleep(0.01)
+    multiprocessing.active_children()[0].kill()
+
+
+def test_an_interrupt_ends_all_at_once(tmp_path):
+    interrupted = threading.Event()
+    threading.Timer(1.0, interrupted.set).start()
+    begun = time.monotonic()
+    assert list(run_local(tasks(), tmp_path, 1, interrupted)) == []
+    assert time.monotonic() - begun < 10.0
+    assert not multiprocessing.active_children()
+
+
+def test_methods_are_named():
+    assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == {"tfg": "", "grid-nearest": ""}
+    example = Path(__file__).parents[2] / "docs" / "example_method.py"
+    assert parse_methods(f"{example}", LoadScenario(data=ROOM)) == {"example_method": str(example)}
+    with pytest.raises(SweepError, match="--methods tfg,tfg: names tfg twice; name each once"):
+        parse_methods("tfg,tfg", LoadScenario(data=ROOM))
+    with pytest.raises(SweepError, match=r"^--methods scripted: the scenario has no drive; give it one, a list of"):
+        parse_methods("tfg,scripted", LoadScenario(data=ROOM))
+
+
+needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed")
+
+
+@needs_ray
+def test_a_cluster_makes_the_same_bits_though_a_worker_dies(one_job, tmp_path):
+    killed = []
+    killer = threading.Thread(target=lambda: killed.append(kill_worker()))
+    killer.start()
+    runs = by_seed(ray_sweep.run_on_ray(tasks(), tmp_path, "local", threading.Event()))
+    killer.join()
+    assert killed[0]
+    assert {seed: lasting(run) for seed, run in runs.items()} == {s: lasting(r) for s, r in one_job[0].items()}
+    for seed, run in one_job[0].items():
+        assert sorted(os.listdir(runs[seed].folder)) == sorted(os.listdir(run.folder))
+        assert (runs[seed].folder / "truth.tum").read_bytes() == (run.folder / "truth.tum").read_bytes()
+    assert len(open_sweep(tasks(), tmp_path)) == 2
+
+
+def kill_worker():
+    """Kill a worker of this process's own cluster that is at a mission; False if none came up within a minute."""
+    for _ in range(1200):
+        for process in Path("/proc").glob("[0-9]*"):
+            try:
+                at_work = b"ray::_mission" in (process / "cmdline").read_bytes()
+                if at_work and os.getpid() in ancestors(process):
+                    os.kill(int(process.name), signal.SIGKILL)
+                    return True
+            except OSError:
+                continue  # It has ended meanwhile.
+        time.sleep(0.05)
+    return False
+
+
+def ancestors(process):
+    while process.name != "0":
+        process = Path("/proc") / (process / "stat").read_text().rpartition(")")[2].split()[1]
+        yield int(process.name)
+
+
+@needs_ray
+@pytest.mark.parametrize("address", ["localhost:1", "nowhere.invalid:6379", "head:port"])
+def test_a_cluster_that_is_not_there_is_refused(tmp_path, address):
+    with pytest.raises(SweepError) as caught:
+        next(ray_sweep.run_on_ray(tasks(), tmp_path, address, threading.Event()))
+    assert str(caught.value).startswith(f"--ray {address}: no cluster there (")
+    assert str(caught.value).endswith("); start one with ray start --head")
+
+
+def test_without_ray_there_is_a_mend(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(SweepError) as caught:
+        next(ray_sweep.run_on_ray(tasks(), tmp_path, "local", threading.Event()))
+    assert str(caught.value) == '--ray: Ray is not installed; pip install -e ".[ray]"'

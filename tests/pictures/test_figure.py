@@ -1,0 +1,60 @@
+import io
+
+import numpy as np
+from PIL import Image
+
+from tfg_drake.messages import GridMap, replace
+from tfg_drake.pictures.figure import draw_map, draw_run
+from tfg_drake.world.world import World
+
+WORLD = World(
+    walls=np.array([[0.0, 0.0, 6.0, 0.0], [6.0, 0.0, 6.0, 4.0]]),
+    tag_ids=np.array([4, 7]),
+    p_WT=np.array([[1.0, 0.0], [3.0, 0.0]]),
+    tag_facing=np.full(2, np.pi / 2),
+    start=np.array([1.0, 1.0, 0.0]),
+)
+
+
+def test_draws_a_run_that_has_not_begun(tmp_path):
+    nothing = np.zeros((0, 3))
+    draw_run(tmp_path / "f.png", "nothing yet", WORLD, None, None, None, nothing, nothing, np.ones(2, dtype=bool))
+    image = Image.open(io.BytesIO((tmp_path / "f.png").read_bytes()))
+    assert image.width == 1760
+    # The missed tags are red.
+    pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert np.any((pixels[..., 0] > 180) & (pixels[..., 1] < 70) & (pixels[..., 2] < 70))
+
+
+def test_draws_a_grid_that_holds_no_scan_yet(tmp_path):
+    nothing, grid = np.zeros((0, 3)), GridMap(0, 0.0, 0.05, np.zeros(2), np.zeros((0, 0), dtype=np.float32))
+    draw_run(tmp_path / "f.png", "no scan", WORLD, None, None, grid, nothing, nothing, np.ones(2, dtype=bool))
+    assert (tmp_path / "f.png").exists()
+
+
+def test_the_same_run_gives_the_same_file(tmp_path):
+    poses = np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [2.0, 2.0, 1.0]])
+    for name in ("a.png", "b.png"):
+        draw_run(tmp_path / name, "twice", WORLD, None, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_draws_a_saved_map(tmp_path, small_map):
+    for name in ("a.png", "b.png", "a.pdf", "b.pdf"):
+        draw_map(tmp_path / name, "a map", small_map)
+    for suffix in (".png", ".pdf"):
+        assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    pixels = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)
+    # The frontier is blue, the free space a light green.
+    assert np.any((pixels[..., 0] < 60) & (pixels[..., 2] > 200))
+    assert np.any(np.all(pixels == [0xF1, 0xF4, 0xEE], axis=-1))
+
+
+def test_doubtful_landmarks_have_a_colour_of_their_own(tmp_path, small_map):
+    def violet(saved):
+        draw_map(tmp_path / "f.png", "a map", saved)
+        pixels = np.asarray(Image.open(tmp_path / "f.png").convert("RGB")).astype(int)
+        return int(np.count_nonzero(np.all(np.abs(pixels - [0xA3, 0x2E, 0xA8]) < 8, axis=-1)))
+
+    assert violet(small_map) == 0
+    assert violet(replace(small_map, doubtful=small_map.ids[:1])) > 20

@@ -1,0 +1,228 @@
+"""One figure that shows a whole run: the building, the map made of it, and the way the robot went."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
+
+from tfg_drake.geometry.se2 import compose, rotation, transform
+from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
+from tfg_drake.pictures.drawing import ellipses
+from tfg_drake.storage.files import write_atomic
+from tfg_drake.world.world import World
+
+_WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
+_MAPPED, _DOUBTFUL, _MISSED = "#12876f", "#a32ea8", "#d62728"
+# Goals nearer to each other than this, m and in points of the drawing, are not both numbered.
+NUMBER_SPACING = 1.5
+NUMBER_POINTS = 36.0
+_ESTIMATE, _TRUTH = "#1f4e9c", "#7fb2e5"
+_FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
+# Of the drawing, inches.
+_WIDTH = 11.0
+_POINTS_PER_INCH = 72.0
+
+
+def draw_run(
+    path: Path,
+    title: str,
+    world: World | None,
+    estimate: MapEstimate | None,
+    tfg: TfgMap | None,
+    grid: GridMap | None,
+    X_WB_estimated: FloatArray,
+    X_WB_true: FloatArray,
+    reachable: BoolArray,
+    X_WM: FloatArray | None = None,
+) -> None:
+    """Write the figure as a PNG, atomically.
+
+    Args:
+        path: the file.
+        title: stands above the figure; one or two lines.
+        world: walls, tags and start, in W; None where it is not known.
+        estimate, tfg, grid: the map in M; None where there is none (yet).
+        X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
+        reachable: (t,) of the world's tags: only these count as missed when they are not in the map.
+        X_WM: (3,) pose of the map frame in W, that of the start where there is none.
+
+    Of a world that is not known the map frame takes the place, and the map says how large it is.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    grid = grid if grid is not None and grid.probability.size else None  # Nothing is mapped before the first scan.
+    if X_WM is None:
+        X_WM = world.start if world is not None else np.zeros(3)
+    shown = [X_WB_true[:, :2], X_WM[None, :2]]
+    if world is not None:
+        shown.append(world.walls.reshape(-1, 2))
+    else:
+        shown.append(X_WB_estimated[:, :2])
+        shown += [tfg.segments.reshape(-1, 2), tfg.star_vertices] if tfg is not None else []
+        shown += [_corners(grid)] if grid is not None else []
+    points = np.vstack(shown)
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
+
+    if world is not None:
+        # Grey and wide below lines, but a thin colour on the grey of cells.
+        color, width = (_WALL, 3.0) if grid is None else (_BARE, 1.0)
+        walls = list(world.walls.reshape(-1, 2, 2))
+        axes.add_collection(LineCollection(walls, colors=color, linewidths=width, label="true wall"))
+    if grid is not None:
+        draw_grid(axes, X_WM, grid)
+        for color, label in (("black", "occupied cell"), ("white", "free cell"), ("0.5", "unknown cell")):
+            axes.plot([], [], "s", color=color, markeredgecolor="0.5", markersize=6, label=label)
+    mapped = np.zeros(0, dtype=np.int64)
+    if tfg is not None:
+        draw_surfaces(axes, X_WM, tfg)
+    if len(X_WB_true):
+        axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.8, label="true path")
+    if len(X_WB_estimated):
+        axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
+    if estimate is not None:
+        mapped = estimate.ids
+        draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, estimate.is_doubtful, symbol)
+        _draw_goals(axes, X_WM, estimate.X_MA)
+    if world is not None and grid is None:
+        missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
+        if len(missed):
+            label = "landmark missed"
+            axes.plot(*missed.T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
+    axes.plot(*X_WM[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
+    way = X_WB_true if len(X_WB_true) else X_WB_estimated
+    if len(way):
+        axes.plot(*way[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
+    _write(figure, path)
+
+
+def draw_map(path: Path, title: str, saved: SavedMap) -> None:
+    """Write the figure of a saved map as a PNG or PDF, by the file's suffix, atomically.
+
+    Args:
+        path: the file.
+        title: stands above the figure; one or two lines.
+        saved: the map; the figure is in W.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    X_WM, tfg = saved.X_WM, saved.tfg
+    shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
+    points = transform(X_WM, np.vstack(shown))
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
+    stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
+    axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
+    draw_surfaces(axes, X_WM, tfg)
+    draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, np.isin(saved.ids, saved.doubtful), symbol)
+    _draw_goals(axes, X_WM, saved.X_MA)
+    if len(tfg.frontiers):
+        p_WF = transform(X_WM, tfg.frontiers)
+        axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
+    _write(figure, path)
+
+
+def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]):  # type: ignore[no-untyped-def]
+    """Figure and axes for an area, m, and a symbol's size in points, from the scale of the drawing."""
+    height = float(np.clip(_WIDTH * (y[1] - y[0]) / (x[1] - x[0]), 3.5, 12.0))
+    figure = Figure(figsize=(_WIDTH, height + 1.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(xlim=x, ylim=y, aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.tick_params(labelsize=8, colors="0.35")
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_title(title, loc="left", fontsize=10)
+    return figure, axes, float(np.clip(0.2 * _WIDTH * _POINTS_PER_INCH / (x[1] - x[0]), 1.2, 6.0))
+
+
+def _write(figure: Figure, path: Path) -> None:
+    """The figure with its legend, without the metadata that would differ from version to version or day to day."""
+    figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
+    buffer = io.BytesIO()
+    if path.suffix.lower() == ".pdf":
+        figure.savefig(buffer, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
+    else:
+        figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
+    write_atomic(path, buffer.getvalue())
+
+
+def _corners(grid: GridMap) -> FloatArray:
+    """Two opposite corners (2, 2) of what a grid covers, in M, m."""
+    rows, columns = grid.probability.shape
+    return np.stack([grid.origin, grid.origin + grid.resolution * np.array([columns, rows])])
+
+
+def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
+    """The surfaces of a map onto axes of W, those without a tag in a colour of their own."""
+    pieces = np.stack([transform(X_WM, tfg.segments[:, :2]), transform(X_WM, tfg.segments[:, 2:])], axis=1)
+    tagged = tfg.segment_kind < 2
+    for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without tag")):
+        if mask.any():
+            axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
+
+
+def draw_landmarks(
+    axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, doubtful: BoolArray, symbol: float
+) -> None:
+    """Landmarks p_ML (n, 2), m, with the ellipses of their covariances (n, 2, 2) onto axes of W; symbol: points.
+
+    doubtful: (n,) which of them are drawn in another colour.
+    """
+    R_WM = rotation(float(X_WM[2]))
+    p_WL = transform(X_WM, p_ML)
+    outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T)
+    # Thin where there are many on little room.
+    width = min(0.5, 0.15 * symbol)
+    for some, colour, what in ((~doubtful, _MAPPED, "mapped"), (doubtful, _DOUBTFUL, "doubtful")):
+        if not some.any():
+            continue
+        label = f"landmark {what}, 3\u03c3"
+        axes.plot(*p_WL[some].T, "o", color=colour, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
+        rings = PolyCollection(list(outlines[some]), facecolors="none", edgecolors=colour, linewidths=width, zorder=4)
+        axes.add_collection(rings)
+
+
+def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
+    """A grid's probabilities as an image from white (free) to black (occupied), turned from M into W."""
+    rows, columns = grid.probability.shape
+    (x, y), cell = grid.origin, grid.resolution
+    extent = (x, x + cell * columns, y, y + cell * rows)
+    limits = axes.axis()
+    # Black, as dense as the probability, over the true walls.
+    ink = np.zeros((rows, columns, 4))
+    ink[..., 3] = grid.probability
+    image = axes.imshow(ink, extent=extent, origin="lower", interpolation="nearest", zorder=0.7)
+    (a, c), (b, d) = rotation(float(X_WM[2]))
+    image.set_transform(Affine2D.from_values(a, b, c, d, X_WM[0], X_WM[1]) + axes.transData)
+    axes.axis(limits)
+
+
+def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]
+    """A dot where each goal's turn or glance began, under its number where there is room for one."""
+    goals = compose(X_WM, X_MA)[:, :2] if len(X_MA) else np.zeros((0, 2))
+    if not len(goals):
+        return
+    x_min, x_max = axes.get_xlim()
+    spacing = max(NUMBER_SPACING, NUMBER_POINTS * (x_max - x_min) / (_WIDTH * _POINTS_PER_INCH))
+    numbered: list[int] = []
+    # The last first: where the robot came back, the newer number says so.
+    for number in range(len(goals) - 1, -1, -1):
+        if all(np.hypot(*(goals[number] - goals[other])) > spacing for other in numbered):
+            numbered.append(number)
+    axes.plot(*goals.T, "o", markersize=3, color=_ESTIMATE, linewidth=0, label="goal or glance", zorder=4.9)
+    # As wide as the number is.
+    box = {"boxstyle": "round,pad=0.3,rounding_size=0.8", "facecolor": "white", "edgecolor": _ESTIMATE}
+    middle = {"ha": "center", "va": "center"}
+    for number in numbered:
+        axes.text(*goals[number], str(number + 1), fontsize=6, color=_ESTIMATE, bbox=box, **middle, zorder=5)

@@ -1,0 +1,156 @@
+"""The paper's figures (its Figs. 2 to 4 and 6), drawn from maps of our own runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.figure import Figure
+
+from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.planning.candidates import GoalParameters, Situation, expected_gains, places
+from tfg_drake.planning.expected_view import expected_tags
+from tfg_drake.planning.information_gain import Gains
+from tfg_drake.storage.files import write_atomic
+
+# Standard deviations, m, of the prior of new landmarks: the paper's high, medium and low.
+PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.01}
+FORMATS = (".png", ".pdf")
+_SURFACE, _BARE, _FREE = "0.15", "0.55", "#f3f5f1"
+_LANDMARK, _FRONTIER, _GOAL = "#12876f", "#1a5ce0", "#8a8f98"
+_COLOURS = "coolwarm"
+_WIDTH = 7.2  # of the text of a two-column paper, inches
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """What the explorer had before it at one stage."""
+
+    estimate: MapEstimate
+    tfg: TfgMap
+    roadmap: Roadmap
+    goal: GoalChoice
+
+
+def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gains]:
+    """The nodes (c,) of the roadmap where the robot could turn, and what a turn at each is expected to gain."""
+    estimate, tfg, roadmap = stage.estimate, stage.tfg, stage.roadmap
+    nodes = places(roadmap, tfg, estimate.X_MD[:2])
+    tags = expected_tags(roadmap.points[nodes], estimate, tfg, parameters.sensor)
+    return nodes, expected_gains(nodes, tags, Situation(estimate, tfg, roadmap, parameters))
+
+
+def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
+    """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 3)."""
+    nodes, gains = gain_field(stage, parameters)
+    figure, axes = _panels(stage.tfg, 1, 3)
+    panels = (("Exploitation", gains.exploitation), ("Exploration", gains.exploration), ("Total", gains.gain))
+    for axis, (title, values) in zip(axes, panels, strict=True):
+        _draw_map(axis, stage)
+        _draw_samples(figure, axis, stage.roadmap.points[nodes], values)
+        axis.set_title(title, fontsize=9)
+    return figure
+
+
+def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
+    """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 4)."""
+    figure, axes = _panels(stage.tfg, 1, len(PRIORS))
+    for axis, (name, sigma) in zip(axes, PRIORS.items(), strict=True):
+        explorer = dataclasses.replace(parameters.explorer, prior_sigma=sigma)
+        nodes, gains = gain_field(stage, dataclasses.replace(parameters, explorer=explorer))
+        _draw_map(axis, stage)
+        _draw_samples(figure, axis, stage.roadmap.points[nodes], gains.gain)
+        axis.set_title(f"{name.capitalize()} prior: {sigma:g} m", fontsize=9)
+    return figure
+
+
+def draw_tfg(stage: Stage) -> Figure:
+    """The topological feature graph with goal points and what the newest of them saw (the paper's Fig. 2)."""
+    figure, (axis,) = _panels(stage.tfg, 1, 1)
+    _draw_map(axis, stage, label=True)
+    X_MA, estimate = stage.estimate.X_MA, stage.estimate
+    seen = estimate.p_ML[np.isin(estimate.ids, estimate.observation.ids)]
+    rays = [(X_MA[-1, :2], p) for p in seen]
+    axis.add_collection(LineCollection(rays, colors=_FRONTIER, linewidths=0.3, alpha=0.5, label="seen from the newest"))
+    axis.plot(*X_MA[:, :2].T, "o", color=_GOAL, markersize=7, markeredgewidth=0, label="goal point", zorder=5)
+    for number, (x, y, _) in enumerate(X_MA, start=1):
+        axis.text(x, y, str(number), fontsize=5, color="white", ha="center", va="center", zorder=6)
+    figure.legend(loc="outside lower center", ncols=5, fontsize=7, frameon=False)
+    return figure
+
+
+def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -> Figure:
+    """The map at some stages of one mission with the robot's way so far, its places p_MB (n, 2), m, at stamps (n,), s
+    (the paper's Fig. 6)."""
+    columns = 2
+    figure, axes = _panels(stages[-1].tfg, -(-len(stages) // columns), columns)
+    for axis, stage in zip(axes, stages, strict=False):
+        _draw_map(axis, stage)
+        axis.plot(*p_MB[stamps <= stage.estimate.stamp].T, "-", color=_GOAL, linewidth=0.6, zorder=2)
+        axis.plot(*stage.estimate.X_MA[:, :2].T, "o", color=_GOAL, markersize=3, markeredgewidth=0, zorder=5)
+        text = f"stage {stage.estimate.stage}, {stage.estimate.stamp:.0f} s, {len(stage.estimate.ids)} landmarks"
+        axis.set_title(text, fontsize=8)
+    return figure
+
+
+def write_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure in every format, atomically, without metadata that differ from day to day; returns the files."""
+    paths = []
+    for suffix in FORMATS:
+        buffer = io.BytesIO()
+        none = ("Creator", "Producer", "CreationDate") if suffix == ".pdf" else ("Software",)
+        figure.savefig(buffer, format=suffix[1:], dpi=300, metadata=dict.fromkeys(none))
+        paths.append(folder / f"{name}{suffix}")
+        write_atomic(paths[-1], buffer.getvalue())
+    return paths
+
+
+def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
+    """A figure of equal panels that all show the area of the map."""
+    points = np.vstack([tfg.segments.reshape(-1, 2), tfg.star_vertices])
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    panel = _WIDTH / columns
+    height = rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.4) + (0.4 if columns == 1 else 0.15)
+    figure = Figure(figsize=(_WIDTH, max(height, 1.5)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
+    for axis in axes:
+        axis.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xticks=[], yticks=[])
+        for spine in axis.spines.values():
+            spine.set_visible(False)
+    return figure, axes
+
+
+def _draw_map(axis: Axes, stage: Stage, *, label: bool = False) -> None:
+    """Free space, surfaces, landmarks, frontiers."""
+    tfg = stage.tfg
+    named = {name: name if label else None for name in ("obstacle surface", "landmark", "frontier")}
+    stars = np.split(tfg.star_vertices, tfg.star_offsets[1:-1])
+    axis.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", zorder=0))
+    pieces = tfg.segments.reshape(-1, 2, 2)
+    tagged = tfg.segment_kind < 2
+    for mask, colour, name in ((tagged, _SURFACE, named["obstacle surface"]), (~tagged, _BARE, None)):
+        axis.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=0.8, zorder=3, label=name))
+    for (x, y), mark, colour, name in (
+        (stage.estimate.p_ML.T, "o", _LANDMARK, named["landmark"]),
+        (tfg.frontiers.T, "D", _FRONTIER, named["frontier"]),
+    ):
+        axis.plot(x, y, mark, color=colour, markersize=2.0, markeredgewidth=0, zorder=4, label=name)
+
+
+def _draw_samples(figure: Figure, axis: Axes, points: FloatArray, values: FloatArray) -> PathCollection:
+    """Discs coloured by their gain, the largest on top, with a scale in nats."""
+    order = np.argsort(values)
+    x, y = points[order].T
+    discs = axis.scatter(x, y, c=values[order], cmap=_COLOURS, s=7, linewidths=0, zorder=2)
+    bar = figure.colorbar(discs, ax=axis, orientation="horizontal", fraction=0.05, pad=0.02, aspect=40)
+    bar.ax.tick_params(labelsize=6, length=2)
+    bar.outline.set_visible(False)
+    bar.set_label("nats", fontsize=6, labelpad=1)
+    return discs

@@ -1,0 +1,1 @@
+"""Files: written atomically, recordings of ports, trajectories, YAML with one line an error."""

@@ -1,0 +1,362 @@
+"""What a station's ports carried in a run, as an MCAP file that Foxglove and the MCAP tools read.
+
+A channel a port, named like it, of protobuf messages: the fields of the messages in `tfg_drake.messages` by their
+names, float64 to the bit, with their schema in the file. log_time is when the port carried the message first (ns since
+the run began), publish_time the message's own stamp. The metadata "run" names the robot.
+
+The file grows by compressed chunks: of a program that is killed all is there but the last second.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import logging
+import math
+import struct
+import typing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.exceptions import InvalidMagic
+from mcap.records import Channel, Footer, Message, Metadata, Schema
+from mcap.stream_reader import MAGIC_SIZE, StreamReader
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, TagDetections, message
+
+FILE_NAME = "ports.mcap"
+# Of a killed program no more than so much is lost, s.
+FLUSH_PERIOD = 1.0
+
+_NS = 1e9
+_Field = descriptor_pb2.FieldDescriptorProto
+# Integers of fixed size, so that an array stands in the file as it stands in memory.
+_TYPES: Mapping[Any, Any] = {
+    float: _Field.TYPE_DOUBLE,
+    int: _Field.TYPE_SFIXED64,
+    bool: _Field.TYPE_BOOL,
+    np.float64: _Field.TYPE_DOUBLE,
+    np.int64: _Field.TYPE_SFIXED64,
+}
+# How protobuf's wire format says what follows a field's number.
+_BYTE, _EIGHT_BYTES, _BLOCK = 0, 1, 2
+_log = logging.getLogger("tfg_drake.storage.port_recording")
+
+
+@message
+class Velocity:
+    """A velocity that the base was told: v forward, m/s, and w, the turn rate, rad/s."""
+
+    v: float
+    w: float
+
+
+@message
+class Enabled:
+    """enabled: 1.0 while the base may move, else 0.0."""
+
+    enabled: float
+
+
+# What is recorded of a station: a run cannot be played without the messages, but without a command.
+MESSAGES: Mapping[str, type] = {
+    "base.odometry": Odometry,
+    "base.hazards": Hazards,
+    "tags.detections": TagDetections,
+    "scan.ranges": LaserScan,
+}
+COMMAND = "base.velocity_commanded"
+ENABLED = "base.enabled"
+PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled}
+
+
+class RecordingError(Exception):
+    """A recording that cannot be played; the message is one line: which, why and how to mend it."""
+
+
+def nanoseconds(time: float) -> int:
+    """A time, s, as whole nanoseconds: what is recorded and looked up by it has been rounded alike."""
+    return round(time * _NS)
+
+
+class PortWriter:
+    """A recording being written, a context manager: closing it makes the file whole.
+
+    What cannot be written after the beginning, as to a full disk, ends the recording with a line in the log, and not
+    the run; failure: what ended it, None where nothing did.
+    """
+
+    def __init__(self, path: Path, robot: str) -> None:
+        """robot: what was driven. Raises OSError where the file cannot be written."""
+        self._path = path
+        self.failure: OSError | None = None
+        self._file = path.open("wb")
+        self._writer: Writer | None = Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
+        self._writer.start(library="tfg_drake")
+        self._writer.add_metadata("run", {"robot": robot})
+        self._channels: dict[str, int] = {}
+        for port, kind in PORTS.items():
+            file = _proto_file(kind)
+            schemas = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+            schema = self._writer.register_schema(f"{file.package}.{kind.__name__}", "protobuf", schemas)
+            self._channels[port] = self._writer.register_channel(port, "protobuf", schema)
+        self._encoders = {port: _encoder(kind) for port, kind in PORTS.items()}
+        self._newest: dict[str, object] = {}
+        self._told: dict[str, list[float]] = {}
+        self._last_data: dict[str, bytes] = {}
+        self._waiting: list[tuple[str, float, Any]] = []
+        self._flushed = -math.inf
+
+    def __enter__(self) -> PortWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, port: str, time: float, value: object) -> None:
+        """Records what a port carries at a time, s: one of PORTS' messages, each once."""
+        if value is self._newest.get(port):
+            return
+        self._newest[port] = value
+        # Many at a time take half as long as one by one.
+        self._waiting.append((port, time, value))
+        if time >= self._flushed + FLUSH_PERIOD:
+            self._flushed = time
+            self._write_waiting()
+
+    def write_command(self, time: float, velocity: FloatArray) -> None:
+        """Records the velocity (2,), m/s and rad/s, that the base is told at a time, s, where it is another."""
+        self._write_changed(COMMAND, time, Velocity, velocity.tolist())
+
+    def write_enabled(self, time: float, enabled: float) -> None:
+        """Records at a time, s, whether the base may move, where that has changed."""
+        self._write_changed(ENABLED, time, Enabled, [enabled])
+
+    def _write_changed(self, port: str, time: float, kind: type, told: list[float]) -> None:
+        if self._told.get(port) != told:
+            self._told[port] = told
+            self.write(port, time, kind(*told))
+
+    def close(self) -> None:
+        """Writes what is left, and the index."""
+        self._write_waiting()
+        if self._writer is None:
+            return
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+        except OSError as error:
+            self._give_up(error)
+        self._writer = None
+
+    def _write_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if self._writer is None:
+            return
+        try:
+            for port, time, value in waiting:
+                data = self._encoders[port](value)
+                if data == self._last_data.get(port):
+                    continue
+                self._last_data[port] = data
+                now, stamp = nanoseconds(time), getattr(value, "stamp", time)
+                published = nanoseconds(stamp) if 0.0 <= stamp < math.inf else now
+                self._writer.add_message(self._channels[port], now, data, published)
+            self._writer.flush()  # type: ignore[no-untyped-call]
+        except OSError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        _log.error("%s: cannot be written: %s; the run is not recorded any further", self._path, error.strerror)
+        self._writer, self.failure = None, error
+        try:
+            self._file.close()
+        except OSError:
+            self._file.raw.close()  # What waits to be written is lost.
+
+
+@dataclasses.dataclass(frozen=True)
+class PortRecording:
+    """A recording that was read.
+
+    path. robot: what was driven. log_times: of each of PORTS (n,) ns, increasing, when its messages came; messages: n
+    of the port's kind. end_time: s, when the last of them came. whole: it was closed, by a program that was not killed.
+    """
+
+    path: Path
+    robot: str
+    log_times: Mapping[str, IntArray]
+    messages: Mapping[str, Sequence[Any]]
+    end_time: float
+    whole: bool
+
+    def at(self, port: str, time: float) -> Any:
+        """What a port carried at a time, s; before the first message that one."""
+        row = int(np.searchsorted(self.log_times[port], nanoseconds(time), side="right")) - 1
+        return self.messages[port][max(row, 0)]
+
+    def enabled(self, time: float) -> float:
+        """1.0 while the base might move, at a time, s, else 0.0; 1.0 where that was not recorded."""
+        return float(self.at(ENABLED, time).enabled) if self.messages[ENABLED] else 1.0
+
+
+def read_recording(path: Path) -> PortRecording:
+    """Read a recording, also one that ends where its program was killed.
+
+    Args:
+        path: the file, or the run's folder with it.
+
+    Raises:
+        RecordingError: it is not there, not a recording, or damaged.
+    """
+    path = path / FILE_NAME if path.is_dir() else path
+    times: dict[str, list[int]] = {port: [] for port in PORTS}
+    messages: dict[str, list[Any]] = {port: [] for port in PORTS}
+    robot, whole = "", False
+    schemas: dict[int, Schema] = {}
+    decoders: dict[int, tuple[str, Any]] = {}
+    try:
+        if path.stat().st_size == 0:
+            raise RecordingError(f"{path}: is empty; name the recording of a run that had begun")
+        for record in _records(path):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.id not in decoders and record.topic in PORTS:
+                decoders[record.id] = record.topic, _decoder(path, record.topic, schemas[record.schema_id])
+            elif isinstance(record, Message) and record.channel_id in decoders:
+                port, decoder = decoders[record.channel_id]
+                before = messages[port][-1] if messages[port] else None
+                messages[port].append(_read_message(PORTS[port], decoder.FromString(record.data), before))
+                times[port].append(record.log_time)
+            elif isinstance(record, Metadata) and record.name == "run":
+                robot = record.metadata.get("robot", "")
+            elif isinstance(record, Footer):
+                whole = True
+    except RecordingError:
+        raise
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: no such file; name the folder of a run that was recorded") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}; name a file that can be") from None
+    except InvalidMagic:
+        raise RecordingError(f"{path}: is not an MCAP file; name the folder of a run that was recorded") from None
+    except Exception as error:  # Anything may come of bytes that are not what they should be.
+        raise RecordingError(f"{path}: is damaged; copy it again from where it was recorded") from error
+    if not whole:
+        _log.warning("%s: was not closed; what its program had not written yet when it was killed is missing", path)
+    silent = [port for port in MESSAGES if not messages[port]]
+    if silent:
+        raise RecordingError(f"{path}: holds no {silent[0]}; name the recording of a run that had begun")
+    end = max(stamps[-1] for stamps in times.values() if stamps)
+    log_times = {port: np.array(stamps, dtype=np.int64) for port, stamps in times.items()}
+    return PortRecording(path, robot, log_times, messages, end / _NS, whole)
+
+
+def recorded_robot(folder: Path) -> str:
+    """The robot whose run a folder holds the recording of; "" where there is none that can be read."""
+    try:
+        found = (record for record in _records(folder / FILE_NAME) if isinstance(record, Metadata))
+        return str(next(found).metadata.get("robot", ""))
+    except Exception:  # Anything may come of bytes that are not what they should be.
+        return ""
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """The records of an MCAP file up to where it ends, or ends too early."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        try:
+            yield from StreamReader(file, validate_crcs=True).records
+        except Exception:
+            # Its program was killed while it wrote the last record, or before it wrote another.
+            if file.tell() < size or size <= MAGIC_SIZE:
+                raise
+
+
+def _encoder(kind: type) -> Callable[[Any], bytes]:
+    """What puts a message of a kind into protobuf's wire format: its arrays as they are in memory, an order of
+    magnitude quicker than by protobuf itself."""
+    hints = typing.get_type_hints(kind)
+    parts: list[tuple[str, bytes, Any]] = []
+    for number, field in enumerate(dataclasses.fields(kind), start=1):
+        hint = hints[field.name]
+        entry = _entry(hint)
+        wire = _BLOCK if entry is not None else _BYTE if hint is bool else _EIGHT_BYTES
+        write: Any
+        if entry is not None:
+            write = functools.partial(_block, np.dtype(entry).newbyteorder("<"))
+        else:
+            write = struct.Struct({float: "<d", int: "<q", bool: "<?"}[hint]).pack
+        parts.append((field.name, bytes([number << 3 | wire]), write))
+
+    def encode(value: Any) -> bytes:
+        fields = value.__dict__
+        return b"".join([piece for name, tag, write in parts for piece in (tag, write(fields[name]))])
+
+    return encode
+
+
+def _block(entries: np.dtype[Any], array: NDArray[Any]) -> bytes:
+    """An array's bytes after their number, seven bits a byte, the lowest first."""
+    data = array.astype(entries, copy=False).tobytes()
+    size, length = len(data), bytearray()
+    while size > 0x7F:
+        length.append(size & 0x7F | 0x80)
+        size >>= 7
+    length.append(size)
+    return bytes(length) + data
+
+
+def _entry(hint: Any) -> Any:
+    """The type of an array's entries, None of an annotation that is no array."""
+    return typing.get_args(typing.get_args(hint)[1])[0] if typing.get_origin(hint) is np.ndarray else None
+
+
+def _decoder(path: Path, port: str, schema: Schema) -> Any:
+    """The protobuf class of a channel's messages. Raises RecordingError where they are not as this version's are."""
+    file = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file[0]
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    decoder = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    there = [field.name for field in decoder.DESCRIPTOR.fields]
+    wanted = [field.name for field in dataclasses.fields(PORTS[port])]
+    if there != wanted:
+        different = f"{port} has {', '.join(there)} and not {', '.join(wanted)}"
+        raise RecordingError(f"{path}: is of another version: {different}; record the run again")
+    return decoder
+
+
+def _read_message(kind: type, proto: Any, before: Any) -> Any:
+    """A message of a kind; an array that is that of the message before is shared with it, as a scan's angles are."""
+    fields: dict[str, Any] = {}
+    for descriptor in proto.DESCRIPTOR.fields:
+        value = getattr(proto, descriptor.name)
+        if isinstance(value, (float, int)):
+            fields[descriptor.name] = value
+            continue
+        entries = np.float64 if descriptor.type == descriptor.TYPE_DOUBLE else np.int64
+        array = np.array(value, dtype=entries)
+        old = getattr(before, descriptor.name, None)
+        shared = old is not None and array.tobytes() == old.tobytes()
+        fields[descriptor.name] = old if shared else array
+    return kind(**fields)
+
+
+def _proto_file(kind: type) -> Any:
+    """A protobuf file that declares one message: a dataclass of numbers, truth values and arrays (n,) of them."""
+    file = descriptor_pb2.FileDescriptorProto(name=f"{kind.__name__}.proto", package="tfg_drake", syntax="proto3")
+    declared = file.message_type.add(name=kind.__name__)
+    hints = typing.get_type_hints(kind)
+    for number, field in enumerate(dataclasses.fields(kind), start=1):
+        entry = _entry(hints[field.name])
+        label = _Field.LABEL_OPTIONAL if entry is None else _Field.LABEL_REPEATED
+        declared.field.add(name=field.name, number=number, label=label, type=_TYPES[entry or hints[field.name]])
+    return file

@@ -1,0 +1,53 @@
+"""Trajectories as text, in the TUM format that trajectory tools (evo and others) read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray
+from tfg_drake.storage.files import write_atomic
+
+
+def write_tum(path: Path, stamps: FloatArray, X_WB: FloatArray) -> None:
+    """Write a trajectory, one pose a line: `timestamp tx ty tz qx qy qz qw`.
+
+    Args:
+        path: the file, written atomically.
+        stamps: (n,) s.
+        X_WB: (n, 3) planar poses, m and rad; z is 0 and the rotation about the z axis.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    half = 0.5 * X_WB[:, 2]
+    zero = np.zeros(len(stamps))
+    table = np.column_stack([stamps, X_WB[:, 0], X_WB[:, 1], zero, zero, zero, np.sin(half), np.cos(half)])
+    write_atomic(path, "".join(("%.6f" + 7 * " %.9f" + "\n") % tuple(row) for row in table))
+
+
+def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read a planar trajectory: stamps (n,) s and X_WB (n, 3), m and rad.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: a line is not eight numbers.
+    """
+    lines = (line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#"))
+    rows = [[float(word) for word in line.split()] for line in lines]
+    if any(len(row) != 8 for row in rows):
+        raise ValueError(f"{path}: every line of a TUM trajectory has eight numbers")
+    table = np.array(rows).reshape(-1, 8)
+    heading = 2.0 * np.arctan2(table[:, 6], table[:, 7])
+    heading = np.pi - np.mod(np.pi - heading, 2.0 * np.pi)
+    return table[:, 0], np.column_stack([table[:, 1:3], heading])
+
+
+def poses_at(stamps: FloatArray, log_stamps: FloatArray, poses: FloatArray) -> FloatArray:
+    """The logged poses (m, 3) at other stamps (n,), interpolated: (n, 3), nan without a log."""
+    if not len(log_stamps):
+        return np.full((len(stamps), 3), np.nan)
+    heading = np.unwrap(poses[:, 2])
+    columns = [np.interp(stamps, log_stamps, column) for column in (poses[:, 0], poses[:, 1], heading)]
+    return np.stack(columns, axis=1)
