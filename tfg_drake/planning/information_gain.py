@@ -64,7 +64,8 @@ def frontier_reach(sensor: TagSensorConfig) -> FloatArray:
 def sightings_of_turn(sensor: TagSensorConfig, turn_rate: float, frame_worth: float = 1.0) -> float:
     """How often each tag is seen in a full turn at turn_rate (rad/s), independently: it is in view for field_of_view /
     turn_rate s. frame_worth: as in MapEstimate."""
-    return frame_worth * sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
+    frames = sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
+    return frames - max(frames - 1.0, 0.0) * (1.0 - frame_worth)
 
 
 def turn_noise(sensor: TagSensorConfig, sightings: float, tag_error: FloatArray | None = None) -> FloatArray:

@@ -156,7 +156,7 @@ def solve_turn(
                 known, problem = slipping, (stamps, *problem[1:])
     correlation = _compared(correlation or no_correlation(), solution, problem, kept)
     if correlation.frame_worth < 1.0:
-        solution = _solved(known, _less_certain(problem, correlation.frame_worth), solution.X_AB, kept)
+        solution = _solved(known, _less_certain(problem, kept, correlation), solution.X_AB, kept)
 
     # All the turn tells given the yaw, which it shares with all others; what it tells of the yaw goes beside it.
     of_yaw = solution.covariance[TAGS:, CAMERA] / solution.covariance[CAMERA, CAMERA]
@@ -210,11 +210,12 @@ def _compared(
     return compared(correlation, errors, tag, node)
 
 
-def _less_certain(problem: _Problem, frame_worth: float) -> _Problem:
-    """The problem with the standard deviations that make frames in a row count as much as they tell."""
+def _less_certain(problem: _Problem, kept: BoolArray, correlation: NoiseCorrelation) -> _Problem:
+    """The problem with the standard deviations that make those frames in a row that are kept (m,) count as much as they
+    tell."""
     clock, X_OB, node, ids, z = problem
     z = z.copy()
-    z[:, 2:4] *= frame_worth**-0.5
+    z[kept, 2:4] *= correlation.worth(ids[kept], node[kept])[:, None] ** -0.5
     return clock, X_OB, node, ids, z
 
 
