@@ -54,8 +54,8 @@ class Run:
         """The messages of a station's port as arrays by their fields' names, a row a message, and `time`: (n,) s, when
         the port carried each.
 
-        Of the tags of frames, which are now many and now few, all entries stand one behind the other, and `message` says
-        which message each is from. Raises KeyError with the ports' names.
+        Of the tags of frames, now many and now few, all entries stand one behind the other, and `message` says which
+        message each is from; where a scan has no rays yet, its row is nan. Raises KeyError with the ports' names.
         """
         recording = self.recording
         if name not in recording.messages:
@@ -68,7 +68,8 @@ class Run:
                 columns[field.name] = np.concatenate(values)
                 columns[MESSAGE] = np.repeat(np.arange(len(values)), [len(value) for value in values])
             else:
-                columns[field.name] = np.array(values)
+                width = max(value.size for value in values)
+                columns[field.name] = np.array([value if value.size else np.full(width, np.nan) for value in values])
         return columns
 
     def frame(self, name: str) -> Any:
