@@ -230,12 +230,12 @@ def rewrite(path, **changes):
             "FILE is not a whole map: tfg_graph.tried_count does not fit tfg_graph.tried",
         ),
         (
-            {"tfg_graph.surfaces.goal": np.array([0, 0, 2])},
-            "FILE is not a whole map: tfg_graph.surfaces.goal does not fit tfg_graph.stage",
+            {"tfg_graph.surfaces.view": np.array([0, 0, 2])},
+            "FILE is not a whole map: tfg_graph.surfaces.view does not fit tfg_graph.stage",
         ),
         (
-            {"tfg_graph.shadows.goal": np.array([-1])},
-            "FILE is not a whole map: tfg_graph.shadows.goal does not fit tfg_graph.stage",
+            {"tfg_graph.free_space_frontiers.view": np.array([-1])},
+            "FILE is not a whole map: tfg_graph.free_space_frontiers.view does not fit tfg_graph.stage",
         ),
         ({"tfg.segment_ids": np.full((4, 2), 9)}, "FILE is not a whole map: tfg.segment_ids does not fit graph.ids"),
         (

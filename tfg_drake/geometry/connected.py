@@ -21,7 +21,7 @@ def connect(first: IntArray, a: int, b: int) -> None:
 
 
 @njit(cache=True)
-def settle(first: IntArray) -> None:
+def component_labels(first: IntArray) -> None:
     """Lead every entry to the least that it hangs together with in one step, in place; see `connect`."""
     for i in range(len(first)):
         first[i] = first[first[i]]

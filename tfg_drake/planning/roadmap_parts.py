@@ -1,4 +1,4 @@
-"""Cutting a roadmap into parts by the goals its nodes are anchored to, and joining them again."""
+"""Cutting a roadmap into parts by the views its nodes are anchored to, and joining them again."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, replace
 from tfg_drake.planning.roadmap import Edges, RoadmapState, empty_roadmap, place_in_map
-from tfg_drake.tfg.resting import Parted, undivided, whole
+from tfg_drake.tfg.submaps import Submaps, undivided, whole
 
-_NODES = ("anchor", "p_AN", "points", "sigma", "settled")
+_NODES = ("anchor", "p_AN", "points", "sigma", "known_jointly")
 
 
-def empty_roadmaps() -> Parted[RoadmapState]:
-    """The roadmap before the first goal."""
+def empty_roadmaps() -> Submaps[RoadmapState]:
+    """The roadmap before the first view."""
     return undivided(empty_roadmap())
 
 
-def cut(state: RoadmapState, goals: IntArray, stays: BoolArray) -> tuple[RoadmapState, RoadmapState]:
-    """The nodes anchored to some (k,) of a roadmap's goals (k,), and the others. Edges between the two, and those to
+def split(state: RoadmapState, views: IntArray, stays: BoolArray) -> tuple[RoadmapState, RoadmapState]:
+    """The nodes anchored to some (k,) of a roadmap's views (k,), and the others. Edges between the two, and those to
     nodes that rest already, stay with the first as links while it has one of their ends."""
-    kept = np.zeros(int(goals.max(initial=-1)) + 1, dtype=np.bool_)
-    kept[goals[stays]] = True
+    kept = np.zeros(int(views.max(initial=-1)) + 1, dtype=np.bool_)
+    kept[views[stays]] = True
     kept = kept[state.anchor]
     links = _links(state)
     near = np.asarray(_has(state.ids[kept], links.nodes).any(axis=1))
@@ -33,9 +33,9 @@ def cut(state: RoadmapState, goals: IntArray, stays: BoolArray) -> tuple[Roadmap
     )
 
 
-def joined(states: Sequence[RoadmapState], goals: Sequence[IntArray]) -> RoadmapState:
+def merged(states: Sequence[RoadmapState], views: Sequence[IntArray]) -> RoadmapState:
     """The roadmap of several parts; the first is the newest."""
-    del goals
+    del views
     order = np.argsort(np.concatenate([state.ids for state in states]))
     nodes: dict[str, Any] = {name: np.concatenate([getattr(state, name) for state in states])[order] for name in _NODES}
     ids = np.concatenate([state.ids for state in states])[order]
@@ -43,9 +43,9 @@ def joined(states: Sequence[RoadmapState], goals: Sequence[IntArray]) -> Roadmap
     return _with_links(replace(states[0], ids=ids, **nodes), first.and_those_of(*others))
 
 
-def whole_roadmap(roadmaps: Parted[RoadmapState], X_MA: FloatArray) -> RoadmapState:
-    """The roadmap of all goals, its nodes where the goals X_MA (k, 3) are now; what rests is as it was checked last."""
-    state = whole(roadmaps, joined)
+def whole_roadmap(roadmaps: Submaps[RoadmapState], X_MA: FloatArray) -> RoadmapState:
+    """The roadmap of all views, its nodes where the views X_MA (k, 3) are now; what rests is as it was checked last."""
+    state = whole(roadmaps, merged)
     return replace(state, points=place_in_map(state.anchor, state.p_AN, X_MA))
 
 

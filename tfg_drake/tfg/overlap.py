@@ -21,7 +21,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_from_robot
 from tfg_drake.tfg.surfaces import Surfaces
 
-# A surface this deep in the free space of a goal this near, m, that did not look at its front has drifted into it.
+# A surface this deep in the free space of a view this near, m, that did not look at its front has drifted into it.
 DEPTH = 0.2
 REACH = 5.0
 # What was mapped on the robot's own way is known within MOST_DRIFT, seen from it, and this a metre, as its heading is.
@@ -33,71 +33,69 @@ def standing(
     surfaces: Surfaces,
     vertices: FloatArray,
     tag_ids: IntArray,
-    tag_goal: IntArray,
+    tag_view: IntArray,
     stars: tuple[IntArray, FloatArray, FloatArray],
-    star_goal: IntArray,
+    star_view: IntArray,
     estimate: MapEstimate,
 ) -> BoolArray:
-    """Which surfaces (s,) stand: no goal that is tied more closely to the newest than theirs has looked through them.
+    """Which surfaces (s,) stand: no view that is tied more closely to the newest than theirs has looked through them.
 
-    vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
-    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_goal: (k,) the goals they are of.
+    vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_view: (n,) landmarks and a view that saw each.
+    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_view: (k,) the views they are of.
     """
-    count, none = len(surfaces.goal), np.zeros(len(star_goal))
+    count, none = len(surfaces.view), np.zeros(len(star_view))
 
     def through(surface_rank: FloatArray, star_rank: FloatArray) -> BoolArray:
         return looked_through(surfaces.offsets, vertices, surface_rank, *stars, star_rank, DEPTH, REACH)
 
-    # As a rule there is nothing of the kind, and how the goals are tied does not matter.
+    # As a rule there is nothing of the kind, and how the views are tied does not matter.
     if not through(np.ones(count), none).any():
         return np.ones(count, dtype=np.bool_)
-    rank = distance_along_map(*_saw(surfaces, tag_ids, tag_goal), star_goal, estimate)
-    return np.asarray(~through(rank[surfaces.goal], rank[star_goal]))
+    rank = distance_along_map(*_saw(surfaces, tag_ids, tag_view), star_view, estimate)
+    return np.asarray(~through(rank[surfaces.view], rank[star_view]))
 
 
 @dataclasses.dataclass(frozen=True)
-class MappedOtherwise:
+class WeaklyTied:
     """What was mapped another way round than the robot came: seen from it, nobody can tell where that lies.
 
-    landmarks: (n,) of the map, goals: (k,) of the map, surfaces: (s,).
+    landmarks: (n,) of the map, views: (k,) of the map, surfaces: (s,).
     """
 
     landmarks: BoolArray
-    goals: BoolArray
+    views: BoolArray
     surfaces: BoolArray
 
 
-def mapped_otherwise(
-    surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray, estimate: MapEstimate
-) -> MappedOtherwise:
-    """What cannot be told from where the robot is: landmarks, those goals that saw no others of the landmarks known
+def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate) -> WeaklyTied:
+    """What cannot be told from where the robot is: landmarks, those views that saw no others of the landmarks known
     jointly, and the surfaces of either.
 
-    tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
+    tag_ids, tag_view: (n,) landmarks and a view that saw each.
     """
     landmarks = _known_badly(estimate)
     if not landmarks.any():
-        return nothing_otherwise(surfaces, estimate)
+        return nothing_weakly_tied(surfaces, estimate)
     known = estimate.is_local
-    goal, ids = _saw(surfaces, tag_ids, tag_goal)
+    view, ids = _saw(surfaces, tag_ids, tag_view)
     row = np.searchsorted(estimate.ids, ids)
     these, others = (
-        np.bincount(goal[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
+        np.bincount(view[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
     )
-    goals = (these > 0) & (others == 0)
+    views = (these > 0) & (others == 0)
     carried = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
-    return MappedOtherwise(landmarks, goals, goals[surfaces.goal] | carried)
+    return WeaklyTied(landmarks, views, views[surfaces.view] | carried)
 
 
-def nothing_otherwise(surfaces: Surfaces, estimate: MapEstimate) -> MappedOtherwise:
+def nothing_weakly_tied(surfaces: Surfaces, estimate: MapEstimate) -> WeaklyTied:
     """Everything was mapped as the robot came."""
-    return MappedOtherwise(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.goal)))
+    return WeaklyTied(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.view)))
 
 
 @functools.lru_cache(maxsize=1)
 def _known_badly(estimate: MapEstimate) -> BoolArray:
     """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it: none of those
-    that the newest goal saw. What all of them are known worse by is the robot's own."""
+    that the newest view saw. What all of them are known worse by is the robot's own."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     known = estimate.is_local
     if known.any():
@@ -109,25 +107,25 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
     return badly
 
 
-def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray) -> tuple[IntArray, IntArray]:
-    """Goals and landmarks (p,) that they saw, as far as surfaces tell and these landmarks with a goal each, (n,)."""
-    goal = np.concatenate([np.repeat(surfaces.goal, 2), tag_goal])
+def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[IntArray, IntArray]:
+    """Views and landmarks (p,) that they saw, as far as surfaces tell and these landmarks with a view each, (n,)."""
+    view = np.concatenate([np.repeat(surfaces.view, 2), tag_view])
     ids = np.concatenate([surfaces.ids.ravel(), tag_ids])
-    return goal[ids >= 0], ids[ids >= 0]
+    return view[ids >= 0], ids[ids >= 0]
 
 
-def distance_along_map(goal: IntArray, ids: IntArray, goals: IntArray, estimate: MapEstimate) -> FloatArray:
-    """How far (k,), m, each of the map's goals is from the last of `goals` along what ties them; inf where none does.
+def distance_along_map(view: IntArray, ids: IntArray, views: IntArray, estimate: MapEstimate) -> FloatArray:
+    """How far (k,), m, each of the map's views is from the last of `views` along what ties them; inf where none does.
 
-    What ties: a goal and a landmark that it saw, goal and ids (p,), and two of `goals` (g,), ascending, in succession.
+    What ties: a view and a landmark that it saw, view and ids (p,), and two of `views` (g,), ascending, in succession.
     """
     k, n = len(estimate.X_MA), len(estimate.ids)
     # Each pair once: a sparse matrix adds up what it is given twice.
-    pair = np.unique(goal * n + np.searchsorted(estimate.ids, ids))
+    pair = np.unique(view * n + np.searchsorted(estimate.ids, ids))
     saw, row = pair // n, pair % n
-    before = goals[:-1][np.diff(goals) == 1]
+    before = views[:-1][np.diff(views) == 1]
     to_landmark = np.hypot(*(estimate.p_ML[row] - estimate.X_MA[saw, :2]).T)
     to_next = np.hypot(*(estimate.X_MA[before + 1, :2] - estimate.X_MA[before, :2]).T)
     length = np.append(to_landmark, to_next)
     ties = csr_matrix((length, (np.append(saw, before), np.append(k + row, before + 1))), shape=(k + n, k + n))
-    return np.asarray(dijkstra(ties, directed=False, indices=goals[-1])[:k])
+    return np.asarray(dijkstra(ties, directed=False, indices=views[-1])[:k])

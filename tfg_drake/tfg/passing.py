@@ -1,4 +1,4 @@
-"""Who passes by: what stands where an earlier goal saw free ground has come there since, and is no part of a building.
+"""Who passes by: what stands where an earlier view saw free ground has come there since, and is no part of a building.
 
 The robot's way past it is the scan's affair, see `tfg_drake.planning.path`. What was there when a place was first seen
 is mapped like a wall, until it is seen past (`tfg_drake.tfg.surfaces`). Who passes walks on: what is at the same place
@@ -29,7 +29,7 @@ LEAST_WIDTH = 0.15
 # ... and this wide seen from where that was seen from, m.
 LEAST_VIEW = 0.1
 SHALLOW = 0.06
-# Goals farther away than this, m, are not asked.
+# Views farther away than this, m, are not asked.
 REACH = 8.0
 # A landmark is well known whose place seen from the robot has no larger standard deviation than this, m.
 WELL_KNOWN = 0.05
@@ -49,7 +49,7 @@ LEAST_REACH = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
-class Passers:
+class StaticPanorama:
     """What came where free ground was seen before.
 
     panorama: as good as not having looked where somebody stood. left_out: (n, 2) m in A, what it was taken from.
@@ -61,18 +61,18 @@ class Passers:
     bodies: list[FloatArray]
 
 
-def without_passers(
+def without_dynamic(
     panorama: Panorama,
     stars: tuple[IntArray, FloatArray, FloatArray],
     estimate: MapEstimate,
     before: FloatArray,
-) -> Passers:
-    """The newest goal's panorama without those who pass by.
+) -> StaticPanorama:
+    """The newest view's panorama without those who pass by.
 
-    Those earlier goals are asked round which all landmarks are well known seen from the robot. stars: theirs, in the
+    Those earlier views are asked round which all landmarks are well known seen from the robot. stars: theirs, in the
     map frame, as in `tfg_drake.geometry.star`. before: (n, 2) m in M, what was left out at least STAYS ago.
     """
-    nobody = Passers(panorama, np.zeros((0, 2)), [])
+    nobody = StaticPanorama(panorama, np.zeros((0, 2)), [])
     here = estimate.X_MA[-1]
     rows = np.flatnonzero(np.hypot(*(stars[2] - here[:2]).T) <= REACH)
     rows = rows[_well_known(stars[2][rows], estimate)]
@@ -91,7 +91,7 @@ def without_passers(
             if np.mean(tree.query(points[body])[0] <= SAME_PLACE) >= SAME_SHARE:
                 passing[body] = False
                 bodies.append(points[body])
-    return Passers(
+    return StaticPanorama(
         replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)),
         points[passing & np.isfinite(points[:, 0])],
         bodies,
@@ -118,7 +118,7 @@ def seen_past(p_AP: FloatArray, panorama: Panorama) -> BoolArray:
 def without_bodies(
     star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray, p_MP: list[FloatArray]
 ) -> tuple[IntArray, FloatArray]:
-    """The stars, offsets (k + 1,) and vertices (v, 2) in the frames of their goals X_MA (k, 3), without what bodies
+    """The stars, offsets (k + 1,) and vertices (v, 2) in the frames of their views X_MA (k, 3), without what bodies
     (n, 2), m in M, stand in and hide."""
     stars = np.split(star_vertices.copy(), star_offsets[1:-1])
     for body in p_MP:

@@ -21,11 +21,11 @@ SAME_PASSAGE = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Barred:
+class NarrowPlaces:
     """Places with room for the robot but which it may not try to reach.
 
-    nodes: (b,) of the roadmap, entry: (b,) the last reachable node on the way to each. gain: (b,) nats that each
-    promises, time: (b,) s to get there, were the robot surer of its own place and the map's.
+    nodes: (b,) of the roadmap, entry: (b,) the last reachable node on the way to each. gain: (b,) nats, and
+    time: (b,) s to get there, of each as if the passage were wide enough.
     """
 
     nodes: IntArray
@@ -34,8 +34,8 @@ class Barred:
     time: FloatArray
 
 
-def barred_places(now: Situation) -> Barred:
-    """All that the roadmap knows of, and what they promise."""
+def narrow_places(now: Situation) -> NarrowPlaces:
+    """All such places of the roadmap, with their gains."""
     estimate, tfg, roadmap, parameters = now.estimate, now.tfg, now.roadmap, now.parameters
     sensor = parameters.sensor
     nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
@@ -46,23 +46,25 @@ def barred_places(now: Situation) -> Barred:
     tags, frontiers = expected_tags(points, estimate, tfg, sensor), expected_frontiers(points, tfg, sensor)
     judge = turns(estimate, tfg, sensor, parameters.odometry, parameters.explorer)
     gains = judge.gains(points, judge.arrival(points, distance, time), tags, frontiers)
-    return Barred(nodes, entry, gains.gain, time)
+    return NarrowPlaces(nodes, entry, gains.gain, time)
 
 
-def looked_again(barred: Barred, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
+def passages_revisited(narrow: NarrowPlaces, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
     """Names (t,) of the nodes from which the robot has looked once more: those before (s,), and where it is now, p_MD
     (2,), m in M, the last before a passage."""
-    entry = np.unique(barred.entry)
+    entry = np.unique(narrow.entry)
     here = np.hypot(*(roadmap.points[entry] - p_MD).T) < SAME_PASSAGE
-    return np.union1d(before, roadmap.names(entry[here]))
+    return np.union1d(before, roadmap.node_ids(entry[here]))
 
 
-def worth_of_looking(barred: Barred, roadmap: Roadmap, stay: float, stop_gain: float, looked: IntArray) -> FloatArray:
+def worth_of_looking(
+    narrow: NarrowPlaces, roadmap: Roadmap, stay: float, stop_gain: float, looked: IntArray
+) -> FloatArray:
     """What going back to the last reachable node before each place is worth, (b,), nats per second: 0 where the robot
     has been back already or too little lies behind.
 
-    stay: s at it. stop_gain: nats that must lie behind. looked: (t,) names, see `looked_again`.
+    stay: s at it. stop_gain: nats that must lie behind. looked: (t,) names, see `passages_revisited`.
     """
     known = roadmap.nodes(looked)
-    distance, _ = cKDTree(roadmap.points[known[known >= 0]]).query(roadmap.points[barred.entry])
-    return np.where((barred.gain > stop_gain) & (distance >= SAME_PASSAGE), barred.gain / (barred.time + stay), 0.0)
+    distance, _ = cKDTree(roadmap.points[known[known >= 0]]).query(roadmap.points[narrow.entry])
+    return np.where((narrow.gain > stop_gain) & (distance >= SAME_PASSAGE), narrow.gain / (narrow.time + stay), 0.0)

@@ -1,8 +1,8 @@
 """What was mapped after the robot had been carried, put in its place once tags from before are seen with it.
 
-Nothing ties such a part of the map to the rest; its place and heading are a guess. A goal that sees tags of both parts
+Nothing ties such a part of the map to the rest; its place and heading are a guess. A view that sees tags of both parts
 says how they lie to each other, but by more than a linearisation about the guess can follow: its covariance is that of
-small turns. So the newer part is moved first, as a whole; the goal then joins as any other.
+small turns. So the newer part is moved first, as a whole; the view then joins as any other.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ import numpy as np
 
 from tfg_drake.comparison.metrics import align
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, MapEstimate, replace
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Observation, replace
 from tfg_drake.slam.keyframe_graph import WITNESSES, Keyframe, KeyframeGraph, rows_of
 from tfg_drake.slam.map_solver import solve
 
 # A way that leaves the heading as open as this, rad, ties nothing.
 OPEN_HEADING = 1.0
-# Tags of either part that a goal must see, and how well they must fit, m: an id may have been misread.
+# Tags of either part that a view must see, and how well they must fit, m: an id may have been misread.
 LEAST_TAGS = 3
 FIT = 0.3
 
 
-def rejoined(
-    graph: KeyframeGraph, estimate: MapEstimate, observation: GoalObservation
+def realigned(
+    graph: KeyframeGraph, estimate: MapEstimate, observation: Observation
 ) -> tuple[KeyframeGraph, MapEstimate]:
     """The graph, and its estimate, with what was mapped since the robot was carried moved to where an observation, not
     yet in it, says; as they were where nothing is adrift or the observation does not say."""

@@ -1,4 +1,4 @@
-"""What candidates are expected to bring, judged only as far as it takes to find the best of them."""
+"""The expected gains of candidates, computed only as far as it takes to find the best of them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from tfg_drake.planning.information_gain import Gains
 AT_ONCE = 12
 
 
-class Promises:
-    """The gains of candidates, judged when they are asked for: until then, what they can be at the most.
+class ExpectedGains:
+    """The gains of candidates. Each is an upper bound until it is asked for, then exact.
 
-    gains: (c,) of all of them.
+    gains: (c,) of all of them, nats.
     """
 
     def __init__(
