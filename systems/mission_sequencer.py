@@ -28,7 +28,7 @@ from tfg_drake.systems.ports import (
 )
 
 PERIOD = 1 / 16
-# What maps in the TFG explorer.
+# The outputs of the TFG explorer that map, by port.
 MAPS: Mapping[str, type] = {"map": MapEstimate, "tfg": TfgMap}
 
 

@@ -30,8 +30,8 @@ GLANCE_SCANS = 3
 
 @message
 class _BuilderState:
-    """The graph, the map it was last resolved in, and what is near in that; since its last view, scans of the running
-    turn and tags sighted on the way."""
+    """The submaps of the graph, the map they were last resolved in, and the working map of that; since the last view,
+    scans of the running turn and tags sighted on the way."""
 
     graphs: Submaps[TfgGraph]
     estimate: MapEstimate
@@ -41,7 +41,7 @@ class _BuilderState:
 
 
 class TfgBuilder(LeafSystem):
-    """Collects the scans of a turn in place and adds them to the graph when the map has the turn's view.
+    """Collects the scans of a turn in place and adds them to the graph when the turn is in the map.
 
     .. pydrake_system::
 

@@ -143,7 +143,7 @@ class PoseEstimate:
 
 @message
 class Observation:
-    """What one turn in place saw, solved in the arrival frame A, the turn's poses eliminated.
+    """The tags seen in a turn, glance or piece of the way, solved in its arrival frame A, its other poses eliminated.
 
     ids: (n,). p_AL: (n, 2) tag positions in A, m. X_AD: (3,) departure pose in A. covariance: (2n + 3, 2n + 3) joint
     covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A. range_scale: the
@@ -260,11 +260,11 @@ class TfgMap:
 
 @message
 class WorkingMap:
-    """What planning works on: a small map and its TFG, of a large one the part round the robot.
+    """The map and TFG that planning works on: all of a small map, the active submaps of a large one.
 
     estimate: with the landmarks of that part only, and all views. tfg: resolved with it, row for row. active: (k,) the
-    views whose surfaces and stars are in it. reach: m round the newest view; as far as that nothing is missing but what
-    was mapped another way round, and no frontier lies farther away.
+    views whose surfaces and stars are in it. reach: m round the newest view, within which only weakly tied places are
+    missing; no frontier lies farther away.
     """
 
     estimate: MapEstimate
@@ -284,7 +284,7 @@ class WorkingMap:
 
     @property
     def views(self) -> IntArray:
-        """Those views (a,)."""
+        """The active views (a,)."""
         return np.flatnonzero(self.active)
 
 

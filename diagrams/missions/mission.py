@@ -79,7 +79,7 @@ _log = logging.getLogger("tfg_drake.run")
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """How far a mission has come: simulated and wall time (s), phase, views visited, landmarks in the map, area seen
+    """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map, area seen
     (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended; word:
     what else is done meanwhile."""
 

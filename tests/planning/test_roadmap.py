@@ -252,7 +252,7 @@ def test_the_way_driven_goes_on_from_where_it_ended_though_the_map_has_moved():
     label = components(state.edges.nodes, state.edges.travelled, len(state.points))
     first, last = (nearest(state, X[:2]) for X in estimate.X_MA[[0, -1]])
     assert label[first] == label[last]
-    # Where it was carried it has not driven.
+    # The way of a kidnapped robot is no way that it has driven.
     estimate, tfg = known(segments, [*views, (-2.0, 1.0, 0.0)], shift)
     state = extend(state, tfg, estimate, PARAMETERS, driven=driven)
     label = components(state.edges.nodes, state.edges.travelled, len(state.points))

@@ -1,4 +1,4 @@
-"""A roadmap cut to pieces and joined again is the roadmap."""
+"""A roadmap split into submaps and merged again is the roadmap."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_cut_and_joined_in_any_order_it_is_the_same(roadmap):
     assert len(middle.links) == 0
     assert len(first.points) + len(middle.points) == len(state.points)
     some, rest = split(first, views[(views < 4) | (views > 12)], np.repeat([True, False], [4, 6]))
-    # The links of either end rest with that end.
+    # The links of either end stay with that end.
     assert len(some.links) > 0
     assert len(rest.links) > 0
     for parts in ((some, rest, middle), (middle, some, rest), (rest, middle, some)):
@@ -70,9 +70,9 @@ def test_what_rests_comes_back_where_the_map_has_moved_it():
     for k in range(1, len(way) + 1):
         walls = np.vstack([CORRIDOR, bar]) if k > len(VIEWS) else CORRIDOR
         estimate, tfg = known(walls, way[:k])
-        near = to_activate(parts.submap, estimate.X_MA, 20.0)
-        parts = rearranged(parts, near, split, merged)
-        parts = extended(parts, extend(parts.active, tfg, estimate, PARAMETERS, views=np.flatnonzero(near)), k)
+        active = to_activate(parts.submap, estimate.X_MA, 20.0)
+        parts = rearranged(parts, active, split, merged)
+        parts = extended(parts, extend(parts.active, tfg, estimate, PARAMETERS, views=np.flatnonzero(active)), k)
         sizes.append(len(parts.active.points))
         if k == len(VIEWS):
             far = whole_roadmap(parts, estimate.X_MA)
@@ -96,35 +96,35 @@ def test_what_rests_comes_back_where_the_map_has_moved_it():
 
 @pytest.fixture(scope="module")
 def far_end():
-    """State of the planner, map, TFG and what is near at the far end of the corridor, the rest of which rests."""
+    """Planner's state, map, TFG and the active views at the far end of the corridor; the other views are inactive."""
     state = initial_state()
     for k in range(1, len(VIEWS) + 1):
         estimate, tfg = known(CORRIDOR, VIEWS[:k])
-        near = to_activate(state.parts.submap, estimate.X_MA, 20.0)
+        active = to_activate(state.parts.submap, estimate.X_MA, 20.0)
         # These maps come without frontiers, though there is more of the corridor at every view.
-        state = grow(replace(state, open_length=np.inf), WorkingMap(estimate, tfg, near), PARAMETERS)
-    return state, estimate, tfg, near
+        state = grow(replace(state, open_length=np.inf), WorkingMap(estimate, tfg, active), PARAMETERS)
+    return state, estimate, tfg, active
 
 
 def planned_to(node, far_end, reach=np.inf):
     """The state after the way to a node was planned, and how often all of the map was asked for."""
-    state, estimate, tfg, near = far_end
+    state, estimate, tfg, active = far_end
     stage = len(estimate.X_MA)
     pose = PoseEstimate(0.0, estimate.X_MD, np.eye(3), np.zeros(2), stage, np.zeros(0, dtype=int), np.zeros((0, 2)))
     goal = replace(empty_choice(), stage=stage, node=int(node))
     mission, scan = MissionStatus("plan", stage, 0.0), LaserScan(0.0, np.zeros(0), np.zeros(0), 10.0, 0.01)
-    working = WorkingMap(estimate, tfg, near, reach)
+    working = WorkingMap(estimate, tfg, active, reach)
     asked = []
     planned = step(state, working, lambda: asked.append(1) or (estimate, tfg), pose, goal, scan, mission, PARAMETERS)
     return planned, len(asked)
 
 
-def test_a_path_leads_to_a_goal_where_the_roadmap_rests(far_end):
+def test_a_path_leads_to_a_goal_where_the_roadmap_is_inactive(far_end):
     state, estimate, _, _ = far_end
     everything = whole_roadmap(state.parts, estimate.X_MA)
-    rests = ~np.isin(everything.ids, state.nodes.ids)
-    assert rests.sum() > 30
-    node = int(np.argmin(np.where(rests, np.hypot(*(everything.points - [5.0, 0.0]).T), np.inf)))
+    inactive = ~np.isin(everything.ids, state.nodes.ids)
+    assert inactive.sum() > 30
+    node = int(np.argmin(np.where(inactive, np.hypot(*(everything.points - [5.0, 0.0]).T), np.inf)))
     assert state.roadmap.nodes(everything.ids[[node]]) == [-1]
     planned, asked = planned_to(everything.ids[node], far_end)
     assert asked == 1

@@ -21,7 +21,7 @@ from tfg_drake.tfg.frontier import (
 )
 from tfg_drake.tfg.graph import (
     UnmappedSightings,
-    _settled,
+    _explored,
     empty_graph,
     empty_map,
     no_sightings,
@@ -424,13 +424,13 @@ def test_when_a_loop_closes_its_arms_settle_what_was_open(simulate, closed) -> N
     assert at & {-4, 4} == (set() if closed else {-4, 4})
 
 
-def test_what_is_open_is_settled_half_a_metre_inside_of_what_another_arm_saw(two_rooms) -> None:
+def test_a_frontier_is_explored_half_a_metre_inside_of_what_another_arm_saw(two_rooms) -> None:
     two_rooms.observe(np.array([3.0, 3.0, 0.0]))
     square = np.array([[1.0, 1.0], [5.0, 1.0], [5.0, 5.0], [1.0, 5.0]])
     p, outward = np.array([[4.6, 3.0], [4.4, 3.0], [5.2, 3.0]]), np.tile([-1.0, 0.0], (3, 1))
     points = place_points(points_of(0, p, outward, np.ones(3)), np.zeros((1, 3)))
     star = np.array([0, 4]), square, np.array([[3.0, 3.0]])
-    assert _settled(points, star, two_rooms.estimate).tolist() == [False, True, False]
+    assert _explored(points, star, two_rooms.estimate).tolist() == [False, True, False]
 
 
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:

@@ -39,7 +39,7 @@ def test_a_view_where_another_ended_is_tied_to_it():
 @pytest.mark.parametrize(("seen_by_newest", "expected"), [(3, [True, False]), (7, [False, True])])
 def test_of_two_surfaces_in_each_others_way_that_stands_whose_view_is_tied_more_closely(seen_by_newest, expected):
     """The views 0 and 2 face each other through a surface of either, and share landmark 7; the newest, 4, has seen 3 as
-    the view 0 has, or 7. It stands beside the view 2, which is newer than 0. The others rest."""
+    the view 0 has, or 7. It stands beside the view 2, which is newer than 0. The other views are inactive."""
     X_MA = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 1.5, 0.0]])
     estimate = replace(empty_map(), X_MA=X_MA, ids=np.array([3, 7]), p_ML=np.array([[0.0, 1.5], [10.0, 0.0]]))
     far = np.array([[20.0, 0.0], [21.0, 0.0]])

@@ -175,7 +175,7 @@ REGISTRY: Registry = {
 
 
 def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg: TfgMap) -> SavedMap:
-    """What is kept of a map.
+    """The map as it is saved.
 
     Args:
         X_WM: (3,) pose of the map frame in the world, m and rad.
@@ -290,7 +290,7 @@ def _read(path: Path) -> dict[str, Array]:
 
 
 def _contradiction(saved: SavedMap) -> str:
-    """What in a map does not fit together, "" where all does; indices are within bounds after this."""
+    """The first inconsistency of a map, in words; "" without any, and then all indices are within bounds."""
     graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
     landmarks, known = len(graph.ids), graph.ids
     if not 1 <= stage == len(graph.view_keyframe):

@@ -72,7 +72,7 @@ def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     if status.phase == "paused":
         if held:
             return status
-        # A path may have gone stale while the robot stood (or was carried): plan it anew.
+        # A path may have gone stale while the robot stood (or was kidnapped): plan it anew.
         resume = "plan" if status.resume_phase == "follow" else status.resume_phase
         since = status.since if resume == "observe" else inputs.time
         # What a glance was to see ahead is not where the robot drives any more: it stands until there is a new path.

@@ -1,4 +1,4 @@
-"""The candidates for the next goal: which they are, and what each is expected to bring."""
+"""The candidates for the next goal and their expected gains."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ KNOWN_REACH = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class GoalParameters:
-    """What the choice of goals needs to know of the robot, its sensors and the explorer, and the seed of the rule that
-    goes anywhere."""
+    """The parameters of robot, sensors and explorer for the choice of a goal, and the seed of the rule `random`."""
 
     robot: RobotConfig
     sensor: TagSensorConfig
@@ -43,8 +42,8 @@ class GoalParameters:
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """All that a choice goes by at one stage: map, TFG and roadmap of that stage, or as much of them as is near, and
-    what is known of the robot."""
+    """The input of a choice at one stage: map, TFG and roadmap of that stage, or their active part, and the
+    parameters."""
 
     estimate: MapEstimate
     tfg: TfgMap
@@ -144,7 +143,7 @@ def turn_gains(nodes: IntArray, tags: Visibility, now: Situation) -> Gains:
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:
-    """The nodes, ascending, that the robot at p_MD (2,), m in M, can reach and has not been done with."""
+    """The nodes, ascending, that the robot at p_MD (2,), m in M, can reach and that are apart from past views."""
     return np.flatnonzero(roadmap.reachable & apart_from_views(roadmap.points, tfg, p_MD))
 
 

@@ -36,7 +36,7 @@ class ExpectedGains:
 
     @property
     def paid(self) -> FloatArray:
-        """What goals are preferred by, (c,), nats: the gain, or as if the pose cost nothing."""
+        """The gain (c,), nats, by which goals are preferred: with the pose's price, or without it."""
         return self.gains.gain if self._pay else self.gains.gain + self.gains.pose_price
 
     def ask(self, rows: IntArray) -> None:

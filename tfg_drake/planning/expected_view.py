@@ -1,4 +1,4 @@
-"""What a full turn at a point is expected to see: known landmarks and frontier points (numba kernels)."""
+"""The landmarks and frontier points that a full turn at a point is expected to see (numba kernels)."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def expected_frontiers(
 
 
 def local_visibility(tags: Visibility, estimate: MapEstimate) -> Visibility:
-    """The visibility of rows of estimate.ids as one of the landmarks known jointly, the others left out."""
+    """A visibility of rows of estimate.ids as rows of the landmarks known jointly; the others are left out."""
     if estimate.is_joint:
         return tags
     index = estimate.local_entry[tags.index]

@@ -63,10 +63,9 @@ def choose(
     found worth remembering (see remember). everything: they are no part of a larger map. recalled: the robot was called
     back, so that no place is worth going to but home.
 
-    Worth going to is what sees enough live frontier, whatever its gain, and what has a gain above explorer.stop_gain.
-    Where no place sees enough, the robot looks again first where the map gains most in accuracy
-    (`tfg_drake.planning.revisit`); where nothing is worth going to, it goes back to passages that were too narrow
-    (`tfg_drake.planning.narrow_places`).
+    A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
+    sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Where
+    none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
@@ -144,11 +143,11 @@ def choose(
 def _homewards(
     estimate: MapEstimate, roadmap: Roadmap, verdict: str, reason: str, looked: IntArray
 ) -> tuple[int, str, str, IntArray]:
-    """Where a mission that ends with this verdict for a reason ends, at home: the node there, -1 for where the robot
-    stands; verdict and reason; and the names (t,) as of `_last`.
+    """The end at home of a mission with this verdict and reason: the node there, -1 for where the robot stands; verdict
+    and reason; and the node ids (t,) as of `_last`.
 
-    Where the way is too narrow, the robot looks at it once more from as near as it gets; where that does not help, it
-    is stuck.
+    Where the way is too narrow, the robot looks at it once more from as near as it gets. If that does not help, it is
+    stuck.
     """
     home = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
     if home < 0 or roadmap.reachable[home]:
@@ -205,11 +204,10 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
 def _last(
     now: Situation, any_left: bool, budget: Budget, looked: IntArray, *, everything: bool
 ) -> tuple[int, str, str, IntArray]:
-    """Where no candidate, if any is left, is worth going to: the node before a passage that was too narrow, -1 where
-    the mission ends; verdict and reason; and the names (t,) of nodes from which the robot has looked at such a passage
-    again.
+    """The choice where no candidate is worth going to: the node before a passage that was too narrow, -1 where the
+    mission ends; verdict and reason; and the ids (t,) of nodes from which the robot has looked at such a passage again.
 
-    looked: (s,) those so far. everything: as of `choose`.
+    any_left: there are candidates. looked: (s,) node ids so far. everything: as of `choose`.
     """
     estimate, roadmap, stop_gain = now.estimate, now.roadmap, now.parameters.explorer.stop_gain
     narrow = narrow_places(now)
@@ -236,8 +234,8 @@ def _last(
 
 
 def remember(before: GoalChoice, choice: GoalChoice, roadmap: Roadmap, stop_gain: float) -> GoalChoice:
-    """The choice, with those candidates of the ones before it that were out of its reach, by its roadmap, and that
-    had a gain above stop_gain, nats."""
+    """The choice with those candidates of the choice before it added that are out of reach in its roadmap and had a
+    gain above stop_gain, nats."""
     old = (
         (before.gain > stop_gain) & ~roadmap.reaches(before.candidates) & ~np.isin(before.candidates, choice.candidates)
     )
@@ -290,7 +288,7 @@ def _values(
     robot: RobotConfig,
     explorer: ExplorerConfig,
 ) -> tuple[FloatArray, BoolArray]:
-    """What each of the candidates (c,) is worth by the rule explorer.goal, and which of the live frontier points (f,)
+    """The value of each of the candidates (c,) by the rule explorer.goal, and which of the live frontier points (f,)
     are to be looked at from the best.
 
     stay: s at each. open_to: (c,) those that may be chosen.

@@ -1,4 +1,4 @@
-"""The information about the landmarks that a full turn at a candidate goal is expected to bring.
+"""The expected information about the landmarks of a full turn at a candidate for the next goal.
 
 By default the mutual information of all landmarks, known and new, and the measurements of the turn (`exact_gain`). It
 is what the paper's Section IV approximates (Theorem 1); it holds for a pose that odometry ties to the map, and depends
@@ -98,8 +98,8 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class Turns:
-    """What full turns are judged by at one stage: map, TFG and settings, and the covariance (3, 3) of the departure
-    pose given all landmarks (see `departure_given_landmarks`), which is worked out once."""
+    """The input of the gains at one stage: map, TFG and settings, and the covariance (3, 3) of the departure pose given
+    all landmarks (see `departure_given_landmarks`), which is computed once."""
 
     estimate: MapEstimate
     tfg: TfgMap
@@ -127,8 +127,8 @@ class Turns:
         return New(*index, self.tfg.frontiers, self._number, self.explorer.prior_sigma, reach)
 
     def arrival(self, points: FloatArray, distance: FloatArray, time: FloatArray) -> Arrival:
-        """How a robot arrives at each point (c, 2), m in M, after distance (c,) m and time (c,) s: its pose is known
-        through odometry since the last departure alone, as in the factor that will join the two views."""
+        """The arrival at each point (c, 2), m in M, after distance (c,) m and time (c,) s. The pose is known by
+        odometry since the last departure alone, as in the factor that will tie the two views."""
         X_MD = self.estimate.X_MD
         Q = odometry_covariance(X_MD, points, distance, time, self.odometry)
         return Arrival(X_MD, self.departure_given_map, Q)
@@ -183,5 +183,5 @@ class Turns:
 def turns(
     estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, odometry: OdometryConfig, explorer: ExplorerConfig
 ) -> Turns:
-    """What full turns are judged by, with this map, its TFG and these settings."""
+    """The input of the gains with this map, its TFG and these settings."""
     return Turns(estimate, tfg, sensor, odometry, explorer, departure_given_landmarks(estimate))

@@ -43,8 +43,8 @@ def why_end(
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate is worth going to.
 
-    candidates: there are any. narrow_gain: gain, nats, of a place that has room for the robot but that it may not
-    try to reach. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier,
+    candidates: there are any. narrow_gain: nats, of the best place behind a passage that is too narrow for the robot's
+    uncertainty. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier,
     seen or not: what remains when nothing else does is closed to this robot. cut_off: the robot cannot get back to
     where it began.
     """

@@ -1,7 +1,7 @@
 """Places behind passages that are too narrow for the uncertainty of the map.
 
-How much room a passage has and needs is known where the robot is. What it was when the robot was last near may be due
-to the drift of a loop that has closed since: before a mission ends, the robot goes back and looks once more.
+How much room a passage has and needs is known only near the robot. A passage may have seemed too narrow because of the
+drift of a loop that has closed since. So before a mission ends, the robot goes back and looks once more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SAME_PASSAGE = 2.0
 
 @dataclasses.dataclass(frozen=True)
 class NarrowPlaces:
-    """Places with room for the robot but which it may not try to reach.
+    """Places that have room for the robot but lie behind a passage too narrow for its uncertainty.
 
     nodes: (b,) of the roadmap, entry: (b,) the last reachable node on the way to each. gain: (b,) nats, and
     time: (b,) s to get there, of each as if the passage were wide enough.
@@ -50,8 +50,8 @@ def narrow_places(now: Situation) -> NarrowPlaces:
 
 
 def passages_revisited(narrow: NarrowPlaces, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
-    """Names (t,) of the nodes from which the robot has looked once more: those before (s,), and where it is now, p_MD
-    (2,), m in M, the last before a passage."""
+    """Ids (t,) of nodes before narrow passages that the robot has gone back to: before (s,), those so far, and
+    those near where it is now, p_MD (2,), m in M."""
     entry = np.unique(narrow.entry)
     here = np.hypot(*(roadmap.points[entry] - p_MD).T) < SAME_PASSAGE
     return np.union1d(before, roadmap.node_ids(entry[here]))
@@ -60,10 +60,10 @@ def passages_revisited(narrow: NarrowPlaces, roadmap: Roadmap, p_MD: FloatArray,
 def worth_of_looking(
     narrow: NarrowPlaces, roadmap: Roadmap, stay: float, stop_gain: float, looked: IntArray
 ) -> FloatArray:
-    """What going back to the last reachable node before each place is worth, (b,), nats per second: 0 where the robot
-    has been back already or too little lies behind.
+    """The value (b,), nats per second, of going back to the last reachable node before each place: 0 where the robot
+    has been back already or too little gain lies behind.
 
-    stay: s at it. stop_gain: nats that must lie behind. looked: (t,) names, see `passages_revisited`.
+    stay: s at it. stop_gain: nats that must lie behind. looked: (t,) node ids, see `passages_revisited`.
     """
     known = roadmap.nodes(looked)
     distance, _ = cKDTree(roadmap.points[known[known >= 0]]).query(roadmap.points[narrow.entry])

@@ -50,13 +50,13 @@ DRIVEN_STEP = 0.1
 # After this many goals in a row that could not be reached, what was met on the way is forgotten, and only what the
 # robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
 BOLD_AFTER = 2
-# What is met on the way is kept for this many stages, or until it is seen past: it may be too small for the map, or
-# walk away.
+# Obstacles met on the way are kept for this many stages, or until they are seen past: they may be too small for the
+# map, or walk away.
 OBSTACLE_MEMORY = 10
-# Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
+# Where obstacles bar every way, the robot waits for so long, s, and looks for a way so often, s.
 PATIENCE = 5.0
 ASK_AGAIN = 0.5
-# A way that is barred as soon as it is found is followed by no other for so long, s: who walks in the way is not past.
+# After a way that was barred as soon as it was found, no other is looked for so long, s: a person needs time to pass.
 BREATH = 1.0
 
 
@@ -64,13 +64,13 @@ BREATH = 1.0
 class PlannerState:
     """All that the planner remembers.
 
-    parts: the roadmap itself. roadmap, path, status: what it says of what is near. replans: the mission's count when
-    the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
-    views obstacle_view: (b,). scan_stamp: s, of the newest scan the path was checked against, look_stamp: of the newest
-    one that the obstacles were. waiting_since: s, when every way to the goal was found barred by them, inf if it is
-    not, asked: when a way was looked for last. driven: (d, 2) where the robot has been at this stage, m in M, from
-    where the newest view's observation began on; driven_before: m, until it ended. open_length: m of frontier that was
-    live when the roadmap was extended, inf before.
+    parts: the submaps of the roadmap. roadmap, path, status: the planner's messages, of the active one. replans: the
+    mission's count when the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m
+    in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest scan the path was checked against,
+    look_stamp: of the newest one that the obstacles were. waiting_since: s, when every way to the goal was found barred
+    by them, inf if it is not, asked: when a way was looked for last. driven: (d, 2) where the robot has been at this
+    stage, m in M, from where the newest view began on; driven_before: m, until it ended. open_length: m of frontier
+    that was live when the roadmap was extended, inf before.
     """
 
     parts: Submaps[RoadmapState]
@@ -146,7 +146,7 @@ def step(
     if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + pause:
         nodes = state.nodes
         if not state.roadmap.reaches(np.array([goal.node]), working.reach)[0]:
-            # A way as long as that may be shorter through what rests.
+            # A way as long as that may be shorter through inactive submaps.
             estimate, tfg = whole()
             nodes = whole_roadmap(state.parts, estimate.X_MA)
         return _plan_or_wait(state, nodes, estimate, tfg, pose, goal, scan, mission, parameters)
@@ -167,7 +167,7 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
     """Length, m, of the way driven (d, 2), m in M, from where one observation ended to where (2,) the next did.
 
     The way during a glance comes first in it and was counted at the end of the stage before; what is not noted at the
-    end is a step at most, and where it is more, somebody carried the robot.
+    end is a step at most, and where it is more, the robot was kidnapped.
     """
     if not len(driven):
         return 0.0
@@ -176,7 +176,7 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
 
 
 def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters) -> PlannerState:
-    """The state with the roadmap extended to the newest view of the map; what of that rests, rests here, too."""
+    """The state with the roadmap extended to the newest view of the map; inactive submaps are inactive here, too."""
     estimate, tfg = working.estimate, working.tfg
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_view <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
@@ -237,7 +237,7 @@ def make_roadmap(
     driven: float,
     reach: float = np.inf,
 ) -> Roadmap:
-    """What the roadmap's nodes are to a robot at the map's departure pose: the ways to them, and what they see.
+    """The roadmap message for a robot at the map's departure pose: the ways to the nodes, and what they see.
 
     obstacles: (b, 4) segments met on the way, m in M. driven: m, so far. reach: m round the newest view: what is
     farther away is no place to go to.
@@ -266,7 +266,7 @@ def with_frontiers(
 
 
 def obstacles_in_map(state: PlannerState, estimate: MapEstimate) -> FloatArray:
-    """What was met on the way (b, 4), m in M."""
+    """The obstacles met on the way (b, 4), m in M."""
     ends = place_in_map(np.repeat(state.obstacle_view, 2), state.obstacles.reshape(-1, 2), estimate.X_MA)
     return ends.reshape(-1, 4)
 

@@ -64,7 +64,7 @@ OBSTACLE_MARGIN = 0.08
 
 @dataclasses.dataclass(frozen=True)
 class RoadmapParameters:
-    """What the roadmap needs to know of the robot, its sensors and the explorer, and the seed of its samples.
+    """The parameters of robot, sensors and explorer that the roadmap needs, and the seed of its samples.
 
     least_range: m, nearer the scanner sees nothing.
     """
@@ -373,8 +373,8 @@ def _travelled_nodes(
     them and existing nodes, and the node where it ends.
 
     It begins at the node where the way ended before, way_end, however the map has moved since, and ends where the robot
-    drove on from there; if it was carried since, the view alone is new. An old node nearby stands for a new one where
-    there is room for that.
+    drove on from there; of a robot that was kidnapped since, the view's place alone is new. An old node nearby stands
+    for a new one where there is room for that.
     """
     view = estimate.X_MA[-1, :2]
     chain = view[None]

@@ -1,6 +1,6 @@
-"""What speaks for where the map has each tag, and what for other places: one account for all that does not fit.
+"""The evidence for the place of each tag in the map and for other places, to find misread ids, outliers and moved tags.
 
-An id may be misread, a range grossly wrong, and a tag carried elsewhere. So a tag is believed to be at a place when it
+An id may be misread, a range grossly wrong, and a tag moved elsewhere. So a tag is believed to be at a place when it
 was seen there in several frames, of one keyframe or of many, and what was believed is taken back when more has been
 seen of it elsewhere since. Each frame speaks for one place and against all others; the frames of one keyframe have
 their errors in common, and old ones fade, so neither counts without limit.
@@ -27,13 +27,13 @@ MOST = 20
 # this large, m: the map may have moved between them.
 SAME = 9.2
 LEAST_DEVIATION = 0.1
-# The view of a place that the map has.
+# Stands for the view of a place that is the one in the map.
 MAPPED = -1
 
 
 @message
 class Sighted:
-    """What was seen in one keyframe. frames: (n,) in how many of its frames each of its tags was seen."""
+    """The observation of one keyframe. frames: (n,) in how many of its frames each of its tags was seen."""
 
     observation: Observation
     frames: IntArray
@@ -41,7 +41,7 @@ class Sighted:
 
 @message
 class Evidence:
-    """Places of tags, and what speaks for each.
+    """Places of tags, and the number of frames that speak for each.
 
     ids: (h,) the tag's. view: (h,) MAPPED where it is the place that the map has, else the view that the
     place is kept with: p_AL (h, 2) is in its arrival frame, m, with variance (h,), m^2. frames: (h,) that speak for it,
@@ -60,19 +60,19 @@ class Evidence:
         return np.asarray(self.view == MAPPED)
 
     def kept(self, rows: BoolArray) -> Evidence:
-        """That of some (h,) of the places."""
+        """The evidence of some (h,) of the places."""
         return Evidence(self.ids[rows], self.view[rows], self.p_AL[rows], self.variance[rows], self.frames[rows])
 
 
 def only(seen: Sighted, tags: BoolArray) -> Sighted:
-    """What was seen of some of its tags (n,)."""
+    """The observation with some of its tags (n,) only."""
     if tags.all():
         return seen
     return Sighted(without_tags(seen.observation, seen.observation.ids[~tags]), seen.frames[tags])
 
 
 def no_evidence() -> Evidence:
-    """Before anything was seen."""
+    """The evidence before anything was seen."""
     none = np.empty(0, dtype=np.int64)
     return Evidence(none, none, np.empty((0, 2)), np.empty(0), none)
 

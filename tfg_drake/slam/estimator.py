@@ -70,7 +70,7 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many more such frames than others the robot may be elsewhere.
 CONTRADICTIONS = 3
-# What is seen meanwhile waits to be mapped, for this long at most, s.
+# Frames seen while the pose is in doubt wait to be mapped, for this long at most, s.
 LONGEST_DOUBT = 60.0
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
 MOST_TAKEN_BACK = 10
@@ -202,9 +202,9 @@ def map_estimate(state: EstimatorState) -> MapEstimate | None:
 
 
 def finished_map(state: EstimatorState) -> EstimatorState:
-    """The state with its map solved and known jointly as a whole, as far as memory allows: for the end of a mission.
+    """The state at the end of a mission: its map is solved and known jointly as a whole, as far as memory allows.
 
-    All that was believed is put to the test once more, and what the map as a whole contradicts is taken back.
+    Every sighting is tested once more, and those that the map as a whole contradicts are taken back.
     """
     estimate = state.map
     if estimate is None:
@@ -303,7 +303,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
 
 
 def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
-    """What was seen since the pose came into doubt, with the newest frame."""
+    """The observation since the pose came into doubt, with the newest frame."""
     suspect = state.suspect
     if suspect is not None and not state.lost:
         over = taken.stamp - suspect.begin.stamp > LONGEST_DOUBT

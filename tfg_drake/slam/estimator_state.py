@@ -30,9 +30,11 @@ KIDNAPPED = np.array([100.0, 100.0, 10.0])
 
 @message
 class OpenObservation:
-    """A turn under way, or a piece of the way that is mapped like one. begin: its first instant, X_MB: (3,) the pose
-    then as the localiser had it, sigma: (3,) its deviations. frames: those seen since. unwatched: s, for so long before
-    it nothing said where the robot was."""
+    """An observation under way: a turn, or a piece of the way that is mapped like one.
+
+    begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: those
+    seen since. unwatched: s before it in which no tag confirmed the pose.
+    """
 
     begin: TurnFrame
     X_MB: FloatArray
@@ -130,12 +132,12 @@ def initial_state(
 
 
 def known_camera(state: EstimatorState) -> CameraModel:
-    """All that is known of the camera: its clock by the turns and pieces, its yaw by all that they say together."""
+    """The camera as known from everything: its clock from the observations, its yaw from the whole graph."""
     return state.camera.with_yaw(state.graph.yaw)
 
 
 def camera_prior(state: EstimatorState) -> CameraModel:
-    """What is known of the camera without how the keyframes fit together."""
+    """The camera as known from each observation by itself, without how the keyframes fit together."""
     return state.camera.with_yaw(state.graph.yaw_prior)
 
 
@@ -151,6 +153,6 @@ def opened(state: EstimatorState) -> OpenObservation:
 
 
 def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Sighted:
-    """A way on which the robot was kidnapped; it seems to have led to X_DA (3,), with deviations (3,), m, m, rad."""
+    """The motion of a kidnapped robot: it seems to have led to X_DA (3,), with deviations sigma (3,), m, m, rad."""
     observation = replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(sigma**2))
     return Sighted(observation, np.empty(0, dtype=np.int64))

@@ -36,7 +36,7 @@ SAME_SCALE = 1e-4
 
 @message
 class Keyframe:
-    """What was seen from the pose A at its beginning to D at its end, as a joint Gaussian in A.
+    """The joint Gaussian, in A, of the tags seen from the pose A at its beginning to D at its end, and of D.
 
     ids: (n,) ascending, n may be 0: a way of which only odometry tells. p_AL: (n, 2), m. X_AD: (3,). information: (2n +
     3, 2n + 3) of (p_AL row by row, X_AD). range_scale: the error of scale taken out of its ranges. yaw: rad, the
@@ -70,8 +70,8 @@ Seen = TypeVar("Seen", Keyframe, Observation)
 class KeyframeGraph:
     """k keyframes, n landmarks, their current values, and how well the landmarks are known.
 
-    keyframes: k. X_MN: (k + 1, 3) the poses between them. view_keyframe: (g,) the keyframe that each of g views and
-    glances lies in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML: (n, 2), m.
+    keyframes: k. X_MN: (k + 1, 3) the poses between them. view_keyframe: (g,) the keyframe that each of g views
+    lies in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML: (n, 2), m.
     landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
     of the landmarks, nats. pose_information: (3, 3) on the newest pose, given the landmarks; infinite at the origin.
     yaw: (2,) the camera's in the body frame, which all keyframes are given at, and its standard deviation, rad.
@@ -153,7 +153,7 @@ def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
 
 
 def keyframe(observation: Observation) -> Keyframe:
-    """What the graph keeps of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
+    """The keyframe of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
     root = np.linalg.inv(np.linalg.cholesky(observation.covariance))
     n = len(observation.ids)
     on_yaw = observation.on_yaw if len(observation.on_yaw) else np.zeros(2 * n + 3)
@@ -362,9 +362,12 @@ def _forgetting(one: Keyframe, ids: IntArray) -> Keyframe:
 
 
 def decoupled(graph: KeyframeGraph, covariance: FloatArray, found_by: IntArray) -> KeyframeGraph:
-    """The graph with this covariance (3, 3) put where nothing but odometry ties the newest keyframes to those before:
-    back to one that shares WITNESSES landmarks with what was seen before it, or saw one by which the robot has found
-    itself. Odometry has been found wrong there."""
+    """The graph with the newest keyframes decoupled: where only odometry ties them to those before, this covariance
+    (3, 3) takes the place of odometry's, as odometry has been found wrong there.
+
+    It goes back to the newest keyframe that shares WITNESSES landmarks with those before it, or that saw one of the
+    landmarks found_by (f,), by which the robot has found itself.
+    """
     for j in range(len(graph.keyframes) - 1, 0, -1):
         one = graph.keyframes[j]
         before = np.concatenate([other.ids for other in graph.keyframes[:j]])

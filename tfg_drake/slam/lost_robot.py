@@ -1,8 +1,8 @@
-"""A robot that is suddenly elsewhere: a slip, a push, a kidnapping.
+"""Finds a robot again that is suddenly elsewhere: after a slip, a push or a kidnapping.
 
-From the first frame that contradicts the pose on, all that is seen is kept together: where a frame shows one tag or
-two, the way from the one to the next tells what none does by itself. What is found at last is the pose at the end of
-all that; so what was seen meanwhile is mapped where it belongs, and nothing before that is known.
+All tags seen since the first frame that contradicts the pose are gathered, as one frame may show one or two only, which
+do not tell a pose. The pose is looked for by all of them together. Once it is found, the tags gathered are mapped by
+it, and the motion before the first contradiction counts as unknown.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from tfg_drake.slam.sightings import select
 SAME_PLACE = 16.0
 # A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
 ELSEWHERE = 5.0
-# How fast a robot that sees nothing is carried, or misjudges its way, m/s, m/s, rad/s, and how far a push moves it.
+# Deviation of the motion of a robot that sees nothing, m/s, m/s, rad/s: it may be moved or misjudge its way. And of a
+# push, m, m, rad.
 CARRIES = np.array([0.05, 0.05, 0.05])
 PUSHES = np.array([0.1, 0.1, 0.1])
 # Tags that must contradict the pose where no other is found.
@@ -36,7 +37,7 @@ _log = logging.getLogger("tfg_drake.slam")
 
 
 def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
-    """How many of a frame's tags are mapped, though too far away to be considered, and seen metres from there."""
+    """The number of a frame's tags that are mapped too far away for the localiser and seen far from there."""
     row, mapped = rows_of(seen.ids, state.graph.ids)
     mapped &= ~rows_of(seen.ids, localizer.filter.map_ids)[1]
     if state.map is None or not mapped.any():
@@ -48,7 +49,7 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
 
 
 def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state after a frame that contradicts the pose once too often, or of a robot that is lost: where is it?"""
+    """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose."""
     estimate, suspect = state.map, state.suspect
     if estimate is None or suspect is None:
         return state
@@ -61,7 +62,7 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
         if state.kidnapped or disagreeing(estimate, seen, expected.X_MB) < LEAST_AGAINST:
             return state
         _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
-        # What it met before it was moved stands elsewhere, seen from here.
+        # Tags met before the robot was moved have another place relative to it now.
         return _kidnapped(
             replace(state, localizer=without_local(state.localizer)), replace(opened(state), sigma=KIDNAPPED)
         )
@@ -84,7 +85,7 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
         "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
         stamp, distance, angle, len(tags.ids),
     )  # fmt: skip
-    # What joins the newest views to the others may be wrong as well.
+    # The ties of the newest views to the others may be wrong as well.
     graph = decoupled(state.graph, np.diag(KIDNAPPED**2), tags.ids)
     if graph is not state.graph:
         _log.warning(
@@ -101,7 +102,7 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
 
 
 def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
-    """The state with what was measured from the last view until something began given up: the robot was moved."""
+    """The state of a kidnapped robot: the motion from the last view to the observation that has begun is unknown."""
     if state.turn is None:
         return replace(state, kidnapped=True, way=(), piece=begun)
     assert state.map is not None
@@ -112,8 +113,8 @@ def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
 
 
 def gathered(state: EstimatorState, since: OpenObservation) -> TagDetections:
-    """All tags seen since something began, each once, as they would be seen from where the robot is now; what odometry
-    may have got wrong meanwhile is in their deviations."""
+    """All tags seen since an observation began, each once, as seen from where the robot is now. Their deviations
+    include the error of odometry since they were seen."""
     model, ids, p_BL, variance = state.model, [], [], []
     for frame in since.frames:
         seen = corrected(frame.detections, state.scale)

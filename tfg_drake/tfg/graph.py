@@ -1,4 +1,4 @@
-"""The topological feature graph: what every view adds to it, and where the current map estimate puts it.
+"""The topological feature graph: how every view extends it, and where the current map estimate places it.
 
 Sections III and IV of Mu et al. (CDC 2016): landmarks are vertices, two landmarks are joined where an obstacle surface
 runs from one to the other. Beyond the paper, wall ends, surfaces without a landmark and free star polygons are kept,
@@ -55,7 +55,7 @@ from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
 
-# Views tried within this distance of each other count for the same frontier point, m.
+# Attempts from within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
 # From beyond this share of the sensor's range a small face may be missed though it is in view: no attempt at it.
 NEAR_SHARE = 0.5
@@ -194,7 +194,8 @@ def update(
     star_vertices = np.concatenate([graph.star_vertices, star])
     stars = _place_stars(star_offsets, star_vertices, X_MA if views is None else X_MA[np.append(views, view)])
     newest = _place_stars(np.array([0, len(star)]), star, X_MA[view:])
-    # Where the map lies over itself, what was mapped another way round says nothing of what is here, nor this of that.
+    # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
+    # nothing of theirs.
     weak, seen = nothing_weakly_tied(surfaces, estimate), stars
     if views is not None and len(views) < view:
         weak = weakly_tied(surfaces, tag_ids, tag_view, estimate)
@@ -208,7 +209,7 @@ def update(
         graph.free_space_frontiers,
         points_of(view, p, normal, length),
         X_MA,
-        lambda points: theirs(points) | ~(inside_any(points.p, *newest[:2]) | _settled(points, seen, estimate)),
+        lambda points: theirs(points) | ~(inside_any(points.p, *newest[:2]) | _explored(points, seen, estimate)),
         lambda points: ~inside_any(points.p, *seen[:2]),
         lambda old, new: far_from(new.p, old.p[~theirs(old)], SAME_FRONTIER),
     )
@@ -248,7 +249,7 @@ def update(
         return near(points) & known_jointly(place_points(points, X_MA).p, estimate)
 
     def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
-        """What is found now, where that can be told; elsewhere what was found then stands."""
+        """The points found now among those that `which` selects; of the others those found then."""
         if math.isinf(reach) and estimate.is_joint:
             return now
         return join(select(then, ~which(then)), select(now, which(now)))
@@ -278,7 +279,8 @@ def update(
 def _without_dynamic(
     graph: TfgGraph, panorama: Panorama, estimate: MapEstimate, earlier: FloatArray
 ) -> tuple[TfgGraph, Panorama]:
-    """The newest view's panorama without those who pass by, and the graph before that view, which remembers them.
+    """The graph before the newest view with the dynamic obstacles that this view met, and the view's panorama without
+    them.
 
     earlier: (k, 3) poses in M of the views that the graph holds the stars of.
     """
@@ -288,7 +290,7 @@ def _without_dynamic(
     if not (len(before) or len(static.left_out)):
         return graph, static.panorama
     stays = ~seen_past(transform(inverse(X_MA[-1]), before), static.panorama)
-    # Whoever stands where he was is remembered since then.
+    # An obstacle that still stands where it was met keeps its stamp.
     new = static.left_out[far_from(transform(X_MA[-1], static.left_out), before[stays], SAME_PLACE)]
     nothing = np.zeros(len(new))
     met = join(select(graph.met, stays), points_of(estimate.stage - 1, new, np.zeros_like(new), nothing))
@@ -310,10 +312,9 @@ def resolve(
 ) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and views; the estimate's stage is the graph's.
 
-    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`), and
-    landmarks that carry nothing else face nowhere: they are not in view where the map has them. In a part of a larger
-    map the same holds for surfaces, landmarks and frontiers that were mapped another way round, so that nobody can tell
-    where they lie seen from the robot: whoever looks for more than what is here asks the whole.
+    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
+    Landmarks that anchor no other surface get no facing, so they count as visible from nowhere. In a part of a larger
+    map the same holds for weakly tied surfaces, landmarks and frontiers; they are in the whole map only.
 
     views: (k,) those that the graph holds the stars of, if it is a part of one.
     """
@@ -353,7 +354,7 @@ def resolve(
 
 
 def empty_map() -> TfgMap:
-    """What the graph before the first view resolves to."""
+    """The TfgMap of the empty graph."""
     none, points = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     return TfgMap(
         stage=0,
@@ -387,7 +388,7 @@ class _Placed:
 
     @functools.cached_property
     def here(self) -> BoolArray:
-        """Which pieces (m,) tell what is here."""
+        """Which pieces (m,) are believed to be where they are placed."""
         return self.stand & ~self.weakly_tied.surfaces[self.owner]
 
     @functools.cached_property
@@ -416,7 +417,7 @@ def _live_frontiers(
     free_space_frontiers: FrontierPoints,
     explorer: ExplorerConfig,
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit, but for those of weakly tied views.
+    """The frontier points in the map frame that are worth another visit, without those of weakly tied views.
     free_space_frontiers: the open ones, placed.
 
     Those that explorer.frontier_attempts views have tried in vain are left out. What fewer have tried counts for less:
@@ -431,31 +432,32 @@ def _live_frontiers(
     return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
-def _settled(
+def _explored(
     points: FrontierPoints, stars: tuple[IntArray, FloatArray, FloatArray], estimate: MapEstimate
 ) -> BoolArray:
-    """Which frontier points (f,) of one arm of a loop lie well inside what is seen from another: these, and what is
-    MOST_DRIFT behind them, where all is known jointly, as the loop has closed by then."""
-    settled = inside_any(points.p, *stars[:2])
-    inside = select(points, settled)
-    settled[settled] = inside_any(inside.p - MOST_DRIFT * inside.normal, *stars[:2]) & known_jointly(inside.p, estimate)
-    return np.asarray(settled)
+    """Which frontier points (f,) are explored, because another arm of a closed loop has seen free space there: the
+    point and the place MOST_DRIFT behind it lie inside the stars, and the landmarks there are known jointly."""
+    explored = inside_any(points.p, *stars[:2])
+    inside = select(points, explored)
+    behind = inside.p - MOST_DRIFT * inside.normal
+    explored[explored] = inside_any(behind, *stars[:2]) & known_jointly(inside.p, estimate)
+    return np.asarray(explored)
 
 
 @functools.lru_cache(maxsize=1)
 def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, estimate: MapEstimate) -> FrontierPoints:
-    """Points, in the map frame, on the stretches of surface that no turn has seen well or at all."""
+    """Frontier points, in the map frame, on the stretches of surface that no turn has seen well or at all."""
     return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
 def _open_free_space_frontiers(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains, but for those weakly tied."""
+    """Frontier points of free space, in the map frame, that no surface explains, without those of weakly tied views."""
     points = place_points(graph.free_space_frontiers, estimate.X_MA)
     return select(points, open_frontiers(points, placed.segments) & ~placed.weakly_tied.views[points.view])
 
 
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
-    """How many views have tried each of the points (f,), in the map frame, in vain."""
+    """Number (f,) of views that have tried each of the points (f,), in the map frame, in vain."""
     tried = place_points(graph.tried, estimate.X_MA).p
     return np.asarray(most_within(points.p, tried, graph.tried_count, TRIED_DISTANCE))
 
@@ -603,7 +605,7 @@ def _count_attempts(
     def in_view(graph: TfgGraph, views: IntArray | None) -> FloatArray:
         placed = _placed(graph, estimate, views)
         here = in_view_of(graph, placed)
-        # The robot came for what was weakly tied, if it did not for what is here.
+        # If no other frontier is in view, the robot came for a weakly tied one.
         if len(here) or not placed.weakly_tied.landmarks.any():
             return here
         all_of_it = nothing_weakly_tied(graph.surfaces, estimate)

@@ -1,10 +1,11 @@
-"""What stands where the map lies over itself.
+"""Which surfaces are believed where the map overlaps itself before a loop closes.
 
-Two faces of a wall share no landmark. Until a loop closes, what was mapped from one side may lie in free space that was
-seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one whose
-place relative to the robot is known less well, as the way to it along what ties the map together is longer. And where a
-room was mapped another way round, so that nobody can tell where it lies seen from the passage, it says nothing of what
-the passage is like, drifted into it or not.
+The two faces of a wall share no landmark. Until a loop closes, surfaces mapped from one side may therefore lie in free
+space seen from the other side, such as the walls of a room in the corridor outside. Then the surface is believed whose
+view is closer to the newest view along the ties of the map, as its place relative to the robot is known better.
+
+A room that was reached along another arm of the loop is tied to the robot so weakly that its place relative to the
+corridor is unknown. Its surfaces and its free space are not used for the surroundings of the robot at all.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_from_robot
 from tfg_drake.tfg.surfaces import Surfaces
 
-# A surface this deep in the free space of a view this near, m, that did not look at its front has drifted into it.
+# A surface has drifted if it lies this deep, m, in the free space of a view at most this far away, m, that did not look
+# at its front.
 DEPTH = 0.2
 REACH = 5.0
-# What was mapped on the robot's own way is known within MOST_DRIFT, seen from it, and this a metre, as its heading is.
-# Little of it: a room must not be taken apart because its far end is asked for less.
+# Landmarks mapped on the robot's own way are known relative to it within MOST_DRIFT plus this much a metre of distance,
+# for the uncertain heading. It is small, so that the two ends of a room are treated alike.
 SWING = 0.01
 
 
@@ -38,17 +40,20 @@ def standing(
     star_view: IntArray,
     estimate: MapEstimate,
 ) -> BoolArray:
-    """Which surfaces (s,) stand: no view that is tied more closely to the newest than theirs has looked through them.
+    """Which surfaces (s,) are believed to be where they are mapped.
+
+    A surface is not believed where a view has looked through it that is closer to the newest view, along the ties of
+    the map, than the surface's own view (see `distance_along_map`).
 
     vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_view: (n,) landmarks and a view that saw each.
-    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_view: (k,) the views they are of.
+    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_view: (k,) the view of each.
     """
     count, none = len(surfaces.view), np.zeros(len(star_view))
 
     def through(surface_rank: FloatArray, star_rank: FloatArray) -> BoolArray:
         return looked_through(surfaces.offsets, vertices, surface_rank, *stars, star_rank, DEPTH, REACH)
 
-    # As a rule there is nothing of the kind, and how the views are tied does not matter.
+    # As a rule no view has looked through any surface; then the distances are not needed.
     if not through(np.ones(count), none).any():
         return np.ones(count, dtype=np.bool_)
     rank = distance_along_map(*_saw(surfaces, tag_ids, tag_view), star_view, estimate)
@@ -57,9 +62,10 @@ def standing(
 
 @dataclasses.dataclass(frozen=True)
 class WeaklyTied:
-    """What was mapped another way round than the robot came: seen from it, nobody can tell where that lies.
+    """Which parts of the map have an unknown place relative to the robot, as they were mapped along another arm of a
+    loop that has not closed.
 
-    landmarks: (n,) of the map, views: (k,) of the map, surfaces: (s,).
+    landmarks: (n,) of the map, views: (k,) of the map, surfaces: (s,) of the graph.
     """
 
     landmarks: BoolArray
@@ -68,8 +74,8 @@ class WeaklyTied:
 
 
 def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate) -> WeaklyTied:
-    """What cannot be told from where the robot is: landmarks, those views that saw no others of the landmarks known
-    jointly, and the surfaces of either.
+    """The weakly tied parts of the map: landmarks of unknown place relative to the robot, views that saw none but such
+    of the landmarks known jointly, and the surfaces of these views or landmarks.
 
     tag_ids, tag_view: (n,) landmarks and a view that saw each.
     """
@@ -83,19 +89,21 @@ def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estim
         np.bincount(view[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
     )
     views = (these > 0) & (others == 0)
-    carried = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
-    return WeaklyTied(landmarks, views, views[surfaces.view] | carried)
+    anchored = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
+    return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
 
 
 def nothing_weakly_tied(surfaces: Surfaces, estimate: MapEstimate) -> WeaklyTied:
-    """Everything was mapped as the robot came."""
+    """No part of the map is weakly tied."""
     return WeaklyTied(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.view)))
 
 
 @functools.lru_cache(maxsize=1)
 def _known_badly(estimate: MapEstimate) -> BoolArray:
-    """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it: none of those
-    that the newest view saw. What all of them are known worse by is the robot's own."""
+    """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains.
+
+    The least variance of all is the robot's own and is subtracted. Landmarks seen by the newest view are never among
+    them."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     known = estimate.is_local
     if known.any():
@@ -108,16 +116,17 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
 
 
 def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[IntArray, IntArray]:
-    """Views and landmarks (p,) that they saw, as far as surfaces tell and these landmarks with a view each, (n,)."""
+    """Pairs (p,) of a view and a landmark that it saw, from the surfaces and from tag_ids and tag_view (n,)."""
     view = np.concatenate([np.repeat(surfaces.view, 2), tag_view])
     ids = np.concatenate([surfaces.ids.ravel(), tag_ids])
     return view[ids >= 0], ids[ids >= 0]
 
 
 def distance_along_map(view: IntArray, ids: IntArray, views: IntArray, estimate: MapEstimate) -> FloatArray:
-    """How far (k,), m, each of the map's views is from the last of `views` along what ties them; inf where none does.
+    """Length (k,), m, of the shortest way along the map's ties from the last of `views` to each view; inf without one.
 
-    What ties: a view and a landmark that it saw, view and ids (p,), and two of `views` (g,), ascending, in succession.
+    A tie joins a view with a landmark that it saw, view and ids (p,), or two successive ones of `views` (g,).
+    views: ascending.
     """
     k, n = len(estimate.X_MA), len(estimate.ids)
     # Each pair once: a sparse matrix adds up what it is given twice.

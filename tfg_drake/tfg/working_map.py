@@ -1,7 +1,7 @@
-"""The part of a large map that planning works on: it takes a new view up as the whole would.
+"""The working map: the active part of a large map, which takes up a new view as the whole map would.
 
-A view sees as far as its scan reaches. So whatever there is within some distance of the newest view was seen by views
-no farther away than that and the scan's reach; on a map too large to be known jointly all others rest.
+A view sees as far as its scan reaches. So everything within some distance of the newest view was seen by views no
+farther away than that distance and the scan's reach. On a map too large to be known jointly all others are inactive.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from tfg_drake.tfg.surfaces import Surfaces
 
 # How far two places that were once next to each other may have been torn apart by a loop that closed, m.
 TORN = 1.0
-# What is worked on lacks nothing within so many times the scan's reach of the newest view: more than that view saw, and
-# as far as it matters for the order in which what is open is best looked at.
+# The working map is complete within so many times the scan's reach of the newest view: that is more than the view saw,
+# and as far as the order in which the frontiers are best visited depends on the map.
 COMPLETE = 2.5
-# Rules that look for the next goal in all of the map at every stage: nothing rests.
+# Rules that look for the next goal in the whole map at every stage: with them all submaps stay active.
 FAR_SIGHTED = ("argmax", "random")
 _POINTS = ("free_space_frontiers", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried", "met")
 
@@ -39,8 +39,8 @@ def empty_graphs() -> Submaps[TfgGraph]:
 
 
 def may_deactivate(explorer: ExplorerConfig) -> bool:
-    """Whether the next goal can be chosen without all of the map: not by every rule, and not where the robot must know
-    how long the way home is."""
+    """Whether submaps may be inactive: not with rules that choose the next goal from the whole map, nor where the robot
+    must know the length of its way home."""
     return explorer.goal not in FAR_SIGHTED and not explorer.return_home
 
 
@@ -55,7 +55,7 @@ def update(
     *,
     glance: bool = False,
 ) -> Submaps[TfgGraph]:
-    """As `tfg_drake.tfg.graph.update`, by what is near the newest view, and nothing but that changes.
+    """As `tfg_drake.tfg.graph.update`, of the active submap alone; the inactive ones do not change.
 
     Raises ValueError where the estimate is of another stage than the next.
     """
@@ -89,14 +89,14 @@ def update(
 
 
 def reach_of(panorama: Panorama) -> float:
-    """How far away a view may have seen what the panorama saw, m, as mapped now."""
+    """Distance, m, within which a view may have seen the same places as the panorama, as mapped now."""
     return panorama.range_max + TORN
 
 
 def working_map(
     graphs: Submaps[TfgGraph], estimate: MapEstimate, panorama: Panorama, robot: RobotConfig, explorer: ExplorerConfig
 ) -> WorkingMap:
-    """What is near, resolved; the estimate and the panorama are of the graph's stage."""
+    """The active submap, resolved; the estimate and the panorama are of the graph's stage."""
     seen = reach_of(panorama)
     part = estimate_near(graphs, estimate, seen)
     tfg = tfg_graph.resolve(graphs.active, part, robot, explorer, views=graphs.views)
@@ -115,7 +115,7 @@ def working_map(
 
 
 def empty_working_map(estimate: MapEstimate) -> WorkingMap:
-    """Before the first view, with the estimate of then."""
+    """The working map before the first view, with the estimate of then."""
     return WorkingMap(estimate, empty_map(), np.zeros(0, dtype=np.bool_))
 
 
@@ -125,7 +125,7 @@ def whole_graph(graphs: Submaps[TfgGraph]) -> TfgGraph:
 
 
 def estimate_near(graphs: Submaps[TfgGraph], estimate: MapEstimate, reach: float) -> MapEstimate:
-    """The map with those landmarks that what is near is anchored to, and those within reach (m) of the newest view."""
+    """The map with the landmarks that anchor the active submap and those within reach (m) of the newest view only."""
     if not graphs.inactive:
         return estimate
     ids = np.concatenate([graphs.active.tag_ids, graphs.active.surfaces.ids.ravel()])
@@ -165,12 +165,12 @@ def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
 
 
 def split(graph: TfgGraph, views: IntArray, stays: BoolArray) -> tuple[TfgGraph, TfgGraph]:
-    """What some (k,) of the graph's views (k,) saw, and what the others did."""
+    """The graph split in two: what the views (k,) saw that stay (k,), and what the others saw."""
     return _of_views(graph, views, stays), _of_views(graph, views, ~stays)
 
 
 def merged(graphs: Sequence[TfgGraph], views: Sequence[IntArray]) -> TfgGraph:
-    """The graph of several parts, each with the stars of its views; the first is the newest."""
+    """The graph of several submaps, each with the stars of its views (k,); the first is the active one."""
     tag = np.argsort(np.concatenate([graph.tag_ids for graph in graphs]))
     star = np.argsort(np.concatenate(views))
     surfaces = _chained([graph.surfaces for graph in graphs])
@@ -184,7 +184,7 @@ def merged(graphs: Sequence[TfgGraph], views: Sequence[IntArray]) -> TfgGraph:
     points: dict[str, Any] = {name: join(*(getattr(graph, name) for graph in graphs)) for name in _POINTS}
     return replace(
         graphs[0],
-        # As they were found: where two overlap, the first is believed.
+        # In the order in which they were found: where two overlap, the first is believed.
         surfaces=_surfaces(surfaces, np.lexsort([surfaces.view, surfaces.kind])),
         star_offsets=star_offsets,
         star_vertices=star_vertices,
@@ -196,7 +196,7 @@ def merged(graphs: Sequence[TfgGraph], views: Sequence[IntArray]) -> TfgGraph:
 
 
 def _of_views(graph: TfgGraph, views: IntArray, which: BoolArray) -> TfgGraph:
-    """What some (k,) of the graph's views (k,) saw."""
+    """The graph of some (k,) of the graph's views (k,) only."""
     theirs = np.zeros(int(views.max(initial=-1)) + 1, dtype=np.bool_)
     theirs[views[which]] = True
     tags = theirs[graph.tag_view]
