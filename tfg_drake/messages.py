@@ -346,9 +346,9 @@ class Roadmap:
         rows = np.searchsorted(ids, node_ids)
         return np.where(ids[rows.clip(max=len(ids) - 1)] == node_ids, rows, -1)
 
-    def reaches(self, names: IntArray, within: float = math.inf) -> BoolArray:
-        """Whether the nodes of these names are in this roadmap and can be reached, by a way within so many metres."""
-        nodes = self.nodes(names)
+    def reaches(self, node_ids: IntArray, within: float = math.inf) -> BoolArray:
+        """Whether the nodes of these ids are in this roadmap and can be reached, by a way within so many metres."""
+        nodes = self.nodes(node_ids)
         near = self.reachable & (self.travel_length <= within)
         return np.asarray((nodes >= 0) & np.append(near, False)[nodes])
 

@@ -180,13 +180,13 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     if best < 0:
         return None
     asked, node = nodes[[best]], int(nodes[best])
-    names, points = roadmap.node_ids(asked), roadmap.points[asked]
+    node_ids, points = roadmap.node_ids(asked), roadmap.points[asked]
     gains = turn_gains(asked, expected_tags(points, estimate, tfg, sensor), now)
     return GoalChoice(
         stage=estimate.stage,
-        node=int(names[0]),
+        node=int(node_ids[0]),
         p_MG=points[0],
-        candidates=names,
+        candidates=node_ids,
         exploitation=gains.exploitation,
         exploration=gains.exploration,
         pose_price=gains.pose_price,
@@ -239,15 +239,15 @@ def remember(before: GoalChoice, choice: GoalChoice, roadmap: Roadmap, stop_gain
     old = (
         (before.gain > stop_gain) & ~roadmap.reaches(before.candidates) & ~np.isin(before.candidates, choice.candidates)
     )
-    names = np.append(before.candidates[old], choice.candidates)
-    order = np.argsort(names)
+    node_ids = np.append(before.candidates[old], choice.candidates)
+    order = np.argsort(node_ids)
 
     def both(then: FloatArray, now: FloatArray) -> FloatArray:
         return np.append(then[old], now)[order]
 
     return replace(
         choice,
-        candidates=names[order],
+        candidates=node_ids[order],
         exploitation=both(before.exploitation, choice.exploitation),
         exploration=both(before.exploration, choice.exploration),
         pose_price=both(before.pose_price, choice.pose_price),

@@ -34,7 +34,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     value = np.zeros(len(nodes))
     if not estimate.is_joint or not len(estimate.ids):
         return value
-    # Mostly the same places at every stage: names are given once and for all.
+    # Mostly the same places at every stage: node ids are given once and for all.
     asked = np.flatnonzero(roadmap.node_ids(nodes) % (1 + len(nodes) // PLACES) == 0)
     nodes = nodes[asked]
     sensor, explorer = parameters.sensor, parameters.explorer
