@@ -303,13 +303,13 @@ class ExplorerConfig:
     samples: int = 400
     # The mission is complete when no candidate sees enough frontier or promises more than this, nats.
     stop_gain: float = 20.0
-    # Goals tried at one frontier point before it is given up.
+    # Attempts at one frontier point before it is given up.
     frontier_attempts: int = 3
     # Turn rate while observing at a goal, rad/s.
     turn_rate: float = 1.2
     # On its way to a goal the robot maps what it has ahead once in this time, s, and chooses anew; 0: only at goals.
     glance_period: float = 2.0
-    # The way between goals is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
+    # The way between views is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
     path_keyframe_period: float = 5.0
     # The robot stands and looks this long before it first moves, s, and then turns round so many times. The map's
     # heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every turn; the turns
