@@ -122,7 +122,7 @@ def test_an_interrupt_ends_all_at_once(tmp_path):
     threading.Timer(1.0, interrupted.set).start()
     begun = time.monotonic()
     assert list(run_local(tasks(), tmp_path, 1, interrupted)) == []
-    assert time.monotonic() - begun < 10.0
+    assert time.monotonic() - begun < 30.0
     assert not multiprocessing.active_children()
 
 
