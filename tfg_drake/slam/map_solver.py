@@ -135,7 +135,7 @@ def solve(
     local = np.sort(np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")[:joint])
     local = local if also is None else np.union1d(local, also)
     cells = _cells(graph, factors, local, node)
-    values = _Values(graph.X_MN, graph.p_ML, np.zeros_like(graph.p_ML))
+    values = _Values(graph.X_MN.copy(), graph.p_ML.copy(), np.zeros(graph.p_ML.shape))
     for _ in range(MOST_STEPS):
         blocks, gradient, error, poses = _linearised(factors, cells, values)
         eliminated, root = _factorised(cells, blocks, gradient)
