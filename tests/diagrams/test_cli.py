@@ -243,7 +243,7 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
     def fail(*_arguments):
         raise ValueError("no way\nmore")
 
-    monkeypatch.setattr("tfg_drake.diagrams.missions.report.write_report", fail)
+    monkeypatch.setattr("tfg_drake.diagrams.missions.run.write_report", fail)
     code, _, err = call("explore", room, "--headless", "--max-time", "1", "--out", str(tmp_path))
     assert code == 3
     assert err.startswith("tfg-drake: internal error: ValueError: no way more (test_cli.py, line ")
