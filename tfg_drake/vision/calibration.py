@@ -38,8 +38,8 @@ class CalibrationError(ValueError):
 class CameraCalibration:
     """How a camera sees.
 
-    width, height: of its images, pixels. matrix: (3, 3) K; pixel (0, 0) has its centre at (0, 0), as in OpenCV and
-    Drake. model: "plumb_bob" or "equidistant". coefficients: (k,) of its distortion.
+    width, height: of its images, pixels. matrix: (3, 3) K; pixel (0, 0) has its centre at (0, 0), as in OpenCV.
+    model: "plumb_bob" or "equidistant". coefficients: (k,) of its distortion.
     """
 
     width: int

@@ -15,7 +15,7 @@ from tfg_drake.vision.image import Image, grey
 FAMILIES = ("tag36h11", "tag16h5")
 # The detector's own default (10 degrees); robotpy's 45 misses tags seen aslant.
 _CRITICAL_ANGLE = math.radians(10.0)
-# The detector counts from the corner of the first pixel, OpenCV and Drake from its centre.
+# The detector counts from the corner of the first pixel, OpenCV from its centre.
 _PIXEL_CENTRE = 0.5
 # The detector reads tiles of 4 pixels, after decimation.
 _LEAST_SIDE = 16
