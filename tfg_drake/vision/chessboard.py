@@ -45,7 +45,9 @@ def board_corners(image: Image, columns: int, rows: int) -> FloatArray | None:
     # No wider than the squares are, or another corner is found.
     sides = np.linalg.norm(np.diff(corners.reshape(rows, columns, 2), axis=1), axis=2)
     reach = int(np.clip(0.4 * sides.min(), 2, 11))
-    return np.asarray(cv2.cornerSubPix(picture, corners, (reach, reach), (-1, -1), _CRITERIA), dtype=float)[:, 0]
+    return np.asarray(cv2.cornerSubPix(picture, corners, (reach, reach), (-1, -1), _CRITERIA), dtype=float).reshape(
+        -1, 2
+    )
 
 
 def is_new_view(corners: FloatArray, before: Sequence[FloatArray], width: int) -> bool:

@@ -50,12 +50,12 @@ def tag_cells(tag: int) -> NDArray[np.bool_]:
 
 def per_page(size: float) -> tuple[int, int]:
     """How many tags go side by side and above each other on a page; raises SheetError where none does."""
-    tile_width, tile_height = _tile(size)
-    across = math.floor((PAGE[0] - 2.0 * MARGIN) / tile_width + 1e-9)
-    down = math.floor((PAGE[1] - 2.0 * MARGIN) / tile_height + 1e-9)
-    if not (size > 0.0 and across and down):
-        most = math.floor(1000.0 * (PAGE[0] - 2.0 * MARGIN) * CELLS / (CELLS + 2)) / 1000.0
+    most = (PAGE[0] - 2.0 * MARGIN) * CELLS / (CELLS + 2)
+    if not 0.0 < size < most + 1e-9:
         raise SheetError(f"a tag of {size:g} m does not go on A4; the size is above 0 and at most {most:g} m")
+    width, height = _tile(size)
+    across = math.floor((PAGE[0] - 2.0 * MARGIN) / width + 1e-9)
+    down = math.floor((PAGE[1] - 2.0 * MARGIN) / height + 1e-9)
     return across, down
 
 
