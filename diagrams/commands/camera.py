@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import signal
@@ -18,6 +19,7 @@ from tfg_drake.diagrams.commands.command_line import bad_input
 if TYPE_CHECKING:
     from tfg_drake.messages import FloatArray, TagDetections
     from tfg_drake.vision.frames import Frame
+    from tfg_drake.vision.image import Image
     from tfg_drake.vision.mount import CameraMount
 
 # The picture of a live source is written that often at most, s.
@@ -228,18 +230,16 @@ def _mount(text: str) -> CameraMount:
     return CameraMount(x=x, y=y, yaw=yaw, pitch=pitch)
 
 
-def _write(picture: object, path: Path) -> None:
+def _write(picture: Image, path: Path) -> None:
     """Whole or not at all: somebody may be looking at the file before."""
-    import io
-
-    from PIL import Image
+    import PIL.Image
 
     from tfg_drake.storage.files import write_atomic
 
     buffer = io.BytesIO()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(picture).save(buffer, "JPEG" if path.suffix.lower() in (".jpg", ".jpeg") else "PNG")
+        PIL.Image.fromarray(picture).save(buffer, "JPEG" if path.suffix.lower() in (".jpg", ".jpeg") else "PNG")
         write_atomic(path, buffer.getvalue(), durable=False)
     except OSError as error:
         bad_input(f"--out {path}: cannot be written: {error.strerror or error}")
