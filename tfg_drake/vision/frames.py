@@ -94,6 +94,9 @@ def _stamp(file: Path, count: int) -> float:
 
 def _video(source: str, is_file: bool) -> Iterator[Frame]:
     capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    if not is_file:
+        # Or what is seen is old where looking takes longer than a frame.
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     try:
         count = 0
         while True:
