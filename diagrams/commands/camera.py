@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import signal
 import sys
 import time
@@ -158,13 +159,13 @@ def _row(detections: TagDetections) -> str:
 
 def _need_packages() -> None:
     """Ends the command where they are not there; Ctrl-C raises KeyboardInterrupt from now on."""
+    # OpenCV would tell in many lines what is told in one.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
-        import cv2
+        import cv2  # noqa: F401
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
-    # It would tell in many lines what is told in one.
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

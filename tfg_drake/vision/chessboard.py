@@ -17,8 +17,8 @@ LEAST_VIEWS, MOST_VIEWS = 8, 60
 # A view whose corners moved by less than this share of the image's width is the view before, once more.
 _NEW_VIEW = 0.03
 # Of a calibration that can be used: error of reprojection, pixels; deviation of the focal length, share of it; share of
-# the image's width and height that the corners span.
-GOOD_ERROR, GOOD_FOCAL, GOOD_SPAN = 1.0, 0.01, 0.6
+# the image's width and height that the corners span; ratio of opposite sides of the board in the view most aslant.
+GOOD_ERROR, GOOD_FOCAL, GOOD_SPAN, GOOD_SLANT = 1.0, 0.01, 0.6, 1.1
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
 
 
@@ -79,19 +79,28 @@ def calibrated(
     calibration = CameraCalibration(*size, np.asarray(K, dtype=float), "plumb_bob", np.asarray(distortion).ravel())
     focal_sigma = float(np.max(np.asarray(sigma).ravel()[:2]))
     return ChessboardResult(
-        calibration, len(views), float(error), focal_sigma, tuple(_doubts(views, size, calibration, error, focal_sigma))
+        calibration,
+        len(views),
+        float(error),
+        focal_sigma,
+        tuple(_doubts(views, columns, size, calibration, error, focal_sigma)),
     )
 
 
 def _doubts(
-    views: Sequence[FloatArray], size: tuple[int, int], calibration: CameraCalibration, error: float, focal_sigma: float
+    views: Sequence[FloatArray],
+    columns: int,
+    size: tuple[int, int],
+    calibration: CameraCalibration,
+    error: float,
+    focal_sigma: float,
 ) -> list[str]:
     remarks = []
     if error > GOOD_ERROR:
         remarks.append(f"corners err by {error:.2f} pixels, more than {GOOD_ERROR:g}: is the board flat and sharp?")
-    if focal_sigma > GOOD_FOCAL * calibration.focal:
+    if focal_sigma > GOOD_FOCAL * calibration.focal or max(_slant(view, columns) for view in views) < GOOD_SLANT:
         share = 100.0 * focal_sigma / calibration.focal
-        remarks.append(f"the focal length is known to {share:.1f} % only: tilt the board more, by 30 degrees and more")
+        remarks.append(f"the focal length is known to {share:.1f} %, if at all: tilt the board by 30 degrees and more")
     corners = np.concatenate(views)
     spans = np.ptp(corners, axis=0) / size
     if spans.min() < GOOD_SPAN:
@@ -99,3 +108,12 @@ def _doubts(
             f"corners span {100 * spans[0]:.0f} x {100 * spans[1]:.0f} % of the image: show the board at its edges, too"
         )
     return remarks
+
+
+def _slant(view: FloatArray, columns: int) -> float:
+    """The ratio of opposite sides of the board in a view, 1 or more: 1 where it is seen straight, which tells nothing
+    of the focal length."""
+    grid = view.reshape(-1, columns, 2)
+    corners = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0]])
+    a, b, c, d = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).tolist()
+    return float(max(a / c, c / a, b / d, d / b))

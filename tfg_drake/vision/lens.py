@@ -23,7 +23,9 @@ def undistorted(pixels: FloatArray, calibration: CameraCalibration) -> FloatArra
     if calibration.model == "equidistant":
         found = cv2.fisheye.undistortPoints(points, K, coefficients, criteria=_CRITERIA)
     else:
-        found = cv2.undistortPoints(points, K, coefficients if len(coefficients) else None, criteria=_CRITERIA)
+        # OpenCV 4 has the criteria in a function of its own.
+        undistort = getattr(cv2, "undistortPointsIter", None) or cv2.undistortPoints
+        found = undistort(points, K, coefficients if len(coefficients) else None, None, None, criteria=_CRITERIA)
     return np.asarray(found, dtype=float).reshape(pixels.shape)
 
 
