@@ -18,12 +18,14 @@ import typer
 
 from tfg_drake import __version__, kernels
 from tfg_drake.diagrams.commands import explore as explore_command
+from tfg_drake.diagrams.commands.camera import camera_app
 from tfg_drake.diagrams.commands.command_line import BadInput, compile_kernels, wait_for_enter, wait_for_kernels
 from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.kobuki import kobuki_app
 from tfg_drake.diagrams.commands.map import map_app
 from tfg_drake.diagrams.commands.ros import ros2_app
 from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.missions import run_folder
 
 if TYPE_CHECKING:
@@ -60,6 +62,8 @@ app = typer.Typer(
 app.add_typer(map_app, name="map")
 app.add_typer(kobuki_app, name="kobuki")
 app.add_typer(ros2_app, name="ros2")
+app.add_typer(camera_app, name="camera")
+app.add_typer(tags_app, name="tags")
 
 
 def _print_version(asked: bool) -> None:

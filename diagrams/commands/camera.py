@@ -1,0 +1,246 @@
+"""`tfg-drake camera`: what a camera sees of tags, and its calibration. Needs no Drake."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tfg_drake.diagrams.commands.command_line import bad_input
+
+if TYPE_CHECKING:
+    from tfg_drake.messages import FloatArray, TagDetections
+    from tfg_drake.vision.frames import Frame
+    from tfg_drake.vision.image import Image
+    from tfg_drake.vision.mount import CameraMount
+
+# The picture of a live source is written that often at most, s.
+PICTURE_EVERY = 0.5
+# Of a live source: views of the board that are enough, and how often it looks for one, s.
+LIVE_VIEWS, LIVE_EVERY = 25, 0.5
+
+Source = Annotated[
+    str,
+    typer.Argument(metavar="SOURCE", help="A folder of images, an image, a video, a stream's address or a camera (0)."),
+]
+
+camera_app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@camera_app.callback()
+def _commands() -> None:
+    """A camera's tags, and its calibration."""
+
+
+@camera_app.command()
+def check(
+    source: Source,
+    calibration: Annotated[
+        Path, typer.Option(metavar="FILE", help="The camera's calibration, OpenCV's YAML or ROS's camera_info.")
+    ],
+    tag_size: Annotated[float, typer.Option(metavar="M", help="Side of the tags' black square.")],
+    family: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Repeatable [default: tag36h11].")] = None,
+    mount: Annotated[
+        str, typer.Option(metavar="X,Y,YAW,PITCH", help="The camera on the robot, m and rad; pitch is downward.")
+    ] = "0,0,0,0",
+    margin: Annotated[float, typer.Option(metavar="G", help="Decision margin below which no tag is believed.")] = 30.0,
+    decimation: Annotated[float, typer.Option(metavar="N", help="1 sees smaller tags, in four times the time.")] = 2.0,
+    threads: Annotated[int, typer.Option(metavar="N", help="Of the detector.")] = 1,
+    frames: Annotated[int | None, typer.Option(metavar="N", help="Stop after so many.")] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="The picture of the newest frame; a folder: one picture a frame.")
+    ] = Path("camera.png"),
+    as_json: Annotated[bool, typer.Option("--json", help="One line of JSON a frame, and nothing else.")] = False,
+) -> None:
+    """Say which tags a camera sees, where and how exactly, and what is wrong."""
+    _need_packages()
+    from tfg_drake.vision.annotated import annotated
+    from tfg_drake.vision.calibration import CalibrationError, load_calibration
+    from tfg_drake.vision.frames import is_live
+    from tfg_drake.vision.sighting import TagSizes, sighted
+    from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
+
+    if not (math.isfinite(tag_size) and tag_size > 0.0):
+        bad_input(f"--tag-size {tag_size:g}: must be greater than 0 m")
+    where = _mount(mount)
+    try:
+        known = load_calibration(calibration)
+        detector = TagDetector(DetectorConfig(tuple(family or ("tag36h11",)), threads, decimation))
+    except CalibrationError as error:
+        bad_input(f"--calibration {error}")
+    except ValueError as error:
+        bad_input(str(error))
+    into_folder = out.suffix == ""
+    told: set[str] = set()
+    live, count, seen, spent, begin, drawn = is_live(source), 0, 0, 0.0, time.monotonic(), -math.inf
+    try:
+        for frame in _frames(source, frames):
+            started = time.perf_counter()
+            tags = detector.detect(frame.image)
+            sighting = sighted(tags, frame.stamp, known, TagSizes(tag_size), where, least_margin=margin)
+            spent += time.perf_counter() - started
+            count, seen = count + 1, seen + len(sighting.detections.ids)
+            rate = f"{count / max(time.monotonic() - begin, 1e-9):.1f} frames/s, {1000.0 * spent / count:.0f} ms each"
+            if as_json:
+                print(json_line(sighting.detections), flush=True)
+            else:
+                print(f"{frame.name}: {_row(sighting.detections)}", flush=True)
+            for remark in sighting.remarks:
+                # Once only from a live camera, which would say it with every frame.
+                if not (live and remark in told):
+                    print(f"{frame.name}: {remark}", file=sys.stderr, flush=True)
+                told.add(remark)
+            if into_folder or not live or time.monotonic() - drawn > PICTURE_EVERY:
+                picture = annotated(frame.image, tags, sighting, [frame.name, rate])
+                _write(picture, out / f"{Path(frame.name).stem}.png" if into_folder else out)
+                drawn = time.monotonic()
+    except KeyboardInterrupt:
+        pass
+    if not as_json and count:
+        print(f"{count} frames, {seen} tags, {1000.0 * spent / count:.0f} ms a frame; picture in {out}")
+
+
+@camera_app.command()
+def calibrate(
+    source: Source,
+    board: Annotated[str, typer.Option(metavar="CxR", help="Inner corners of the chessboard, along and down.")],
+    square: Annotated[float, typer.Option(metavar="M", help="Side of a square.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The calibration, as ROS's camera_info YAML.")],
+) -> None:
+    """Calibrate a camera by views of a chessboard; show it tilted, near and at the edges."""
+    _need_packages()
+    from tfg_drake.vision.calibration import save_calibration
+    from tfg_drake.vision.chessboard import calibrated
+
+    columns, rows = _board(board)
+    if not (math.isfinite(square) and square > 0.0):
+        bad_input(f"--square {square:g}: must be greater than 0 m")
+    views, size = _views(source, columns, rows)
+    try:
+        result = calibrated(views, columns, rows, square, size)
+        save_calibration(out, result.calibration)
+    except ValueError as error:
+        bad_input(f"{source}: {error}")
+    except OSError as error:
+        bad_input(f"--out {out}: cannot be written: {error.strerror or error}")
+    matrix = result.calibration.matrix
+    print(f"{'views':<14}{result.views}")
+    print(f"{'error':<14}{result.error:.2f} pixels")
+    print(f"{'focal length':<14}{matrix[0, 0]:.1f}, {matrix[1, 1]:.1f} +- {result.focal_sigma:.1f} pixels")
+    print(f"{'axis':<14}{matrix[0, 2]:.1f}, {matrix[1, 2]:.1f} pixels")
+    print(f"{'file':<14}{out}")
+    for remark in result.remarks:
+        print(remark, file=sys.stderr)
+
+
+def json_line(detections: TagDetections) -> str:
+    """One frame on a line: stamp, s; ids; range and its deviation, m; bearing and its deviation, rad."""
+    names = ("ids", "range", "bearing", "sigma_range", "sigma_bearing")
+    return json.dumps({"stamp": detections.stamp, **{name: getattr(detections, name).tolist() for name in names}})
+
+
+def _row(detections: TagDetections) -> str:
+    columns = (detections.ids, detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing)
+    tags = [
+        f"tag {i} at {r:.3f} +- {s:.3f} m, {math.degrees(b):+.2f} +- {math.degrees(t):.2f} deg"
+        for i, r, b, s, t in zip(*(column.tolist() for column in columns), strict=True)
+    ]
+    return "; ".join(tags) or "no tag"
+
+
+def _need_packages() -> None:
+    """Ends the command where they are not there; Ctrl-C raises KeyboardInterrupt from now on."""
+    # OpenCV would tell in many lines what is told in one.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    try:
+        import cv2  # noqa: F401
+        import robotpy_apriltag  # noqa: F401
+    except ImportError as error:
+        bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _frames(source: str, most: int | None = None) -> Iterator[Frame]:
+    from tfg_drake.vision.frames import FrameError, frames
+
+    try:
+        for number, frame in enumerate(frames(source)):
+            if most is not None and number >= most:
+                return
+            yield frame
+    except FrameError as error:
+        bad_input(str(error))
+
+
+def _views(source: str, columns: int, rows: int) -> tuple[list[FloatArray], tuple[int, int]]:
+    """The corners of the board in each view that shows it anew, and the size of the images, pixels."""
+    from tfg_drake.vision.chessboard import MOST_VIEWS, board_corners, is_new_view
+    from tfg_drake.vision.frames import is_live
+
+    views: list[FloatArray] = []
+    size, looked, live = (0, 0), -math.inf, is_live(source)
+    try:
+        for frame in _frames(source):
+            if live and time.monotonic() - looked < LIVE_EVERY:
+                continue
+            looked = time.monotonic()
+            height, width = frame.image.shape[:2]
+            size = size if size[0] else (width, height)
+            if (width, height) != size:
+                said = f"{width} x {height} pixels, not {size[0]} x {size[1]} as the first; left out"
+                print(f"{frame.name}: {said}", file=sys.stderr)
+                continue
+            corners = board_corners(frame.image, columns, rows)
+            if corners is None:
+                print(f"{frame.name}: no board of {columns}x{rows} inner corners in sight", file=sys.stderr)
+            elif is_new_view(corners, views, width):
+                views.append(corners)
+                print(f"{frame.name}: view {len(views)}", flush=True)
+            if len(views) >= (LIVE_VIEWS if live else MOST_VIEWS):
+                break
+    except KeyboardInterrupt:
+        pass
+    return views, size
+
+
+def _board(text: str) -> tuple[int, int]:
+    columns, _, rows = text.partition("x")
+    if not (columns.isdigit() and rows.isdigit() and 3 <= int(columns) <= 50 and 3 <= int(rows) <= 50):
+        bad_input(f"--board {text}: must be the numbers of inner corners, 3 to 50, such as 9x6")
+    return int(columns), int(rows)
+
+
+def _mount(text: str) -> CameraMount:
+    from tfg_drake.vision.mount import CameraMount
+
+    try:
+        x, y, yaw, pitch = (float(word) for word in text.split(","))
+    except ValueError:
+        x = y = yaw = pitch = math.nan
+    if not all(map(math.isfinite, (x, y, yaw, pitch))):
+        bad_input(f"--mount {text}: must be X,Y,YAW,PITCH in metres and radians, such as 0.1,0,0,0")
+    return CameraMount(x=x, y=y, yaw=yaw, pitch=pitch)
+
+
+def _write(picture: Image, path: Path) -> None:
+    """Whole or not at all: somebody may be looking at the file before."""
+    import PIL.Image
+
+    from tfg_drake.storage.files import write_atomic
+
+    buffer = io.BytesIO()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        PIL.Image.fromarray(picture).save(buffer, "JPEG" if path.suffix.lower() in (".jpg", ".jpeg") else "PNG")
+        write_atomic(path, buffer.getvalue(), durable=False)
+    except OSError as error:
+        bad_input(f"--out {path}: cannot be written: {error.strerror or error}")

@@ -1,0 +1,152 @@
+"""Calibrations of cameras on disk: OpenCV's YAML and ROS's camera_info, either as its tools write it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from tfg_drake.messages import FloatArray, message
+from tfg_drake.storage.files import read_bytes, write_atomic
+from tfg_drake.storage.yaml_text import parse_yaml
+
+# By their names in files. Coefficients: k1, k2, p1, p2[, k3[, k4, k5, k6[, s1 .. s4[, tx, ty]]]] of Brown's model, k1
+# to k4 of Kannala and Brandt's.
+BROWN = ("plumb_bob", "rational_polynomial", "radtan", "radial-tangential")
+FISHEYE = ("equidistant", "fisheye")
+_COUNTS = {"plumb_bob": (0, 4, 5, 8, 12, 14), "equidistant": (4,)}
+# By the key's name here: those in files.
+_KEYS = {
+    "image_width": ("image_width", "width"),
+    "image_height": ("image_height", "height"),
+    "camera_matrix": ("camera_matrix", "Camera_Matrix", "K", "k"),
+    "distortion_coefficients": ("distortion_coefficients", "Distortion_Coefficients", "D", "d"),
+}
+# A calibration has less than that many bytes; no image is wider nor a coefficient larger, pixels and 1.
+_LONGEST_FILE, _WIDEST_IMAGE, _GREATEST = 100_000, 100_000, 1e6
+_ANEW = "calibrate anew with tfg-drake camera calibrate"
+
+
+class CalibrationError(ValueError):
+    """A calibration that cannot be used; the message is one line: file, key, what is wrong, how to mend it."""
+
+
+@message
+class CameraCalibration:
+    """How a camera sees.
+
+    width, height: of its images, pixels. matrix: (3, 3) K; pixel (0, 0) has its centre at (0, 0), as in OpenCV.
+    model: "plumb_bob" or "equidistant". coefficients: (k,) of its distortion.
+    """
+
+    width: int
+    height: int
+    matrix: FloatArray
+    model: str
+    coefficients: FloatArray
+
+    @property
+    def focal(self) -> float:
+        """Focal length, the mean of both axes', pixels."""
+        return float(0.5 * (self.matrix[0, 0] + self.matrix[1, 1]))
+
+
+def pinhole(width: int, height: int, focal: float) -> CameraCalibration:
+    """The calibration of an ideal camera with its axis through the middle of the image; focal: pixels."""
+    matrix = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
+    return CameraCalibration(width, height, matrix, "plumb_bob", np.zeros(0))
+
+
+def load_calibration(path: Path) -> CameraCalibration:
+    """The calibration in a file; raises CalibrationError."""
+    try:
+        text = read_bytes(path, _LONGEST_FILE).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no text"
+        raise CalibrationError(f"{path}: cannot be read: {reason}; name a calibration's YAML file") from None
+    # OpenCV's first line is not YAML's, and its matrices bear a tag that says nothing.
+    text = re.sub(r"\A%YAML[: ]\S*", "", text.lstrip("\ufeff")).replace("!!opencv-matrix", "")
+    try:
+        tree = parse_yaml(text)
+    except (ValueError, yaml.YAMLError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark is not None else ""
+        what = getattr(error, "problem", None) or " ".join(str(error).split())
+        raise CalibrationError(f"{path}{line}: {what}; mend the YAML") from None
+    if not isinstance(tree, dict):
+        raise CalibrationError(f"{path}: holds no keys; name a calibration's YAML file")
+    try:
+        return _calibration(tree)
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error}") from None
+
+
+def save_calibration(path: Path, calibration: CameraCalibration, name: str = "camera") -> None:
+    """Writes ROS's camera_info YAML; raises OSError."""
+
+    def matrix(rows: FloatArray) -> str:
+        numbers = ", ".join(f"{float(value)!r}" for value in rows.ravel())
+        return f"\n  rows: {rows.shape[0]}\n  cols: {rows.shape[1]}\n  data: [{numbers}]\n"
+
+    coefficients = calibration.coefficients
+    if calibration.model == "plumb_bob" and not len(coefficients):
+        coefficients = np.zeros(5)
+    model = "rational_polynomial" if calibration.model == "plumb_bob" and len(coefficients) > 5 else calibration.model
+    text = (
+        f"image_width: {calibration.width}\nimage_height: {calibration.height}\ncamera_name: {name}\n"
+        f"camera_matrix:{matrix(calibration.matrix)}distortion_model: {model}\n"
+        f"distortion_coefficients:{matrix(coefficients[None])}rectification_matrix:{matrix(np.eye(3))}"
+        f"projection_matrix:{matrix(np.column_stack([calibration.matrix, np.zeros(3)]))}"
+    )
+    write_atomic(path, text)
+
+
+def _calibration(tree: dict[Any, Any]) -> CameraCalibration:
+    width, height = (_pixels(tree, key) for key in ("image_width", "image_height"))
+    matrix = np.array(_numbers(tree, "camera_matrix", (9,))).reshape(3, 3)
+    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    if not (min(fx, fy) >= 1.0 and 0.0 < cx < width and 0.0 < cy < height and (matrix[2] == [0.0, 0.0, 1.0]).all()):
+        raise CalibrationError(
+            "camera_matrix: is not [fx, 0, cx, 0, fy, cy, 0, 0, 1] in pixels with cx and cy within the image; " + _ANEW
+        )
+    model = _model(tree)
+    return CameraCalibration(
+        width, height, matrix, model, np.array(_numbers(tree, "distortion_coefficients", _COUNTS[model]))
+    )
+
+
+def _model(tree: dict[Any, Any]) -> str:
+    named = str(tree.get("distortion_model") or ("equidistant" if tree.get("fisheye_model") else "plumb_bob"))
+    if named in BROWN:
+        return "plumb_bob"
+    if named in FISHEYE:
+        return "equidistant"
+    raise CalibrationError(f"distortion_model: unknown model {named[:50]}; known are {', '.join(BROWN + FISHEYE)}")
+
+
+def _value(tree: dict[Any, Any], key: str) -> Any:
+    for name in _KEYS[key]:
+        if tree.get(name) is not None:
+            return tree[name]
+    raise CalibrationError(f"{key}: missing; {_ANEW}")
+
+
+def _pixels(tree: dict[Any, Any], key: str) -> int:
+    value = _value(tree, key)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value <= _WIDEST_IMAGE:
+        raise CalibrationError(f"{key}: expected a number of pixels, found {str(value)[:50]}; {_ANEW}")
+    return value
+
+
+def _numbers(tree: dict[Any, Any], key: str, counts: tuple[int, ...]) -> list[float]:
+    value = _value(tree, key)
+    value = value.get("data") if isinstance(value, dict) else value
+    numbers = [n for row in value for n in (row if isinstance(row, list) else [row])] if isinstance(value, list) else []
+    good = all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) <= _GREATEST for n in numbers)
+    if not (isinstance(value, list) and good and len(numbers) in counts):
+        expected = " or ".join(str(count) for count in counts)
+        raise CalibrationError(f"{key}: expected {expected} numbers, found {str(value)[:50]}; {_ANEW}")
+    return [float(n) for n in numbers]

@@ -1,0 +1,148 @@
+"""A depth image as a planar scan: the nearest thing in each direction within a band of heights."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.mount import CameraMount
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthScanConfig:
+    """Of a depth camera and its scan.
+
+    low, high: the band of heights above the floor, m: what the robot could run into. least_depth, most_depth: along the
+    optical axis, m; nearer or farther the camera measures nothing. range_max: of the scan, m. sigma: of a range, m.
+    most_silent: of the pixels in a direction, the share without an answer above which nothing is known there.
+    """
+
+    low: float = 0.05
+    high: float = 0.5
+    least_depth: float = 0.45
+    most_depth: float = 5.0
+    range_max: float = 5.0
+    sigma: float = 0.02
+    most_silent: float = 0.25
+
+    def __post_init__(self) -> None:
+        """Raises ValueError where the limits are none."""
+        if not (self.low < self.high and 0.0 <= self.least_depth < self.most_depth and self.range_max > 0.0):
+            raise ValueError(
+                f"heights {self.low:g} to {self.high:g} m, depths {self.least_depth:g} to {self.most_depth:g} m, range "
+                f"{self.range_max:g} m: must be increasing and above 0"
+            )
+
+
+@message
+class DepthRays:
+    """What of a depth camera does not change, pixels sorted by their direction.
+
+    shape: of its images, (h, w). order: (h w,) pixels, row by row; begins: (m,) first of each direction; angles: (m,)
+    rad in the body frame, as seen from the camera, increasing. along, up: (h w,) m forward in the plane and upward, a
+    metre of depth. p_BC: (3,). near_in_band, far_in_band: (h w,) whether the pixel looks into the band at the least
+    depth, and where its ray ends.
+    """
+
+    shape: tuple[int, int]
+    order: IntArray
+    begins: IntArray
+    angles: FloatArray
+    along: FloatArray
+    up: FloatArray
+    p_BC: FloatArray
+    near_in_band: BoolArray
+    far_in_band: BoolArray
+
+
+def depth_rays(calibration: CameraCalibration, mount: CameraMount, config: DepthScanConfig) -> DepthRays:
+    """The rays of a depth camera, one direction a column of its image."""
+    h, w = calibration.height, calibration.width
+    pixels = np.stack(np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float)), axis=-1).reshape(-1, 2)
+    if calibration.coefficients.any():
+        from tfg_drake.vision import lens  # OpenCV, which ideal cameras can do without
+
+        points = lens.undistorted(pixels, calibration)
+    else:
+        K = calibration.matrix
+        points = (pixels - K[:2, 2]) / [K[0, 0], K[1, 1]]
+    direction = np.column_stack([points, np.ones(len(points))]) @ mount.R_BC.T
+    along = np.hypot(direction[:, 0], direction[:, 1])
+    # About the optical axis, so that no camera sees the jump from -pi to pi; the left is positive.
+    azimuth = wrap_angle(np.arctan2(direction[:, 1], direction[:, 0]) - mount.yaw)
+    # Columns at the row that looks to the horizon, or nearest to it.
+    level = np.argmin(np.abs(direction[:, 2]).reshape(h, w), axis=0)
+    angles = np.sort(azimuth.reshape(h, w)[level, np.arange(w)])
+    angles = angles[np.diff(angles, prepend=-math.inf) > 1e-9]
+    edges = 0.5 * (angles[1:] + angles[:-1])
+    column = np.searchsorted(edges, azimuth)
+    order = np.argsort(column, kind="stable")
+    _, begins = np.unique(column[order], return_index=True)
+    up = direction[:, 2]
+    farthest = np.minimum(config.most_depth, config.range_max / np.maximum(along, 1e-9))
+    return DepthRays(
+        shape=(h, w),
+        order=order,
+        begins=begins,
+        angles=angles[np.unique(column)] + mount.yaw,
+        along=along[order],
+        up=up[order],
+        p_BC=mount.p_BC,
+        near_in_band=_in_band(mount.z + config.least_depth * up, config)[order],
+        far_in_band=_in_band(mount.z + farthest * up, config)[order],
+    )
+
+
+def depth_scan(
+    depth: NDArray[np.float32] | FloatArray, rays: DepthRays, stamp: float, config: DepthScanConfig
+) -> LaserScan:
+    """The scan of one depth image (h, w), m along the optical axis, as seen from the body's origin.
+
+    0, nan and less than least_depth are no answer; inf and more than most_depth say that there is nothing up to there.
+    A range is that of the nearest thing in the band. Without one it is inf where a pixel sees the band free up to its
+    end or range_max, and nan where none does. It is nan, too, where more than most_silent of the pixels that look into
+    the band give no answer: then something may be in the blind zone. Raises ValueError where the image is not of the
+    calibration's size.
+    """
+    if depth.shape != rays.shape:
+        h, w = rays.shape
+        raise ValueError(f"a depth image of shape {depth.shape}, the calibration is of ({h}, {w}); calibrate anew")
+    d = np.asarray(depth, dtype=float).reshape(-1)[rays.order]
+    silent = ~(d >= config.least_depth) | (d <= 0.0)
+    nothing = d > config.most_depth
+    with np.errstate(invalid="ignore"):
+        ranges = d * rays.along
+        hit = _in_band(rays.p_BC[2] + d * rays.up, config) & ~silent & ~nothing
+    free = rays.far_in_band & ~silent & (nothing | (ranges > config.range_max))
+    nearest = np.minimum.reduceat(np.where(hit & (ranges <= config.range_max), ranges, np.inf), rays.begins)
+    is_free = np.logical_or.reduceat(free, rays.begins)
+    looking = np.add.reduceat(rays.near_in_band.astype(float), rays.begins)
+    quiet = np.add.reduceat((silent & rays.near_in_band).astype(float), rays.begins)
+    nearest[np.isinf(nearest) & ~is_free] = np.nan
+    nearest[quiet > config.most_silent * looking] = np.nan
+    return _from_body(nearest, rays, stamp, config)
+
+
+def _in_band(height: FloatArray, config: DepthScanConfig) -> BoolArray:
+    return np.asarray((height >= config.low) & (height <= config.high))
+
+
+def _from_body(ranges: FloatArray, rays: DepthRays, stamp: float, config: DepthScanConfig) -> LaserScan:
+    """The scan as seen from the body's origin, which is not where the camera is."""
+    angles = rays.angles
+    if rays.p_BC[:2].any():
+        reach = np.where(np.isfinite(ranges), ranges, config.range_max)
+        x, y = rays.p_BC[0] + reach * np.cos(angles), rays.p_BC[1] + reach * np.sin(angles)
+        ranges = np.where(np.isfinite(ranges), np.hypot(x, y), ranges)
+        ranges[np.isfinite(ranges) & (ranges > config.range_max)] = np.inf
+        angles = np.arctan2(y, x)
+    angles = wrap_angle(angles)
+    order = np.argsort(angles, kind="stable")
+    order = order[np.diff(angles[order], prepend=-math.inf) > 1e-9]
+    return LaserScan(stamp, angles[order], ranges[order], config.range_max, config.sigma)

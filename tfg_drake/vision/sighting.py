@@ -1,0 +1,129 @@
+"""Tags in an image as the sensor's message: range and bearing from the body, how exact, and what was left out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from tfg_drake.messages import BoolArray, FloatArray, TagDetections, message
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.mount import CameraMount
+from tfg_drake.vision.tag_detector import TagsInImage
+from tfg_drake.vision.tag_position import tag_positions
+
+# A corner so near to the image's edge may lie beyond it, pixels.
+EDGE = 1.0
+# Nearer than that a bearing means nothing, m.
+LEAST_RANGE = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class TagSizes:
+    """Sides of the tags' black squares, m: of an id, else of its family, else of all others (None: of none)."""
+
+    default: float | None = None
+    by_family: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    by_id: Mapping[int, float] = dataclasses.field(default_factory=dict)
+
+    def of(self, tag: int, family: str) -> float | None:
+        """The size of a tag, None where nobody has said."""
+        return self.by_id.get(tag, self.by_family.get(family, self.default))
+
+
+@dataclasses.dataclass(frozen=True)
+class TagNoise:
+    """Standard deviations of a sighting: pixels, of each corner along either axis, and place, m, of the tag's centre,
+    what no pixel explains: calibration, mount, tags that are not flat.
+
+    They fit TagSLAM's recording in a building, whose survey and reference are in `place` too. Most of it is no white
+    noise: the frames of one visit err alike. In rendered images a corner errs by 0.06 pixels.
+    """
+
+    pixels: float = 0.4
+    place: float = 0.02
+
+
+@message
+class Sighting:
+    """What one image showed. remarks: a line for each thing that was left out and why."""
+
+    detections: TagDetections
+    remarks: tuple[str, ...]
+
+
+def sighted(
+    tags: TagsInImage,
+    stamp: float,
+    calibration: CameraCalibration,
+    sizes: TagSizes,
+    mount: CameraMount,
+    noise: TagNoise | None = None,
+    least_margin: float = 30.0,
+) -> Sighting:
+    """Range and bearing of the tags' centres in the body's horizontal plane, ids ascending, and what was left out.
+
+    stamp: s. least_margin: the decision margin, grey levels, below which a tag is not believed. Left out are tags that
+    are not believed, of no known size, twice in the image, cut off by its edge, or no squares; and all tags of an image
+    that is not of the calibration's size.
+    """
+    noise = noise or TagNoise()
+    if (tags.width, tags.height) != (calibration.width, calibration.height):
+        remark = (
+            f"the image has {tags.width} x {tags.height} pixels, the calibration {calibration.width} x "
+            f"{calibration.height}: no tag is used; set the camera to the calibration's size or calibrate anew"
+        )
+        return Sighting(_message(stamp, tags, np.zeros(len(tags.ids), dtype=bool)), (remark,))
+    side = np.array([sizes.of(int(i), family) or np.nan for i, family in zip(tags.ids, tags.families, strict=True)])
+    p_CT, unit = tag_positions(tags.corners, side, calibration)
+    distance, bearing, sigma_range, sigma_bearing = _in_plane(p_CT, unit, mount, noise)
+    last = np.array([tags.width - 1.0, tags.height - 1.0])
+    cut_off = np.asarray(((tags.corners < EDGE) | (tags.corners > last - EDGE)).any(axis=(1, 2)))
+    counts = dict(zip(*np.unique(tags.ids, return_counts=True), strict=True))
+    good, remarks = np.ones(len(tags.ids), dtype=bool), dict[str, None]()
+    for i, (tag, family) in enumerate(zip(tags.ids.tolist(), tags.families, strict=True)):
+        why = ""
+        if counts[tag] > 1:
+            why = f"{counts[tag]} times in one image; all are left out, print each id once"
+        elif tags.margin[i] < least_margin:
+            why = f"decision margin {tags.margin[i]:.0f}, below {least_margin:g}; left out as hidden, blurred or far"
+        elif np.isnan(side[i]):
+            why = f"the size of {family} is not given; left out"
+        elif cut_off[i]:
+            why = "at the edge of the image; left out"
+        elif not distance[i] > LEAST_RANGE:
+            why = "its corners are no square's; left out"
+        if why:
+            good[i] = False
+            remarks[f"tag {tag}: {why}"] = None
+    return Sighting(_message(stamp, tags, good, distance, bearing, sigma_range, sigma_bearing), tuple(remarks))
+
+
+def nothing_sighted() -> Sighting:
+    """What a camera shows before its first image, stamped -inf."""
+    none = np.zeros(0)
+    return Sighting(TagDetections(-np.inf, np.zeros(0, dtype=np.int64), none, none, none, none), ())
+
+
+def _in_plane(
+    p_CT: FloatArray, unit: FloatArray, mount: CameraMount, noise: TagNoise
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Range (n,), bearing (n,) and their standard deviations of points p_CT (n, 3) with covariances for unit noise."""
+    R_BC = mount.R_BC[:2]
+    p_BT = p_CT @ R_BC.T + mount.p_BC[:2]
+    covariance = noise.pixels**2 * (R_BC @ unit @ R_BC.T) + noise.place**2 * np.eye(2)
+    distance = np.hypot(p_BT[:, 0], p_BT[:, 1])
+    along = p_BT / np.maximum(distance, LEAST_RANGE)[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    return (
+        distance,
+        np.arctan2(p_BT[:, 1], p_BT[:, 0]),
+        np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along)),
+        np.sqrt(np.einsum("ni,nij,nj->n", across, covariance, across)) / np.maximum(distance, LEAST_RANGE),
+    )
+
+
+def _message(stamp: float, tags: TagsInImage, good: BoolArray, *columns: FloatArray) -> TagDetections:
+    values = [column[good] for column in columns] or [np.zeros(0)] * 4
+    return TagDetections(stamp, tags.ids[good], *values)
