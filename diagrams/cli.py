@@ -1,4 +1,4 @@
-"""The commands: `tfg-drake explore` and, in time, its companions. Everything heavy is imported when it is needed."""
+"""The commands of `tfg-drake`. Everything heavy is imported when it is needed."""
 
 from __future__ import annotations
 

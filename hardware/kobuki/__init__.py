@@ -1,1 +1,1 @@
-"""The Kobuki base: its serial protocol, its odometry, its driver, and an emulator."""
+"""The Kobuki base: its serial protocol, its odometry and its driver."""

@@ -1,4 +1,4 @@
-"""What a handful of runs tells: mean, spread, and how sure one may be of a mean, a difference and a ratio.
+"""Statistics of a comparison: mean, spread, and intervals of a mean, a paired difference and a ratio.
 
 Intervals are 95 % bootstrap intervals (Efron's BCa), drawn from a fixed seed: the same runs give the same report. They
 are nan for fewer than two runs, and a point where all runs agree. A difference and a ratio are paired: both methods met

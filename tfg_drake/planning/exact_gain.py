@@ -202,7 +202,7 @@ def _terms(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Of each candidate: log|C| and log|D| (c, 2); T (c, 6, 6) = W^T C^-1 W, W = [G S_Lx, K], by known landmarks; and
     (c, 3, 3, 3) K^T K by known, K^T K and K^T D^-1 K by new ones. F: (c, 3, 3). C, G, K, D: `known_terms`, `new_terms`.
-    Known and New come field by field: so many times quicker are they told from what a kernel was called with before.
+    Known and New are passed field by field: numba dispatches on arrays many times quicker than on named tuples.
     """
     known = Known(known_offsets, known_rows, p_ML, covariance)
     new = New(new_offsets, new_rows, p_MU, number, prior_sigma, reach)

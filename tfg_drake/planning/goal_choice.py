@@ -1,4 +1,4 @@
-"""Where to go next: the candidate with the most expected information per expected time, or by another rule."""
+"""Chooses the next goal among the candidates by the rule `explorer.goal`, or says how the mission ends."""
 
 from __future__ import annotations
 

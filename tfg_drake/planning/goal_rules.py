@@ -1,4 +1,4 @@
-"""By what a goal is preferred to another, by name: explorer.goal.
+"""The rules for the choice of the next goal, by name: explorer.goal.
 
 Every rule gives the candidates a value; the one of most value among those worth going to is the next goal.
 """

@@ -1,4 +1,4 @@
-"""What any command passes before it reaches the base."""
+"""The safety filter: limits each velocity command, and stops or backs off for hazards, obstacles and unseen space."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The simulated robot: motion with contact, odometry, tag sensor, laser scanner; and the filter before its base."""
+"""The simulated robot: motion with contact, odometry, tag sensor, laser scanner, people."""

@@ -131,8 +131,8 @@ def disputed(evidence: Evidence, tag: int) -> Evidence:
 
 
 def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
-    """Which landmark, by its id, which keyframe has most elsewhere than a solved graph: its squared error would fall by
-    more than REJECTED without it. None where no keyframe has any.
+    """The sighting that contradicts a solved graph most, as the landmark's id and the keyframe's index: without it the
+    squared error would fall by more than REJECTED. None where there is no such.
 
     What an update believed while the pose was hardly known, or the map bent, comes out here.
     """

@@ -1,4 +1,4 @@
-"""Frames of tags: which sightings of one to use."""
+"""Removes impossible or ambiguous sightings from a frame of tags."""
 
 from __future__ import annotations
 
