@@ -10,7 +10,7 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test test-slow lint format types check kernels clean
+.PHONY: help demo test test-slow lint format types check kernels results clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
@@ -48,6 +48,9 @@ check: test lint types  ## what continuous integration runs
 
 kernels: $(VENV)/.test  ## write anew which kernels the installation compiles, and for what types
 	$(BIN)/python tests/rehearsal.py --write
+
+results: $(VENV)/.test  ## make the tables of docs/results.md anew, an hour
+	$(BIN)/python benchmarks/results.py
 
 clean:  ## remove the environments and every cache
 	rm -rf .venv* build dist *.egg-info .*_cache .hypothesis

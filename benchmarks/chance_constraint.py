@@ -22,6 +22,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from monte_carlo import collisions
 from scipy.stats import binomtest
 
 from tfg_drake.config import RISKS, OdometryConfig, PlannerConfig, TagSensorConfig
@@ -29,7 +30,6 @@ from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
 from tfg_drake.messages import MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner
-from tfg_drake.planning.monte_carlo import collisions
 from tfg_drake.planning.path import plan_path, too_narrow, without_choice
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState, extend
 from tfg_drake.planning.routes import roadmap_message, routes

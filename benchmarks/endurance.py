@@ -2,8 +2,8 @@
 
     python benchmarks/endurance.py office --hours 4
 
-The robot goes on when everything is mapped: no gain is too small for it. A row for every ten minutes: goals and
-landmarks in the map, the landmarks known jointly, and the CPU milliseconds of one goal's update (its turn solved, the
+The robot goes on when everything is mapped: no gain is too small for it. A row for every ten minutes: views and
+landmarks in the map, the landmarks known jointly, and the CPU milliseconds of one view's update (its turn solved, the
 map solved, joint covariance, filters started anew), mean and largest; then the last ten minutes' mean over that of the
 first ten in which the map was large all the time.
 """
@@ -45,10 +45,10 @@ def main() -> None:
         inside = np.array([row for row in rows if end - BIN <= row[0] < end])
         if not len(inside):
             return
-        _, goals, landmarks, local, _ = inside[-1]
+        _, views, landmarks, local, _ = inside[-1]
         mean, largest = inside[:, 4].mean(), inside[:, 4].max()
         bins.append((bool(np.all(inside[:, 3] < inside[:, 2])), mean))
-        print(f"{end / 60:>6.0f}{goals:>8.0f}{landmarks:>11.0f}{local:>9.0f}{mean:>10.0f}{largest:>10.0f}", flush=True)
+        print(f"{end / 60:>6.0f}{views:>8.0f}{landmarks:>11.0f}{local:>9.0f}{mean:>10.0f}{largest:>10.0f}", flush=True)
 
     def timed(state: EstimatorState, stamp: float) -> EstimatorState:
         begin = time.process_time()
@@ -61,7 +61,7 @@ def main() -> None:
         rows.append([stamp, len(graph.view_keyframe), len(graph.ids), len(estimate.local), spent])
         return state
 
-    print("   min   goals  landmarks  jointly   ms mean   ms most")
+    print("   min   views  landmarks  jointly   ms mean   ms most")
     with mock.patch.object(slam_estimator, "end_turn", timed):
         folder = Path(tempfile.mkdtemp(prefix="endurance-"))
         summary = explore(scenario, max_time=3600.0 * options.hours, out_dir=folder).summary

@@ -17,14 +17,14 @@ import time
 from pathlib import Path
 
 import numpy as np
+from breezyslam import load_breezyslam
+from carmen import load_carmen
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
 from tfg_drake.comparison.metrics import align
 from tfg_drake.config import GridConfig, OdometryConfig
-from tfg_drake.datasets.breezyslam import load_breezyslam
-from tfg_drake.datasets.carmen import load_carmen
 from tfg_drake.datasets.recording import ScanLog
 from tfg_drake.geometry import se2
 from tfg_drake.grid import gmapping

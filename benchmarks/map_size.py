@@ -1,11 +1,11 @@
-"""What one more goal costs on maps of 1000, 4000 and 10 000 landmarks.
+"""What one more view costs on maps of 1000, 4000 and 10 000 landmarks.
 
     python benchmarks/map_size.py
     python benchmarks/map_size.py --landmarks 1000 10000 --goals 40
 
-A robot goes to and fro over a plain of tags, 35 in view of a goal, a third of them new. A map of the size asked for is
-laid out at once, solved, and then grown by --goals goals, turning back where a row ends. A row a size: CPU milliseconds
-a goal, mean, median and most (a solve of the whole graph is among them where one is due), of a solve by itself, and
+A robot goes to and fro over a plain of tags. Each view sees 35, a third of them new. A map of the size asked for is
+laid out at once, solved, and then grown by --goals views, turning back where a row ends. A row a size: CPU milliseconds
+a view, mean, median and most (a solve of the whole graph is among them where one is due), of a solve by itself, and
 bytes a landmark of the graph in memory and in a map file.
 """
 
@@ -23,28 +23,28 @@ from threadpoolctl import threadpool_limits
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.message_arrays import to_arrays
 from tfg_drake.mapfile.saved_map import REGISTRY
-from tfg_drake.messages import FloatArray, GoalObservation, MapEstimate, replace
+from tfg_drake.messages import FloatArray, MapEstimate, Observation, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, fused, keyframe
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import finished, needs_solve, updated
 
-PITCH = 5.0  # m between goals
+PITCH = 5.0  # m between views
 REACH = 10.0  # m a tag is seen
 IN_VIEW = 35
-NEW = 12  # landmarks a goal
+NEW = 12  # landmarks a view
 ODOMETRY = np.diag([0.1, 0.1, 0.02]) ** 2
 X_AD = np.array([0.0, 0.0, 0.1])
 
 
 class Synthetic:
-    """Goals X_WA (k, 3) and what a robot with noisy sensors observes there of landmarks p_WL (n, 2)."""
+    """Views X_WA (k, 3) and what a robot with noisy sensors observes there of landmarks p_WL (n, 2)."""
 
     def __init__(self, X_WA: FloatArray, p_WL: FloatArray, rng: np.random.Generator) -> None:
         self.X_WA, self.p_WL, self.rng = X_WA, p_WL, rng
         self.tree = cKDTree(p_WL)
 
-    def observation(self, k: int) -> GoalObservation:
-        """Goal k's: range and bearing of each tag for itself, and an error of heading that all share."""
+    def observation(self, k: int) -> Observation:
+        """View k's: range and bearing of each tag for itself, and an error of heading that all share."""
         X = self.X_WA[k]
         rows = np.array(self.tree.query_ball_point(X[:2], REACH), dtype=np.int64)
         distance = np.hypot(*(self.p_WL[rows] - X[:2]).T)
@@ -60,7 +60,7 @@ class Synthetic:
             root[2 * i : 2 * i + 2, -1] = 0.002 * across[i]
         root[-3:, -4:-1] = np.diag([0.002, 0.002, 0.001])
         error = root @ self.rng.standard_normal(2 * n + 4)
-        return GoalObservation(
+        return Observation(
             ids=rows,
             p_AL=p_AL + error[:-3].reshape(-1, 2),
             X_AD=X_AD + error[-3:],
@@ -69,16 +69,16 @@ class Synthetic:
             X_AB=np.empty((0, 3)),
         )
 
-    def way(self, k: int) -> GoalObservation:
-        """The way from goal k - 1 to goal k as odometry has it."""
+    def way(self, k: int) -> Observation:
+        """The way from view k - 1 to view k as odometry has it."""
         X_WD = se2.compose(self.X_WA[k - 1], X_AD)
         X_DA = se2.between(X_WD, self.X_WA[k]) + np.sqrt(np.diag(ODOMETRY)) * self.rng.standard_normal(3)
         nothing = np.empty(0, dtype=np.int64)
-        return GoalObservation(nothing, np.empty((0, 2)), X_DA, ODOMETRY, np.empty(0), np.empty((0, 3)))
+        return Observation(nothing, np.empty((0, 2)), X_DA, ODOMETRY, np.empty(0), np.empty((0, 3)))
 
 
 class Plain(Synthetic):
-    """Goals in rows, to and fro, and landmarks all over."""
+    """Views in rows, to and fro, and landmarks all over."""
 
     def __init__(self, landmarks: int, extra: int) -> None:
         rng = np.random.default_rng(0)
@@ -94,7 +94,7 @@ class Plain(Synthetic):
         super().__init__(X_WA, rng.uniform(-PITCH, corner, (NEW * across * rows, 2)), rng)
 
     def map(self) -> tuple[KeyframeGraph, MapEstimate]:
-        """The solved map of the first goals, laid out at the truth: growing it goal by goal would take hours."""
+        """The solved map of the first views, laid out at the truth: growing it view by view would take hours."""
         X_MW, seen, X_MN = se2.inverse(self.X_WA[0]), [], [np.zeros(3)]
         for k in range(self.before):
             X_MA = se2.compose(X_MW, self.X_WA[k])
@@ -117,20 +117,20 @@ class Plain(Synthetic):
         return solve(graph, 0.0, seen[-1])
 
 
-def grown(plain: Plain, graph: KeyframeGraph, estimate: MapEstimate, goals: int) -> tuple[KeyframeGraph, FloatArray]:
-    """The map with the goals added, and CPU s of each (goals,)."""
-    spent, solved = np.zeros(goals), graph
-    for i in range(goals):
+def grown(plain: Plain, graph: KeyframeGraph, estimate: MapEstimate, views: int) -> tuple[KeyframeGraph, FloatArray]:
+    """The map with the views added, and CPU s of each (views,)."""
+    spent, solved = np.zeros(views), graph
+    for i in range(views):
         k = plain.before + i
-        way, goal = plain.way(k), plain.observation(k)
+        way, view = plain.way(k), plain.observation(k)
         begin = time.process_time()
-        for observation in (way, goal):
-            graph, estimate, _ = updated(graph, estimate, observation, is_view=observation is goal)
+        for observation in (way, view):
+            graph, estimate, _ = updated(graph, estimate, observation, is_view=observation is view)
         if needs_solve(graph, solved, estimate):
-            graph, estimate = solve(fused(replace(graph, p_ML=estimate.p_ML)), float(k), goal)
+            graph, estimate = solve(fused(replace(graph, p_ML=estimate.p_ML)), float(k), view)
             solved = graph
         else:
-            graph, estimate = finished(graph, estimate, float(k), goal)
+            graph, estimate = finished(graph, estimate, float(k), view)
         spent[i] = time.process_time() - begin
     return graph, spent
 

@@ -5,10 +5,11 @@
 
 A mission in a scenario is recorded at its last but one stages; the map of each is then laid beside itself as often as
 makes a map of the size asked for, graph, roadmap and candidates alike, so that the robot's neighbourhood stays as it
-is and all else grows. Landmarks are known jointly in the robot's own copy, as they would be, and all other copies rest:
+is and all else grows. Landmarks are known jointly in the robot's own copy, as they would be, and all other copies are
+inactive:
 they are farther from the robot than anything a stage needs. A row a size: median CPU milliseconds a stage of the TFG's
 update and its resolution in the map, of the roadmap's and of the choice of a goal, of all together, and that over the
-first row's; then the same of a ring just before it closes, where what the first half of the goals saw lies round the
+first row's; then the same of a ring just before it closes, where what the first half of the views saw lies round the
 robot but is not known jointly with it. The last column is what one choice costs where nothing near is worth going to
 and all of the map is looked at; no way leads from one copy to the next, which makes the search for ways cheaper.
 """
@@ -37,7 +38,7 @@ from tfg_drake.planning.roadmap import RoadmapState
 from tfg_drake.planning.roadmap_parts import whole_roadmap
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 from tfg_drake.tfg.graph import TfgGraph, resolve
-from tfg_drake.tfg.resting import Parted
+from tfg_drake.tfg.submaps import Submaps
 from tfg_drake.tfg.working_map import update, whole_graph, working_map
 
 # Distance between two copies, m, and between their tags' ids.
@@ -66,38 +67,46 @@ class Copies:
         moved = [points + np.append(offset, np.zeros(points.shape[1] - 2)) for offset in self.offset]
         return np.concatenate(moved)
 
-    def parted(self, part: Callable[[int], Any], goals: int) -> Parted[Any]:
-        """Content of some goals a copy: the robot's own is near, the others rest."""
-        names = np.repeat(np.arange(self.count) * goals, goals)
-        names[-goals:] = -1
-        return Parted(part(self.count - 1), names, {k * goals: part(k) for k in range(self.count - 1)})
+    def submaps(self, part: Callable[[int], Any], views: int) -> Submaps[Any]:
+        """Content of some views a copy: the robot's own is active, the others are not."""
+        names = np.repeat(np.arange(self.count) * views, views)
+        names[-views:] = -1
+        return Submaps(part(self.count - 1), names, {k * views: part(k) for k in range(self.count - 1)})
 
-    def graphs(self, graph: TfgGraph) -> Parted[TfgGraph]:
+    def graphs(self, graph: TfgGraph) -> Submaps[TfgGraph]:
         """The TFG."""
-        goals = graph.stage
+        views = graph.stage
 
         def part(k: int) -> TfgGraph:
             points = {
-                name: replace(of, goal=of.goal + k * goals, id=np.where(of.id < 0, of.id, of.id + k * IDS))
-                for name in ("shadows", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried")
+                name: replace(of, view=of.view + k * views, id=np.where(of.id < 0, of.id, of.id + k * IDS))
+                for name in (
+                    "free_space_frontiers",
+                    "uninspected",
+                    "unseen_backs",
+                    "open_ends",
+                    "sighted",
+                    "viewpoints",
+                    "tried",
+                )
                 for of in (getattr(graph, name),)
             }
             ids = graph.surfaces.ids
             return replace(
                 graph,
-                stage=goals * self.count,
+                stage=views * self.count,
                 surfaces=replace(
-                    graph.surfaces, goal=graph.surfaces.goal + k * goals, ids=np.where(ids < 0, ids, ids + k * IDS)
+                    graph.surfaces, view=graph.surfaces.view + k * views, ids=np.where(ids < 0, ids, ids + k * IDS)
                 ),
                 tag_ids=graph.tag_ids + k * IDS,
-                tag_goal=graph.tag_goal + k * goals,
+                tag_view=graph.tag_view + k * views,
                 **points,
             )
 
-        return self.parted(part, goals)
+        return self.submaps(part, views)
 
     def estimate(self, estimate: MapEstimate) -> MapEstimate:
-        """The map; the newest goal is in the robot's own copy only."""
+        """The map; the newest view is in the robot's own copy only."""
         n, own = len(estimate.ids), IDS * (self.count - 1)
         X_MA = np.vstack([self.placed(estimate.X_MA[:-1]), estimate.X_MA[-1:]])
         return replace(
@@ -111,23 +120,23 @@ class Copies:
             observation=replace(estimate.observation, ids=estimate.observation.ids + own),
         )
 
-    def roadmaps(self, nodes: RoadmapState) -> Parted[RoadmapState]:
-        """The roadmap before the newest goal."""
-        goals, count = nodes.stage, nodes.next_id
+    def roadmaps(self, nodes: RoadmapState) -> Submaps[RoadmapState]:
+        """The roadmap before the newest view."""
+        views, count = nodes.stage, nodes.next_id
 
         def part(k: int) -> RoadmapState:
             return replace(
                 nodes,
-                stage=goals * self.count,
+                stage=views * self.count,
                 ids=nodes.ids + k * count,
                 next_id=count * self.count,
-                anchor=nodes.anchor + k * goals,
+                anchor=nodes.anchor + k * views,
             )
 
-        return self.parted(part, goals)
+        return self.submaps(part, views)
 
     def remembered(self, choice: GoalChoice, nodes: int, stop_gain: float) -> GoalChoice:
-        """What the choices before are remembered by: those of other copies that promised enough."""
+        """What the choices before are remembered by: those of other copies that had enough gain."""
         worth = np.flatnonzero(choice.gain > stop_gain)
         rows = np.concatenate([*[worth] * (self.count - 1), np.arange(len(choice.gain))])
         copy = np.repeat(np.arange(self.count), [*[len(worth)] * (self.count - 1), len(choice.gain)])
@@ -162,8 +171,8 @@ def recorded(name: str) -> list[dict[str, tuple[Any, ...]]]:
 
 
 def with_a_loop_open(estimate: MapEstimate, graph: TfgGraph) -> MapEstimate:
-    """The map as it is known where the robot comes, after a long way round, to what it saw from the first goals."""
-    old = graph.tag_ids[graph.tag_goal < graph.stage // 2]
+    """The map as it is known where the robot comes, after a long way round, to what it saw from the first views."""
+    old = graph.tag_ids[graph.tag_view < graph.stage // 2]
     joint = ~np.isin(estimate.ids[estimate.local], old)
     rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=bool))
     return replace(estimate, local=estimate.local[joint], covariance=estimate.covariance[np.ix_(rows, rows)])
@@ -176,11 +185,11 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int, *, ring: bool = Fals
     state, _, parameters = asked["grow"]
     *_, goal_parameters, previous = asked["choose"]
     if ring:
-        estimate = with_a_loop_open(estimate, graphs.near)
-    goals, names = graphs.near.stage, state.nodes.next_id
-    state = replace(state, parts=copies.roadmaps(state.nodes), obstacle_goal=state.obstacle_goal + (count - 1) * goals)
+        estimate = with_a_loop_open(estimate, graphs.active)
+    views, names = graphs.active.stage, state.nodes.next_id
+    state = replace(state, parts=copies.roadmaps(state.nodes), obstacle_view=state.obstacle_view + (count - 1) * views)
     previous = copies.remembered(previous, names, explorer.stop_gain)
-    graphs, estimate = copies.graphs(graphs.near), copies.estimate(estimate)
+    graphs, estimate = copies.graphs(graphs.active), copies.estimate(estimate)
     ends = [time.thread_time()]
     graphs = update(graphs, estimate, panorama, sightings, tags, robot, explorer)
     working = working_map(graphs, estimate, panorama, robot, explorer)

@@ -81,7 +81,7 @@ def replay(folder: Path) -> dict[str, float]:
                 name, stamp = next(turns)
             slowest = max(slowest, time.process_time() - since)
         spent = time.process_time() - began
-        estimate = estimator.settled(state).map
+        estimate = estimator.finished_map(state).map
     row_of = {int(tag): row for row, tag in enumerate(world.tag_ids)}
     known = [i for i, tag in enumerate(estimate.ids.tolist()) if tag in row_of]
     truth = se2.transform(se2.inverse(world.start), world.p_WT[[row_of[int(estimate.ids[i])] for i in known]])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tfg_drake import kernels
+from tfg_drake import __version__, kernels
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app
 from tfg_drake.diagrams.commands.command_line import BadInput, compile_kernels, wait_for_enter, wait_for_kernels
@@ -56,7 +56,9 @@ Settings = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")]
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(
+    context_settings={"help_option_names": ["-h", "--help"]}, rich_markup_mode=None, pretty_exceptions_enable=False
+)
 app.add_typer(map_app, name="map")
 app.add_typer(kobuki_app, name="kobuki")
 app.add_typer(ros2_app, name="ros2")
@@ -64,9 +66,23 @@ app.add_typer(camera_app, name="camera")
 app.add_typer(tags_app, name="tags")
 
 
-@app.callback()
-def _commands() -> None:
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"tfg-drake {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _commands(
+    context: typer.Context,
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
     """Active SLAM on topological feature graphs: a robot explores and maps an unknown building on its own."""
+    if context.invoked_subcommand is None:
+        print(context.get_help(), file=sys.stderr)
+        raise typer.Exit(2)
 
 
 @app.command()

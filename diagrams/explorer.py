@@ -133,9 +133,9 @@ def MapOfExplorer(
     Args:
         explorer: with a slam_estimator and a tfg_builder, context: its own.
         X_WS: (3,) the true start pose, m and rad, None where it is not known: then the world is the map frame.
-        final: what the estimator knows, `settled`; else the map is taken as it is.
+        final: what the estimator knows, `finished_map`; else the map is taken as it is.
 
-    Returns None before the first goal is in the map and its surfaces are.
+    Returns None before the first view is in the map and its surfaces are.
     """
     builder = explorer.GetSubsystemByName("tfg_builder")
     builder_context = explorer.GetSubsystemContext(builder, context)

@@ -30,7 +30,7 @@ PERIOD = 1.0 / 16.0
 
 @message
 class _MapperState:
-    """The particle filter, and the map of its best particle when a scan or a goal was last put in."""
+    """The particle filter, and the map of its best particle when a scan or a view was last put in."""
 
     filter: GmappingState
     grid: GridMap

@@ -28,7 +28,7 @@ from tfg_drake.systems.ports import (
 )
 
 PERIOD = 1 / 16
-# What maps in the TFG explorer.
+# The outputs of the TFG explorer that map, by port.
 MAPS: Mapping[str, type] = {"map": MapEstimate, "tfg": TfgMap}
 
 
@@ -52,7 +52,7 @@ class MissionSequencer(LeafSystem):
         output_ports:
         - mission
 
-    Whatever maps, by default map and tfg, says with its message's stage that the newest goal is in it. pause, enable
+    Whatever maps, by default map and tfg, says with its message's stage that the newest view is in it. pause, enable
     and stop are vectors of size 1, true above 0.5; unconnected they read 0, 1 and 0.
     """
 

@@ -30,7 +30,7 @@ from tfg_drake.systems.ports import (
     set_state_message,
     state_message,
 )
-from tfg_drake.tfg.resting import Parted
+from tfg_drake.tfg.submaps import Submaps
 
 PERIOD = 1 / 16
 
@@ -99,7 +99,7 @@ class PrmPlanner(LeafSystem):
 
     def _Roadmap(self, context: Context) -> Roadmap:
         now = self._State(context)
-        if not now.parts.resting:
+        if not now.parts.inactive:
             return now.roadmap
         estimate, tfg = self._Whole(context)
         return self._RoadmapOfAll(
@@ -107,7 +107,7 @@ class PrmPlanner(LeafSystem):
         )
 
     def _MakeRoadmapOfAll(
-        self, parts: Parted[RoadmapState], estimate: MapEstimate, tfg: TfgMap, obstacles: bytes, driven: float
+        self, parts: Submaps[RoadmapState], estimate: MapEstimate, tfg: TfgMap, obstacles: bytes, driven: float
     ) -> Roadmap:
         segments = np.frombuffer(obstacles).reshape(-1, 4)
         return make_roadmap(whole_roadmap(parts, estimate.X_MA), tfg, estimate, self._parameters, segments, driven)

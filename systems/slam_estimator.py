@@ -33,7 +33,7 @@ PERIOD = 1.0 / 16.0
 
 
 class SlamEstimator(LeafSystem):
-    """Estimates the robot's pose all the time and the map at every goal.
+    """Estimates the robot's pose all the time and the map at every view.
 
     .. pydrake_system::
 
@@ -48,7 +48,7 @@ class SlamEstimator(LeafSystem):
         - map
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the
-    newest odometry. map: MapEstimate after the newest goal, of stage 0 and empty before the first. A turn is open while
+    newest odometry. map: MapEstimate after the newest view, of stage 0 and empty before the first. A turn is open while
     the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's
     stage plus one. Messages are taken once each, by their stamps.
     """

@@ -1,4 +1,4 @@
-"""The TFG builder: surfaces, free space and frontiers of every goal, placed by the newest map."""
+"""The TFG builder: surfaces, free space and frontiers of every view, placed by the newest map."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from tfg_drake.systems.ports import (
     set_state_message,
     state_message,
 )
-from tfg_drake.tfg.graph import Sightings, TfgGraph, no_sightings, note_sightings, resolve
+from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, no_sightings, note_sightings, resolve
 from tfg_drake.tfg.panorama import build_panorama
-from tfg_drake.tfg.resting import Parted
+from tfg_drake.tfg.submaps import Submaps
 from tfg_drake.tfg.working_map import empty_graphs, empty_working_map, update, whole_graph, working_map
 
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
@@ -30,18 +30,18 @@ GLANCE_SCANS = 3
 
 @message
 class _BuilderState:
-    """The graph, the map it was last resolved in, and what is near in that; since its last goal, scans of the running
-    turn and tags sighted on the way."""
+    """The submaps of the graph, the map they were last resolved in, and the working map of that; since the last view,
+    scans of the running turn and tags sighted on the way."""
 
-    graphs: Parted[TfgGraph]
+    graphs: Submaps[TfgGraph]
     estimate: MapEstimate
     working: WorkingMap
     scans: tuple[LaserScan, ...]
-    sightings: Sightings
+    sightings: UnmappedSightings
 
 
 class TfgBuilder(LeafSystem):
-    """Collects the scans of a turn in place and adds them to the graph when the map has the turn's goal.
+    """Collects the scans of a turn in place and adds them to the graph when the turn is in the map.
 
     .. pydrake_system::
 
@@ -55,7 +55,7 @@ class TfgBuilder(LeafSystem):
         - tfg
         - working_map
 
-    tfg.stage follows map.stage one goal at a time. A map that is more than one stage ahead raises ValueError: a goal
+    tfg.stage follows map.stage one view at a time. A map that is more than one stage ahead raises ValueError: a view
     was missed. working_map is the map and tfg of the same stage, as much of them as planning needs; of a large map the
     whole tfg is made for whoever looks at it.
     """
@@ -83,7 +83,7 @@ class TfgBuilder(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
 
     def graph(self, context: Context) -> TfgGraph:
-        """The graph, in the builder's own context, in the coordinates of its landmarks and goals."""
+        """The graph, in the builder's own context, in the coordinates of its landmarks and views."""
         return whole_graph(self._State(context).graphs)
 
     def tfg(self, context: Context, estimate: MapEstimate) -> TfgMap:
@@ -104,7 +104,7 @@ class TfgBuilder(LeafSystem):
         estimate = eval_message(self._map, context, MapEstimate)
         mission = eval_message(self._mission, context, MissionStatus)
         if estimate.stage > now.estimate.stage:
-            after = self._AddGoal(now, estimate, mission.moving)
+            after = self._AddView(now, estimate, mission.moving)
         else:
             after = self._Collect(context, now, mission.phase)
         if after is now:
@@ -125,7 +125,7 @@ class TfgBuilder(LeafSystem):
         return replace(now, scans=scans, sightings=sightings)
 
     @metered("tfg")
-    def _AddGoal(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
+    def _AddView(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
         panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
         graphs = update(
             now.graphs, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance

@@ -37,11 +37,11 @@ def compiled():
 
 @pytest.fixture(scope="session")
 def small_map():
-    """Two goals, four landmarks, an edge, a wall end, a loose surface, a frontier; X_WM = (5, 3, pi/2)."""
+    """Two views, four landmarks, an edge, a wall end, a loose surface, a frontier; X_WM = (5, 3, pi/2)."""
     # Not before it is known where the kernels are kept.
     from tfg_drake.config import OdometryConfig
     from tfg_drake.mapfile.saved_map import saved_map
-    from tfg_drake.messages import GoalObservation, TfgMap
+    from tfg_drake.messages import Observation, TfgMap
     from tfg_drake.slam.estimator_state import initial_state
     from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
     from tfg_drake.slam.map_solver import solve
@@ -59,16 +59,14 @@ def small_map():
         root = np.random.default_rng(seed).normal(size=(2 * n + 3, 2 * n + 3))
         covariance = 1e-3 * (np.eye(2 * n + 3) + 0.1 * root @ root.T)
         p_AL = (tags[rows] - X_MA[:2]) @ R
-        return GoalObservation(
+        return Observation(
             np.array(rows) + 10, p_AL, np.array(X_AD), 0.5 * (covariance + covariance.T), np.zeros(0), np.zeros((0, 3))
         )
 
     def way(X_DA):
         """A way of which odometry alone tells."""
         nothing = np.zeros(0, dtype=np.int64)
-        return GoalObservation(
-            nothing, np.zeros((0, 2)), np.array(X_DA), 1e-3 * np.eye(3), np.zeros(0), np.zeros((0, 3))
-        )
+        return Observation(nothing, np.zeros((0, 2)), np.array(X_DA), 1e-3 * np.eye(3), np.zeros(0), np.zeros((0, 3)))
 
     first = observation([0, 1, 2], np.zeros(3), [0.0, 0.01, 0.02], 1)
     second = observation([0, 1, 3], np.array([1.0, 0.0, 0.1]), [0.01, 0.0, 0.0], 2)
@@ -79,7 +77,7 @@ def small_map():
     surfaces = Surfaces(
         kind=np.array([0, 1, 2]),
         ids=np.array([[11, 10], [12, -1], [-1, -1]]),
-        goal=np.array([0, 0, 1]),
+        view=np.array([0, 0, 1]),
         range=np.array([2.3, 2.4, 1.0]),
         offsets=np.array([0, 2, 4, 7]),
         vertices=np.array([[0, 0], [1, 0], [0, 0], [-0.5, 0.1], [0, 1], [0.5, 1.25], [1, 1.25]], dtype=float),
@@ -90,12 +88,12 @@ def small_map():
         stage=2,
         surfaces=surfaces,
         tag_ids=estimate.ids,
-        tag_goal=np.array([0, 0, 0, 1]),
+        tag_view=np.array([0, 0, 0, 1]),
         tag_facing=np.array([[-1.0, 0.0], [-1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]]),
         tag_range=np.array([2.2, 2.2, np.inf, 3.4]),
         star_offsets=np.array([0, 4, 8]),
         star_vertices=np.vstack([star, star]),
-        shadows=points_of(0, np.array([[-2.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([0.4])),
+        free_space_frontiers=points_of(0, np.array([[-2.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([0.4])),
     )
     segments, kind, ids = np.zeros((4, 4)), np.array([0, 1, 2, 2]), np.array([[11, 10], [12, -1], [-1, -1], [-1, -1]])
     segments[:] = [[2, -1, 2, 1], [-1, 2, -1.5, 2.1], [0.9, 1, 1.4, 1.25], [1.4, 1.25, 1.9, 1.3]]

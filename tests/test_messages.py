@@ -99,13 +99,13 @@ def test_a_roadmaps_nodes_keep_their_names():
     no, yes = np.zeros(3), np.array([True, True, False])
     entry = np.array([0, 1, -1])
     part = Roadmap(1, np.zeros((3, 2)), np.zeros((0, 2), dtype=int), yes, yes, entry, no, no, ids=np.array([4, 7, 9]))
-    assert part.names(np.array([2, 0])).tolist() == [9, 4]
+    assert part.node_ids(np.array([2, 0])).tolist() == [9, 4]
     assert part.nodes(np.array([9, 4, 5, 100])).tolist() == [2, 0, -1, -1]
     assert part.reaches(np.array([4, 9, 8])).tolist() == [True, False, False]
     farther = dataclasses.replace(part, travel_length=np.array([2.0, 1.0, 1.0]))
     assert farther.reaches(np.array([4, 7, 9, 8]), 1.5).tolist() == [False, True, False, False]
     whole = dataclasses.replace(part, ids=np.zeros(0, dtype=np.int64))
-    assert whole.names(np.array([2, 0])).tolist() == [2, 0]
+    assert whole.node_ids(np.array([2, 0])).tolist() == [2, 0]
     assert whole.nodes(np.array([2, 3])).tolist() == [2, -1]
     nothing = dataclasses.replace(
         part, ids=part.ids[:0], points=np.zeros((0, 2)), reachable=yes[:0], travel_length=no[:0]

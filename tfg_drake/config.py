@@ -280,14 +280,8 @@ def as_it_is(belief: S, reality: Any) -> S:
 class ExplorerConfig:
     """The method's own parameters. None is read from the world."""
 
-    # The formula of the information gain, one of GAINS.
-    gain: str = "exact"
     # The rule by which the next goal is picked, one of GOAL_RULES.
     goal: str = "tour"
-    # Whether goals are preferred by their gain less the price of arriving with an uncertain pose, and how many known
-    # tags a goal should have in view.
-    pose_price: bool = True
-    least_tags: int = 0
     # Seconds and metres that the mission may take, 0: as many as it needs; and whether the robot comes home at the end.
     budget_time: float = 0.0
     budget_distance: float = 0.0
@@ -303,19 +297,28 @@ class ExplorerConfig:
     samples: int = 400
     # The mission is complete when no candidate sees enough frontier or promises more than this, nats.
     stop_gain: float = 20.0
-    # Goals tried at one frontier point before it is given up.
+    # Attempts at one frontier point before it is given up.
     frontier_attempts: int = 3
     # Turn rate while observing at a goal, rad/s.
     turn_rate: float = 1.2
-    # On its way to a goal the robot maps what it has ahead once in this time, s, and chooses anew; 0: only at goals.
-    glance_period: float = 2.0
-    # The way between goals is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
-    path_keyframe_period: float = 5.0
     # The robot stands and looks this long before it first moves, s, and then turns round so many times. The map's
     # heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every turn; the turns
     # tell where among the landmarks the robot stood.
     first_look: float = 20.0
     first_turns: int = 3
+
+    # Ablations: what a part is worth, and what others do instead. Missions are best with the defaults.
+
+    # The formula of the information gain, one of GAINS.
+    gain: str = "exact"
+    # Whether goals are preferred by their gain less the price of arriving with an uncertain pose, and how many known
+    # tags a goal should have in view.
+    pose_price: bool = True
+    least_tags: int = 0
+    # On its way to a goal the robot maps what it has ahead once in this time, s, and chooses anew; 0: only at goals.
+    glance_period: float = 2.0
+    # The way between views is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
+    path_keyframe_period: float = 5.0
 
 
 @dataclasses.dataclass
@@ -340,10 +343,13 @@ class GridConfig:
     update_period: float = 3.0
     update_distance: float = 1.0
     update_angle: float = 0.5
-    # Whether a goal whose frontier was seen on the way is left for the next at once. If not, the robot drives there and
-    # looks round, as Yamauchi's did.
-    eager: bool = True
     # Weights of the weighted sum (the paper's eq. 1): per nat of the grid's entropy, of which a square metre of unknown
     # cells has log(2) / resolution^2, and per nat of the pose's.
     weight_map: float = 0.01
     weight_pose: float = 1.0
+
+    # Ablations: what a part is worth, and what others do instead. Missions are best with the defaults.
+
+    # Whether a goal whose frontier was seen on the way is left for the next at once. If not, the robot drives there and
+    # looks round, as Yamauchi's did.
+    eager: bool = True

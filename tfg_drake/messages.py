@@ -3,7 +3,7 @@
 Every message is a frozen dataclass whose arrays are read-only and whose deep copy is itself, so Drake may copy a
 context as often as it likes at no cost, and nobody can change what somebody else is reading.
 
-Frames: W world, M map (the true start pose: X_WM = start), O odometry, B robot body, A the robot where a goal's
+Frames: W world, M map (the true start pose: X_WM = start), O odometry, B robot body, A the robot where a view's
 turn begins (arrival), D where it ends (departure). A pose is an array (x, y, theta) in metres and radians; a
 covariance of a pose X_MB is that of (x, y) in M and theta.
 """
@@ -127,7 +127,7 @@ class Hazards:
 class PoseEstimate:
     """The online estimate of the robot's pose.
 
-    stamp: s. X_MB: (3,). covariance: (3, 3). speed: (2,) m/s and rad/s, from odometry. stage: number of goals in the
+    stamp: s. X_MB: (3,). covariance: (3, 3). speed: (2,) m/s and rad/s, from odometry. stage: number of views in the
     map it is relative to. new_ids: (u,) tags seen on the way that are not in the map yet, p_MU: (u, 2) where they
     seem to be, m.
     """
@@ -142,8 +142,8 @@ class PoseEstimate:
 
 
 @message
-class GoalObservation:
-    """What one turn in place saw, solved in the arrival frame A, the turn's poses eliminated.
+class Observation:
+    """The tags seen in a turn, glance or piece of the way, solved in its arrival frame A, its other poses eliminated.
 
     ids: (n,). p_AL: (n, 2) tag positions in A, m. X_AD: (3,) departure pose in A. covariance: (2n + 3, 2n + 3) joint
     covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A. range_scale: the
@@ -166,13 +166,13 @@ class GoalObservation:
 
 @message
 class MapEstimate:
-    """The Gaussian of landmarks and departure pose after a goal (MAP and its marginal covariance).
+    """The Gaussian of landmarks and departure pose after a view (MAP and its marginal covariance).
 
-    stage: number of goals k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m. X_MD: (3,) the last departure pose.
+    stage: number of views k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m. X_MD: (3,) the last departure pose.
     local: (m,) rows of the landmarks known jointly, ascending: all of a small map's, those round the last departure of
     a large one's. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of
     each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
-    goals. observation: the newest goal's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
+    views. observation: the newest view's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
     objective). doubtful: (d,) ids, ascending, of tags that were seen but are not known to be at any one place, whether
     they are landmarks or not. frame_worth: what share of an independent frame one of many in a row tells, for its noise
     is the last one's in part. tag_error: (2,) standard deviation of the tags' constant errors of range, m, and bearing,
@@ -188,7 +188,7 @@ class MapEstimate:
     covariance: FloatArray
     landmark_covariance: FloatArray
     X_MA: FloatArray
-    observation: GoalObservation
+    observation: Observation
     entropy: float
     doubtful: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     frame_worth: float = 1.0
@@ -226,7 +226,7 @@ class MapEstimate:
 class TfgMap:
     """The topological feature graph resolved in the map frame: what planning and pictures need.
 
-    stage: number of goals in it. segments: (m, 4) obstacle surface pieces x0, y0, x1, y1 in M, m, but for those that
+    stage: number of views in it. segments: (m, 4) obstacle surface pieces x0, y0, x1, y1 in M, m, but for those that
     have drifted (see `tfg_drake.tfg.overlap`). segment_kind: (m,) 0 edge between landmarks, 1 wall end anchored to a
     landmark, 2 surface without a landmark. segment_ids: (m, 2) ids of the landmarks the piece is anchored to, -1 where
     there is none. A landmark without a surface is a piece of no length. facing: (n, 2) unit vectors in M, row for row
@@ -234,7 +234,7 @@ class TfgMap:
     (f, 2) points in M, a little inside the unknown, frontier_length: (f,) m of frontier each stands for,
     frontier_normal: (f, 2) unit vectors pointing from the unknown back to where the frontier was seen from; where it
     lies in front of a surface not seen well enough, that surface's normal. Every piece of surface was seen from its
-    left. star_offsets: (k + 1,) and star_vertices: (v, 2): star j, the free polygon seen from goal j, has the vertices
+    left. star_offsets: (k + 1,) and star_vertices: (v, 2): star j, the free polygon seen from view j, has the vertices
     star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up:
     (g, 2) points of open frontier that were tried in vain as often as the explorer tries, wide enough for the robot,
     given_up_length: (g,) m, given_up_normal: (g, 2). viewpoints: (v, 2) places in M, m, from where tags that the map
@@ -260,39 +260,39 @@ class TfgMap:
 
 @message
 class WorkingMap:
-    """What planning works on: a small map and its TFG, of a large one the part round the robot.
+    """The map and TFG that planning works on: all of a small map, the active submaps of a large one.
 
-    estimate: with the landmarks of that part only, and all goals. tfg: resolved with it, row for row. near: (k,) the
-    goals whose surfaces and stars are in it. reach: m round the newest goal; as far as that nothing is missing but what
-    was mapped another way round, and no frontier lies farther away.
+    estimate: with the landmarks of that part only, and all views. tfg: resolved with it, row for row. active: (k,) the
+    views whose surfaces and stars are in it. reach: m round the newest view, within which only weakly tied places are
+    missing; no frontier lies farther away.
     """
 
     estimate: MapEstimate
     tfg: TfgMap
-    near: BoolArray
+    active: BoolArray
     reach: float = math.inf
 
     @property
     def stage(self) -> int:
-        """Number of goals in it."""
+        """Number of views in it."""
         return self.tfg.stage
 
     @property
     def is_all(self) -> bool:
         """Whether nothing of the map is left out."""
-        return bool(self.near.all())
+        return bool(self.active.all())
 
     @property
-    def goals(self) -> IntArray:
-        """Those goals (a,)."""
-        return np.flatnonzero(self.near)
+    def views(self) -> IntArray:
+        """The active views (a,)."""
+        return np.flatnonzero(self.active)
 
 
 @message
 class GridMap:
     """An occupancy grid in the map frame, of the baselines that keep one.
 
-    stage: number of goals visited. stamp: s, of the newest scan in it. resolution: side of a cell, m. origin: (2,) the
+    stage: number of views. stamp: s, of the newest scan in it. resolution: side of a cell, m. origin: (2,) the
     corner of cell [0, 0] with the least x and y, in M, m. probability: (h, w) of each cell being occupied, 0.5 where
     nothing was ever measured; rows go along y, columns along x.
     """
@@ -315,8 +315,8 @@ class Roadmap:
     included, inf where unreachable, travel_length: (n,) m. home_time and home_length: (n,) the same between each node
     and where the robot began, empty unless it must come home. driven: m, so far.
     frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
-    TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, the
-    nodes' names, which they keep from stage to stage; empty where that is their index.
+    TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, of the
+    nodes, which keep them from stage to stage; empty where an id is the index.
     """
 
     stage: int
@@ -334,19 +334,21 @@ class Roadmap:
     frontier_index: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     ids: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
-    def names(self, nodes: IntArray) -> IntArray:
-        """The names of nodes."""
+    def node_ids(self, nodes: IntArray) -> IntArray:
+        """The ids of nodes: a node keeps its id from stage to stage, its index it does not keep."""
         return self.ids[nodes] if len(self.ids) else nodes
 
-    def nodes(self, names: IntArray) -> IntArray:
-        """The nodes of these names, -1 for those that are not in this roadmap."""
-        ids = self.names(np.arange(len(self.points)))
-        rows = np.searchsorted(ids, names)
-        return np.where(ids[rows.clip(max=len(ids) - 1)] == names, rows, -1) if len(ids) else np.full(len(names), -1)
+    def nodes(self, node_ids: IntArray) -> IntArray:
+        """The nodes of these ids, -1 for those that are not in this roadmap."""
+        ids = self.node_ids(np.arange(len(self.points)))
+        if not len(ids):
+            return np.full(len(node_ids), -1)
+        rows = np.searchsorted(ids, node_ids)
+        return np.where(ids[rows.clip(max=len(ids) - 1)] == node_ids, rows, -1)
 
-    def reaches(self, names: IntArray, within: float = math.inf) -> BoolArray:
-        """Whether the nodes of these names are in this roadmap and can be reached, by a way within so many metres."""
-        nodes = self.nodes(names)
+    def reaches(self, node_ids: IntArray, within: float = math.inf) -> BoolArray:
+        """Whether the nodes of these ids are in this roadmap and can be reached, by a way within so many metres."""
+        nodes = self.nodes(node_ids)
         near = self.reachable & (self.travel_length <= within)
         return np.asarray((nodes >= 0) & np.append(near, False)[nodes])
 
@@ -355,13 +357,14 @@ class Roadmap:
 class GoalChoice:
     """The goal chosen at one stage and the field it was chosen from.
 
-    stage. node: its name in the roadmap, -1 for none. p_MG: (2,). candidates: (c,) names of the nodes evaluated,
+    stage. node: its id in the roadmap, -1 for none. p_MG: (2,). candidates: (c,) ids of the nodes evaluated,
     exploitation, exploration, pose_price: (c,) nats (gain = exploitation + exploration, price included in it).
     value: (c,) what was maximised. verdict: "goal", or how the mission ends: "complete", "stuck" or "budget", where
     there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not
     at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
     chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
-    looked_again: (t,) names of nodes before narrow passages that the robot has gone back to, before the mission ends.
+    passages_revisited: (t,) ids of the nodes before narrow passages to which the robot has gone back before the mission
+    ends.
     longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget.
     explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
     """
@@ -380,7 +383,7 @@ class GoalChoice:
     latest_arrival: float = math.inf
     spent: bool = False
     look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    looked_again: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    passages_revisited: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     explored: float = math.inf
     longest_way: float = math.inf
 
@@ -399,7 +402,7 @@ class MissionStatus:
     """Where the mission stands.
 
     phase: "observe" (turning in place at a goal), "glance" (looking ahead for a moment on the way), "map" (what was
-    seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: goals in the map, glances counted.
+    seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: views in the map.
     since: s, when the phase began. resume_phase: where a pause goes back to, "" otherwise. outcome: "" until done, then
     complete, stuck, time_limit, budget, interrupted or fault. reason: one sentence. replans: paths asked for after the
     first since the robot last stood and looked. path_id: the path being followed. failures: goals in a row that could

@@ -75,7 +75,7 @@ def export(
             write_atomic(out, _page(saved, map_file))
         else:
             rows = dict(map_rows(saved, map_file.stat().st_size))
-            draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['goals']}\n{rows['deviation']}", saved)
+            draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{rows['deviation']}", saved)
     except OSError as error:
         bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
 
@@ -103,7 +103,7 @@ def _page(saved: SavedMap, path: Path) -> str:
     from tfg_drake.mapfile.viewer import ViewerMissing, scene_page
 
     rows = dict(map_rows(saved, path.stat().st_size))
-    figures = [("goals and glances", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
+    figures = [("turns and glances", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
     figures += [(name, rows[name]) for name in ("free space", "frontiers")]
     try:
         return scene_page(saved, path.name, figures)

@@ -23,7 +23,7 @@ from tfg_drake.world.world import World
 # but corners that a scan happens to miss.
 EVERY = 4
 NEARLY_ALL = 0.99
-# Scans this near to where a goal's turn or glance began count, m.
+# Scans this near to where a turn or glance began count, m.
 IN_PLACE = 0.1
 
 
@@ -163,7 +163,7 @@ def _area(
 ) -> dict[str, float]:
     """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
 
-    Seen from where the goals' turns and glances began, by a method that maps only there; by the scanner on the whole
+    Seen from where the turns and glances began, by a method that maps only there; by the scanner on the whole
     way by one that maps all along.
     """
     scan = scenario.scan
@@ -182,6 +182,6 @@ def _area(
 
 
 def _looked(one: Departure, stamps: FloatArray, X_WB: FloatArray) -> IntArray:
-    """Rows of the true poses X_WB (n, 3) at stamps (n,) from which one goal's scans were kept."""
+    """Rows of the true poses X_WB (n, 3) at stamps (n,) from which one view's scans were kept."""
     rows = np.flatnonzero((stamps >= one.since) & (stamps <= one.stamp))
     return rows[np.hypot(*(X_WB[rows, :2] - X_WB[rows[:1], :2]).T) < IN_PLACE] if len(rows) else rows

@@ -30,7 +30,7 @@ from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
-from tfg_drake.slam.estimator import settled
+from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.port_recording import PortWriter
@@ -79,7 +79,7 @@ _log = logging.getLogger("tfg_drake.run")
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """How far a mission has come: simulated and wall time (s), phase, goals visited, landmarks in the map, area seen
+    """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map, area seen
     (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended; word:
     what else is done meanwhile."""
 
@@ -96,7 +96,7 @@ class Progress:
 
 @dataclasses.dataclass(frozen=True)
 class Departure:
-    """The pose at the end of one goal's turn or glance as it was estimated then.
+    """The pose at the end of one turn or glance as it was estimated then.
 
     since: s, when it began. stamp: s. X_MD: (3,). covariance: (3, 3).
     """
@@ -298,15 +298,15 @@ class Mission:
         return stamps, compose(self.X_WM, X_MB) if len(X_MB) else X_MB
 
     def final_map(self) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
-        """The map as it is now, to be kept, its estimate and TFG; None before the first goal."""
+        """The map as it is now, to be kept, its estimate and TFG; None before the first view."""
         if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
         context = self._explorer.GetMyContextFromRoot(self._context)
-        self._final = settled(StateOfExplorer(self._explorer, context))
+        self._final = finished_map(StateOfExplorer(self._explorer, context))
         return MapOfExplorer(self._explorer, context, self._X_WS, self._final)
 
     def newest_map(self) -> SavedMap | None:
-        """The map as it is while the mission runs, to be kept; None before the first goal, and of a grid."""
+        """The map as it is while the mission runs, to be kept; None before the first view, and of a grid."""
         if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
         context = self._explorer.GetMyContextFromRoot(self._context)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.breezyslam import RAYS, load_breezyslam
+from benchmarks.carmen import load_carmen
 from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.breezyslam import RAYS, load_breezyslam
-from tfg_drake.datasets.carmen import load_carmen
 from tfg_drake.datasets.g2o import read_g2o
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.rows import read_table

@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from tfg_drake import __version__
 from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission import Progress
@@ -45,11 +46,31 @@ def room(tmp_path):
         ("explore --out /dev/null/x", "--out /dev/null/x: not a directory; name a folder that can be written"),
         ("explore a b", "got unexpected extra argument(s) (b); see tfg-drake explore --help"),
         ("fly", "no such command 'fly'; see tfg-drake --help"),
-        ("", "missing command; see tfg-drake --help"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(call, arguments, complaint):
     assert call(*arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
+
+
+def test_the_version(call):
+    assert call("--version") == (0, f"tfg-drake {__version__}\n", "")
+
+
+def test_help_is_printed_if_asked_for_and_if_no_command_is_given(call):
+    code, text, err = call("-h")
+    assert (code, err) == (0, "")
+    assert text.startswith("Usage: tfg-drake [OPTIONS] COMMAND [ARGS]...\n")
+    assert "Explore a building and map it" in text
+    assert call("--help") == (0, text, "")
+    assert call() == (2, "", text)
+    assert call("map", "export", "-h") == call("map", "export", "--help")
+
+
+def test_a_shell_completes_commands(call, monkeypatch):
+    monkeypatch.setenv("_TFG_DRAKE_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "tfg-drake ex")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    assert call() == (0, "explore\n", "")
 
 
 @pytest.mark.parametrize(
@@ -222,7 +243,7 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
     def fail(*_arguments):
         raise ValueError("no way\nmore")
 
-    monkeypatch.setattr("tfg_drake.diagrams.missions.report.write_report", fail)
+    monkeypatch.setattr("tfg_drake.diagrams.missions.run.write_report", fail)
     code, _, err = call("explore", room, "--headless", "--max-time", "1", "--out", str(tmp_path))
     assert code == 3
     assert err.startswith("tfg-drake: internal error: ValueError: no way more (test_cli.py, line ")

@@ -27,21 +27,22 @@ def test_of_what_is_too_fast_the_newest_is_published():
     thread.start()
     announcements = Announcements(ours)
     announcements.put("map", LARGE)
-    began = time.monotonic()
-    while time.monotonic() - began < 0.5:
+    put = 0
+    while len(publisher.published) < 5:
         announcements.put("pose", LARGE | {"number": time.monotonic()})
+        put += 1
         time.sleep(0.005)
     last = time.monotonic()
     announcements.put("pose", {"number": last})
     while publisher.published[-1:] != [("pose", {"number": last})]:
-        assert time.monotonic() < last + 10.0
+        assert time.monotonic() < last + 60.0
         time.sleep(0.01)
     announcements.close()
-    thread.join(5.0)
+    thread.join(60.0)
     assert not thread.is_alive()
     numbers = [message["number"] for key, message in publisher.published if key == "pose"]
     assert numbers == sorted(numbers)
-    assert 2 <= len(numbers) < 20
+    assert 4 <= len(numbers) < put
     assert publisher.published.count(("map", LARGE)) == 1
 
 
@@ -51,7 +52,7 @@ def test_nobody_reads():
     began = time.monotonic()
     for _ in range(10):
         announcements.put("map", LARGE)
-    assert time.monotonic() - began < 1.0
+    assert time.monotonic() - began < 20.0
     theirs.close()  # as the end of the process does
     announcements.close()
     announcements.put("map", LARGE)

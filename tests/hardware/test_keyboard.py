@@ -10,8 +10,8 @@ from tfg_drake.hardware.keyboard import Keyboard
 
 
 def requests(keyboard, count):
-    """As many requests as are expected, or what came within five seconds."""
-    taken, end = [], time.monotonic() + 5.0
+    """As many requests as are expected, or what came within half a minute."""
+    taken, end = [], time.monotonic() + 30.0
     while len(taken) < count and time.monotonic() < end:
         taken += keyboard.requests()
         time.sleep(0.005)

@@ -197,8 +197,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(8)}, "FILE has map schema 8; this version reads schema 7: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 7: make the map anew"),
+        ({"schema": np.int64(9)}, "FILE has map schema 9; this version reads schema 8: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 8: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),
@@ -230,12 +230,12 @@ def rewrite(path, **changes):
             "FILE is not a whole map: tfg_graph.tried_count does not fit tfg_graph.tried",
         ),
         (
-            {"tfg_graph.surfaces.goal": np.array([0, 0, 2])},
-            "FILE is not a whole map: tfg_graph.surfaces.goal does not fit tfg_graph.stage",
+            {"tfg_graph.surfaces.view": np.array([0, 0, 2])},
+            "FILE is not a whole map: tfg_graph.surfaces.view does not fit tfg_graph.stage",
         ),
         (
-            {"tfg_graph.shadows.goal": np.array([-1])},
-            "FILE is not a whole map: tfg_graph.shadows.goal does not fit tfg_graph.stage",
+            {"tfg_graph.free_space_frontiers.view": np.array([-1])},
+            "FILE is not a whole map: tfg_graph.free_space_frontiers.view does not fit tfg_graph.stage",
         ),
         ({"tfg.segment_ids": np.full((4, 2), 9)}, "FILE is not a whole map: tfg.segment_ids does not fit graph.ids"),
         (

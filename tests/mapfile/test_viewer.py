@@ -31,19 +31,19 @@ def vertices(scene):
 
 
 def test_the_page_shows_the_map_in_the_world(small_map):
-    page = scene_page(small_map, "a <map>", [("goals", "2")])
+    page = scene_page(small_map, "a <map>", [("views", "2")])
     assert "{{" not in page.split("<script>")[0]
     assert "<title>a &lt;map&gt;</title>" in page
-    assert "<span>goals <b>2</b></span>" in page
+    assert "<span>views <b>2</b></span>" in page
     scene = commands(page)
     names = {name.split("map/")[1] for name in scene}
-    assert names == {"free", "surfaces/edges", "surfaces/ends", "surfaces/bare", "goals", "frontiers", "ellipses",
+    assert names == {"free", "surfaces/edges", "surfaces/ends", "surfaces/bare", "views", "frontiers", "ellipses",
                      "landmarks"}  # fmt: skip
     by_name = {name.split("map/")[1]: one for name, one in scene.items()}
     assert by_name["surfaces/edges"]["materials"][0]["color"] == int("".join(f"{round(255 * c):02x}" for c in EDGE), 16)
     # M lies at (5, 3), turned by 90 degrees: the frontier at (-2, 0) is at (5, 1).
     np.testing.assert_allclose(vertices(by_name["frontiers"]).mean(axis=0)[:2], [5.0, 1.0], atol=1e-5)
-    heights = [vertices(by_name[name])[0, 2] for name in ("free", "surfaces/edges", "goals", "frontiers", "landmarks")]
+    heights = [vertices(by_name[name])[0, 2] for name in ("free", "surfaces/edges", "views", "frontiers", "landmarks")]
     assert heights == sorted(heights)
     assert len(FREE) == 3
 

@@ -13,7 +13,7 @@ from tfg_drake.planning.candidates import (
     thin_candidates,
     time_at_goal,
 )
-from tfg_drake.planning.expected_view import View
+from tfg_drake.planning.expected_view import Visibility
 from tfg_drake.slam.keyframe_graph import empty_map as empty_estimate
 from tfg_drake.tfg.graph import empty_map
 
@@ -51,7 +51,7 @@ def test_a_place_is_judged_anew_where_all_it_sees_is_known_jointly_whatever_stan
 
 def test_a_frontier_near_the_end_of_the_view_counts_for_less():
     tfg = replace(empty_map(), frontiers=np.array([[4.0, 0.0], [7.5, 0.0]]), frontier_length=np.array([0.4, 0.4]))
-    seen = frontier_seen(np.zeros((1, 2)), View(np.array([0, 2]), np.arange(2)), tfg, TagSensorConfig())
+    seen = frontier_seen(np.zeros((1, 2)), Visibility(np.array([0, 2]), np.arange(2)), tfg, TagSensorConfig())
     np.testing.assert_allclose(seen, [[0.4, 0.2]])
 
 

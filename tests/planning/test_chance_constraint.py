@@ -106,13 +106,13 @@ def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jo
     place = np.zeros((1, 2))
 
     def at_place(estimate, before):
-        sigma, settled = predicted_deviation(
+        sigma, known_jointly = predicted_deviation(
             place, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5, np.array([before])
         )
-        return sigma[0], bool(settled[0])
+        return sigma[0], bool(known_jointly[0])
 
-    sigma, settled = at_place(all_of_it, 0.123)
-    assert settled
+    sigma, known_jointly = at_place(all_of_it, 0.123)
+    assert known_jointly
     assert sigma < 0.05
     assert at_place(two, np.inf) == (pytest.approx(sigma, rel=1e-3), False)
     # It is what it was when all were known.

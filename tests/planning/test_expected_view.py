@@ -8,7 +8,7 @@ from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import replace
-from tfg_drake.planning.expected_view import View, expected_frontiers, local_view, visible_targets
+from tfg_drake.planning.expected_view import Visibility, expected_frontiers, local_visibility, visible_targets
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
@@ -89,7 +89,7 @@ def test_nothing_to_see_and_nowhere_to_see_it_from():
 
 
 def test_the_view_from_some_of_the_points():
-    view_of_four = View(np.array([0, 2, 2, 5, 6]), np.array([3, 4, 0, 1, 2, 7]))
+    view_of_four = Visibility(np.array([0, 2, 2, 5, 6]), np.array([3, 4, 0, 1, 2, 7]))
     some = view_of_four.of(np.array([0, 1, 3]))
     assert (some.offsets.tolist(), some.index.tolist()) == ([0, 2, 2, 3], [3, 4, 7])
     none = view_of_four.of(np.zeros(0, dtype=np.int64))
@@ -98,9 +98,9 @@ def test_the_view_from_some_of_the_points():
 
 def test_a_view_counts_the_landmarks_known_jointly_by_their_place_among_them():
     estimate = replace(empty_map(), ids=np.arange(10, 16), local=np.array([1, 3, 4]))
-    view = local_view(View(np.array([0, 3, 4, 4, 6]), np.array([0, 1, 4, 5, 3, 4])), estimate)
-    assert view.offsets.tolist() == [0, 2, 2, 2, 4]
-    assert view.index.tolist() == [0, 2, 1, 2]
+    visible = local_visibility(Visibility(np.array([0, 3, 4, 4, 6]), np.array([0, 1, 4, 5, 3, 4])), estimate)
+    assert visible.offsets.tolist() == [0, 2, 2, 2, 4]
+    assert visible.index.tolist() == [0, 2, 1, 2]
 
 
 @pytest.mark.parametrize("least_range", [0.0, 0.5, 1.5])
@@ -108,7 +108,7 @@ def test_frontier_in_the_blind_zone_of_the_scanner_is_not_seen(least_range):
     points = np.array([[0.0, 0.0], [3.0, 0.0]])
     frontiers = np.array([[0.4, 0.0], [1.0, 0.0], [2.0, 0.0]])
     tfg = replace(empty_tfg(), frontiers=frontiers, frontier_normal=np.tile([-1.0, 0.0], (3, 1)))
-    view = expected_frontiers(points, tfg, TagSensorConfig(), least_range)
+    visible = expected_frontiers(points, tfg, TagSensorConfig(), least_range)
     seen = [0, 1, 2]
-    assert view.of(np.array([0])).index.tolist() == [k for k in seen if frontiers[k, 0] >= least_range]
-    assert view.offsets[-1] == len(view.index)
+    assert visible.of(np.array([0])).index.tolist() == [k for k in seen if frontiers[k, 0] >= least_range]
+    assert visible.offsets[-1] == len(visible.index)

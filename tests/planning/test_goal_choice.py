@@ -36,8 +36,8 @@ def test_a_place_that_the_rule_does_not_want_is_picked_only_where_no_other_is_le
     assert best([-5, -np.inf], [0, 1]) == 1
 
 
-def end(candidates=True, barred=0.0, given_up=0.0, frontier=0.0, cut_off=False):
-    return why_end(candidates, barred, given_up, frontier, cut_off, 20.0)
+def end(candidates=True, narrow=0.0, given_up=0.0, frontier=0.0, cut_off=False):
+    return why_end(candidates, narrow, given_up, frontier, cut_off, 20.0)
 
 
 def test_nothing_left_is_complete():
@@ -45,9 +45,9 @@ def test_nothing_left_is_complete():
 
 
 def test_a_frontier_behind_a_passage_too_narrow_for_the_uncertainty_is_stuck():
-    assert end(frontier=3.25, barred=19.0)[0] == "complete"
+    assert end(frontier=3.25, narrow=19.0)[0] == "complete"
     reason = "30.2 nats lie behind a passage too narrow for the uncertainty of the map."
-    assert end(frontier=3.25, barred=30.25) == ("stuck", reason)
+    assert end(frontier=3.25, narrow=30.25) == ("stuck", reason)
 
 
 def test_an_open_frontier_that_was_given_up_is_stuck():

@@ -22,12 +22,12 @@ from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 
 
-def test_a_past_goal_is_no_place_to_see_a_frontier_from():
+def test_a_past_view_is_no_place_to_see_a_frontier_from():
     estimate = replace(keyframe_graph.empty_map(), stage=1, covariance=np.eye(3), X_MA=np.zeros((1, 3)))
     frontiers = np.array([[3.0, -0.2], [3.0, 0.2]])
     normals = np.tile([-1.0, 0.0], (2, 1))
     tfg = replace(empty_map(), frontiers=frontiers, frontier_length=np.full(2, 0.4), frontier_normal=normals)
-    # The goal's own place, one beside it that sees the frontier, and one that does not.
+    # The view's own place, one beside it that sees the frontier, and one that does not.
     points = np.array([[0.1, 0.0], [1.0, 0.0], [6.0, 0.0]])
 
     def seen(reachable):
@@ -82,9 +82,9 @@ def test_where_nothing_has_been_open_for_two_stages_nothing_is_sampled(monkeypat
     def sampled(open_length, part_at=0):
         """Stage by stage, with so many metres (k,) of frontier open; at one stage, not all of the map is worked on."""
         noted.clear()
-        state, goals = initial_state(), [(-4 + 0.4 * k, 1, 0) for k in range(len(open_length))]
+        state, views = initial_state(), [(-4 + 0.4 * k, 1, 0) for k in range(len(open_length))]
         for k, length in enumerate(open_length, 1):
-            estimate, tfg = known(two_rooms(), goals[:k])
+            estimate, tfg = known(two_rooms(), views[:k])
             tfg = replace(
                 tfg,
                 frontiers=np.array([[-5.0, 1.0]]),
@@ -101,11 +101,11 @@ def test_where_nothing_has_been_open_for_two_stages_nothing_is_sampled(monkeypat
 
 
 def watched(path, X_MB, speed, scan, X_MA):
-    """The planner's state, and its map, after a look at a scan on its way along a path from the newest goal."""
+    """The planner's state, and its map, after a look at a scan on its way along a path from the newest view."""
     stage = len(X_MA)
     estimate = replace(keyframe_graph.empty_map(), stage=stage, X_MA=X_MA, X_MD=X_MA[-1])
     state = initial_state()
-    parts = replace(state.parts, near=replace(state.parts.near, stage=stage))
+    parts = replace(state.parts, active=replace(state.parts.active, stage=stage))
     state = replace(state, parts=parts, path=replace(state.path, id=1, stage=stage, points=path))
     pose = PoseEstimate(1.0, X_MB, np.eye(3), speed, stage, np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     mission = MissionStatus("follow", stage, 0.0, path_id=1)
@@ -114,7 +114,7 @@ def watched(path, X_MB, speed, scan, X_MA):
     return step(state, working, lambda: (estimate, working.tfg), pose, choice, scan, mission, PARAMETERS), estimate
 
 
-def test_what_is_met_is_kept_where_it_stands_seen_from_the_newest_goal():
+def test_what_is_met_is_kept_where_it_stands_seen_from_the_newest_view():
     X_MA = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 0.5 * np.pi]])
     path = np.stack([np.full(31, 2.0), np.linspace(1.0, 4.0, 31)], axis=1)
     state, estimate = watched(path, np.array([2.0, 1.5, 0.5 * np.pi]), np.zeros(2), returns(1.2), X_MA)
@@ -150,15 +150,15 @@ def test_the_way_home_is_measured_from_where_the_robot_began():
 def before_a_door(blocked):
     """A robot that is to go from one room of two to the other, as a function of the time (s) and of how far a scan
     straight ahead sees (m): the planner's state. blocked: something stood in the door when it was met."""
-    goals = [(-3.0, 0.0, 0.0), (3.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]
+    views = [(-3.0, 0.0, 0.0), (3.0, 0.0, 0.0), (-2.0, 0.0, 0.0)]
     state = initial_state()
-    for k in range(1, len(goals) + 1):
-        estimate, tfg = known(two_rooms(), goals[:k])
+    for k in range(1, len(views) + 1):
+        estimate, tfg = known(two_rooms(), views[:k])
         working = WorkingMap(estimate, tfg, np.ones(k, dtype=bool))
         state = grow(state, working, PARAMETERS)
     in_A = np.array([[2.0, -0.4, 2.0, 0.4]])
     if blocked:
-        state = replace(state, obstacles=in_A, obstacle_goal=np.array([2]))
+        state = replace(state, obstacles=in_A, obstacle_view=np.array([2]))
     goal = replace(
         empty_choice(), stage=3, node=int(state.nodes.ids[nearest(state.nodes, (3.0, 0.0))]), p_MG=np.array([3.0, 0.0])
     )

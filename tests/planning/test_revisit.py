@@ -8,7 +8,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning import revisit
 from tfg_drake.planning.candidates import GoalParameters, Situation
-from tfg_drake.planning.expected_view import View
+from tfg_drake.planning.expected_view import Visibility
 from tfg_drake.planning.information_gain import turn_noise
 from tfg_drake.planning.revisit import error_removed, squared_by_landmarks, worth_revisiting
 from tfg_drake.slam.keyframe_graph import empty_map
@@ -41,7 +41,14 @@ def test_what_a_turn_takes_off_the_error_equals_brute_force(seed, seen):
     rng, p_ML, X_MD, covariance, point, Q = problem(seed)
     rows = np.sort(rng.permutation(len(p_ML))[:seen])
     removed = error_removed(
-        point[None], Q, View(np.array([0, seen]), rows), p_ML, X_MD, covariance, squared_by_landmarks(covariance), NOISE
+        point[None],
+        Q,
+        Visibility(np.array([0, seen]), rows),
+        p_ML,
+        X_MD,
+        covariance,
+        squared_by_landmarks(covariance),
+        NOISE,
     )
     expected = brute_force(point, Q[0], rows, p_ML, X_MD, covariance, NOISE)
     assert removed[0] == pytest.approx(expected, abs=1e-9)
@@ -53,9 +60,9 @@ def test_places_judged_together_are_worth_what_each_is_by_itself(seed):
     rng, p_ML, X_MD, covariance, point, Q = problem(seed)
     squared = squared_by_landmarks(covariance)
     seen = [np.sort(rng.permutation(len(p_ML))[:k]) for k in (3, 0, 7, 1)]
-    view = View(np.cumsum([0, 3, 0, 7, 1]), np.concatenate(seen))
+    visible = Visibility(np.cumsum([0, 3, 0, 7, 1]), np.concatenate(seen))
     points, Q = point + rng.normal(0.0, 1.0, (4, 2)), np.repeat(Q, 4, axis=0) * np.arange(1, 5)[:, None, None]
-    together = error_removed(points, Q, view, p_ML, X_MD, covariance, squared, NOISE)
+    together = error_removed(points, Q, visible, p_ML, X_MD, covariance, squared, NOISE)
     apart = [brute_force(p, q, rows, p_ML, X_MD, covariance, NOISE) for p, q, rows in zip(points, Q, seen, strict=True)]
     np.testing.assert_allclose(together, apart, atol=1e-9)
     assert together[1] == 0.0

@@ -17,7 +17,7 @@ from tfg_drake.config import (
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.geometry.visibility import cast_rays
-from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap, replace
+from tfg_drake.messages import LaserScan, MapEstimate, Observation, TfgMap, replace
 from tfg_drake.planning import path as path_module
 from tfg_drake.planning.chance_constraint import required_clearance
 from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
@@ -56,26 +56,26 @@ def two_rooms(door=0.8):
 
 def observation():
     none = np.zeros((0, 2))
-    return GoalObservation(none[:, 0].astype(int), none, np.zeros(3), np.eye(3), none[:, 0], np.zeros((0, 3)))
+    return Observation(none[:, 0].astype(int), none, np.zeros(3), np.eye(3), none[:, 0], np.zeros((0, 3)))
 
 
-def known(segments, goals, X_shift=(0.0, 0.0, 0.0)):
-    """A map of everything that goals at (x, y, heading) saw of these walls, with a tag on each piece; all shifted."""
-    goals = np.asarray(goals, dtype=float)
+def known(segments, views, X_shift=(0.0, 0.0, 0.0)):
+    """A map of everything that views at (x, y, heading) saw of these walls, with a tag on each piece; all shifted."""
+    views = np.asarray(views, dtype=float)
     angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     stars = []
-    for goal in goals:
-        r = np.minimum(cast_rays(segments, goal[:2], angles, 10.0), 10.0)[:, None]
-        stars.append(goal[:2] + r * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    for view in views:
+        r = np.minimum(cast_rays(segments, view[:2], angles, 10.0), 10.0)[:, None]
+        stars.append(view[:2] + r * np.stack([np.cos(angles), np.sin(angles)], axis=1))
     middle = 0.5 * (segments[:, :2] + segments[:, 2:])
-    nearest = goals[np.argmin(np.linalg.norm(middle[:, None] - goals[None, :, :2], axis=2), axis=1), :2]
+    nearest = views[np.argmin(np.linalg.norm(middle[:, None] - views[None, :, :2], axis=2), axis=1), :2]
     along = segments[:, 2:] - segments[:, :2]
     facing = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
     facing *= np.sign(((nearest - middle) * facing).sum(1))[:, None]
-    n, k = len(segments), len(goals)
+    n, k = len(segments), len(views)
     shift = np.asarray(X_shift)
     turn = np.array([0.0, 0.0, shift[2]])
-    X_MA = compose(shift, goals)
+    X_MA = compose(shift, views)
     estimate = MapEstimate(
         k, 0.0, np.arange(n), transform(shift, middle), X_MA[-1], np.arange(n), 1e-4 * np.eye(2 * n + 3),
         np.tile(1e-4 * np.eye(2), (n, 1, 1)), X_MA, observation(), 0.0,
@@ -89,12 +89,12 @@ def known(segments, goals, X_shift=(0.0, 0.0, 0.0)):
     return estimate, tfg
 
 
-def build(segments, goals, driven=None):
-    """The roadmap of a robot that visited these goals, stage by stage."""
+def build(segments, views, driven=None):
+    """The roadmap of a robot that visited these views, stage by stage."""
     state = empty_roadmap()
-    for k in range(1, len(goals) + 1):
-        estimate, tfg = known(segments, goals[:k])
-        state = extend(state, tfg, estimate, PARAMETERS, driven=driven if k == len(goals) else None)
+    for k in range(1, len(views) + 1):
+        estimate, tfg = known(segments, views[:k])
+        state = extend(state, tfg, estimate, PARAMETERS, driven=driven if k == len(views) else None)
     return state, estimate, tfg
 
 
@@ -145,10 +145,10 @@ def test_is_the_same_every_time():
 
 
 def test_moves_with_the_map():
-    goals = [(-4, 1, 0), (3, 0.5, 1)]
-    state, _, _ = build(two_rooms(), goals)
+    views = [(-4, 1, 0), (3, 0.5, 1)]
+    state, _, _ = build(two_rooms(), views)
     shift = np.array([0.4, -0.3, 0.2])
-    moved_estimate, moved_tfg = known(two_rooms(), goals, shift)
+    moved_estimate, moved_tfg = known(two_rooms(), views, shift)
     moved = extend(state, moved_tfg, moved_estimate, PARAMETERS)
     n = len(state.points)
     np.testing.assert_allclose(moved.points[:n], transform(shift, state.points), atol=1e-9)
@@ -173,12 +173,12 @@ def test_what_is_sampled_grows_by_the_way_driven_only():
 
 
 def test_the_last_effort_accepts_a_door_that_is_a_little_too_narrow():
-    goals = [(-4, 0, 0)]
+    views = [(-4, 0, 0)]
     cautious = dataclasses.replace(PARAMETERS, planner=PlannerConfig(collision_probability=1e-4))
     widths = {}
     for effort in range(len(EFFORTS)):
         for width in (0.44, 0.5, 0.56):
-            estimate, tfg = known(two_rooms(width), goals)
+            estimate, tfg = known(two_rooms(width), views)
             state = extend(empty_roadmap(), tfg, estimate, cautious, effort=effort)
             reached = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost)
             if (state.points[reached, 0] > 0.3).any():
@@ -222,7 +222,7 @@ def test_harder_tries_put_nodes_in_a_passage_though_others_are_near():
     place = np.array([[-0.2, 0.0]])
     state = replace(
         empty_roadmap(), ids=np.array([0]), next_id=1, anchor=np.array([0]), p_AN=place - [-4.0, 0.0],
-        points=place, sigma=np.array([0.02]), settled=np.array([False]),
+        points=place, sigma=np.array([0.02]), known_jointly=np.array([False]),
     )  # fmt: skip
     for effort, expected in ((0, False), (1, True)):
         points = extend(state, tfg, estimate, PARAMETERS, effort=effort).points
@@ -240,20 +240,20 @@ def test_what_was_travelled_stays_open_with_little_to_spare():
 def test_the_way_driven_goes_on_from_where_it_ended_though_the_map_has_moved():
     """Through a door with 8 cm to either side; the map moves by 20 cm a stage, and what was driven was noted before."""
     segments = two_rooms(0.52)
-    goals = [(-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
+    views = [(-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
     state, shift = empty_roadmap(), np.zeros(3)
-    for k in range(1, len(goals) + 1):
+    for k in range(1, len(views) + 1):
         driven = None
         if k > 1:
-            driven = resample(transform(shift, np.array([goals[k - 2][:2], goals[k - 1][:2]])), 0.1)
+            driven = resample(transform(shift, np.array([views[k - 2][:2], views[k - 1][:2]])), 0.1)
             shift = shift + np.array([0.2, 0.02, 0.0])
-        estimate, tfg = known(segments, goals[:k], shift)
+        estimate, tfg = known(segments, views[:k], shift)
         state = extend(state, tfg, estimate, PARAMETERS, driven=driven)
     label = components(state.edges.nodes, state.edges.travelled, len(state.points))
     first, last = (nearest(state, X[:2]) for X in estimate.X_MA[[0, -1]])
     assert label[first] == label[last]
-    # Where it was carried it has not driven.
-    estimate, tfg = known(segments, [*goals, (-2.0, 1.0, 0.0)], shift)
+    # The way of a kidnapped robot is no way that it has driven.
+    estimate, tfg = known(segments, [*views, (-2.0, 1.0, 0.0)], shift)
     state = extend(state, tfg, estimate, PARAMETERS, driven=driven)
     label = components(state.edges.nodes, state.edges.travelled, len(state.points))
     assert label[nearest(state, estimate.X_MA[-1, :2])] != label[last]
@@ -477,7 +477,7 @@ def test_an_old_node_without_room_keeps_none_from_the_middle_of_a_narrow_door():
         p_AN=np.array([[0.0, 0.07]]) - [-4.0, 0.0],
         points=np.array([[0.0, 0.07]]),
         sigma=np.zeros(1),
-        settled=np.zeros(1, dtype=bool),
+        known_jointly=np.zeros(1, dtype=bool),
     )
     estimate, tfg = known(two_rooms(0.5), [(-4, 0, 0)])
     state = extend(state, tfg, estimate, PARAMETERS)

@@ -4,11 +4,11 @@ import numpy as np
 import scipy.linalg
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import GoalObservation, replace
+from tfg_drake.messages import Observation, replace
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended
 from tfg_drake.slam.map_update import finished, updated
 
-# The way from one goal to the next, of which odometry alone tells.
+# The way from one view to the next, of which odometry alone tells.
 ODOMETRY = np.diag([0.05, 0.05, 0.02]) ** 2
 
 
@@ -23,7 +23,7 @@ def observed(rng, p_ML, X_MA, X_AD, seen, noise=1.0, tag_errors=None):
     on_error = -np.stack([ahead, np.stack([-p_AL[:, 1], p_AL[:, 0]], axis=1)], axis=2)
     if tag_errors is not None:
         p_AL = p_AL - (on_error @ tag_errors[seen][:, :, None])[:, :, 0]
-    return GoalObservation(
+    return Observation(
         ids=seen + 100,
         p_AL=p_AL + error[:-3].reshape(-1, 2),
         X_AD=X_AD + error[-3:],
@@ -38,10 +38,10 @@ def way(rng, X_DA, covariance=ODOMETRY, noise=1.0):
     """A piece of way without tags."""
     error = noise * np.linalg.cholesky(covariance) @ rng.normal(size=3)
     nothing = np.empty(0, dtype=np.int64)
-    return GoalObservation(nothing, np.empty((0, 2)), X_DA + error, covariance, np.empty(0), np.empty((0, 3)))
+    return Observation(nothing, np.empty((0, 2)), X_DA + error, covariance, np.empty(0), np.empty((0, 3)))
 
 
-def ring(seed, noise=1.0, goals=24, radius=12.0, tags=120, reach=5.0, laps=1.0, tag_error=None):
+def ring(seed, noise=1.0, views=24, radius=12.0, tags=120, reach=5.0, laps=1.0, tag_error=None):
     """Observations in the order of the way, turns and the ways between them; landmarks (n, 2), poses (2k, 3) in M.
 
     tag_error: (2,) standard deviations of the errors of range and bearing that each tag always has.
@@ -49,7 +49,7 @@ def ring(seed, noise=1.0, goals=24, radius=12.0, tags=120, reach=5.0, laps=1.0, 
     rng = np.random.default_rng(seed)
     angle, r = rng.uniform(0.0, 2.0 * np.pi, tags), radius + rng.uniform(-3.0, 3.0, tags)
     p_WL = r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    a = 2.0 * np.pi * laps * np.arange(goals) / goals
+    a = 2.0 * np.pi * laps * np.arange(views) / views
     X_WA = np.column_stack([radius * np.cos(a), radius * np.sin(a), se2.wrap_angle(a + 1.0)])
     X_MW = se2.inverse(X_WA[0])
     p_ML, X_MA = se2.transform(X_MW, p_WL), se2.compose(X_MW, X_WA)

@@ -12,7 +12,7 @@ from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam.camera_model import camera_model
-from tfg_drake.slam.estimator import begin_turn, end_turn, process_odometry, settled
+from tfg_drake.slam.estimator import begin_turn, end_turn, finished_map, process_odometry
 from tfg_drake.slam.estimator_state import initial_state, known_camera
 from tfg_drake.slam.odometry_model import arc, odometry_model, predict_increment
 from tfg_drake.slam.turn import solve_turn
@@ -100,7 +100,7 @@ def test_a_drive_tells_yaw_and_clock(drive, yaw, offset):
             tour.move(0.0, rate, 1)
         tour.state = end_turn(tour.state, tour.robot.time)
         tour.leg()
-    camera = known_camera(settled(tour.state))
+    camera = known_camera(finished_map(tour.state))
     assert camera.sigma[0] < 0.01
     assert camera.sigma[1] < 0.01
     assert (np.abs(camera.mean - [yaw, offset]) < 3.5 * camera.sigma).all()

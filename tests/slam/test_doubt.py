@@ -120,7 +120,7 @@ def test_single_errors_here_and_there_hardly_count():
         assert len(overturned(account.evidence)) == len(doubtful(account.evidence)) == 0
 
 
-def test_places_follow_the_goals_they_were_seen_from():
+def test_places_follow_the_views_they_were_seen_from():
     account = Account()
     account.see([9, 9, 9, 9])
     account.see([9, 9, 2, 9], elsewhere(3.0), agrees=(True, True, False, True))
@@ -132,7 +132,7 @@ def test_places_follow_the_goals_they_were_seen_from():
 
 
 def test_the_audit_finds_what_one_keyframe_has_elsewhere():
-    observations, _, _ = ring(3, goals=12, laps=0.3)
+    observations, _, _ = ring(3, views=12, laps=0.3)
     tag = next(int(tag) for tag in observations[4].ids if sum(tag in one.ids for one in observations) > 3)
     for by in (0.0, 0.02, 0.8):
         graph = empty_graph()

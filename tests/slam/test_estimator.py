@@ -23,8 +23,8 @@ def feed(state, message):
     return (process_odometry if isinstance(message, Odometry) else process_detections)(state, message)
 
 
-def explore(drive, seed, noise, goals=8, tags=80, check=None, order=lambda messages: messages):
-    """Turns at goals on a ring in a 20 x 20 m room; returns the robot and the estimator after the last."""
+def explore(drive, seed, noise, views=8, tags=80, check=None, order=lambda messages: messages):
+    """Turns at places on a ring in a 20 x 20 m room; returns the robot and the estimator after the last."""
     points = np.random.default_rng(1000 + seed).uniform(-10.0, 10.0, (tags, 2))
     robot = drive(points, seed, noise, start=(6.0, 0.0, 0.5 * np.pi))
     state = process_odometry(initial_state(robot.config), robot.odometry())
@@ -37,8 +37,8 @@ def explore(drive, seed, noise, goals=8, tags=80, check=None, order=lambda messa
                 check(robot, state)
         return state
 
-    for goal in range(goals):
-        if goal > 0:
+    for view in range(views):
+        if view > 0:
             state = move(state, 0.5, 0.5 / 6.0, int(6.0 * 2.0 * np.pi / 8.0 / 0.5 * 32.0))
         state = move(begin_turn(state, robot.time), 0.0, 1.0, TURN)
         state = end_turn(state, robot.time)
@@ -51,7 +51,7 @@ def test_exact_without_noise(drive):
         error[2] = se2.wrap_angle(error[2])
         assert np.abs(error).max() < 1e-6
 
-    robot, state = explore(drive, 1, 0.0, goals=4, check=check)
+    robot, state = explore(drive, 1, 0.0, views=4, check=check)
     estimate = map_estimate(state)
     assert estimate.stage == 4
     assert len(estimate.ids) > 60
@@ -71,7 +71,7 @@ def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
             online.append(nees(error, estimate.covariance))
 
     for seed in range(6):
-        robot, state = explore(drive, seed, 1.0, goals=5, check=check)
+        robot, state = explore(drive, seed, 1.0, views=5, check=check)
         estimate = map_estimate(state)
         assert len(state.rejected) == 0
         landmarks.append(nees((estimate.p_ML - robot.p_ML(estimate.ids)).ravel(), estimate.covariance[:-3, :-3]))
@@ -85,14 +85,14 @@ def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
 
 
 def test_the_order_of_arrival_does_not_matter(drive):
-    _, one = explore(drive, 2, 1.0, goals=2)
-    _, other = explore(drive, 2, 1.0, goals=2, order=lambda messages: messages[::-1])
+    _, one = explore(drive, 2, 1.0, views=2)
+    _, other = explore(drive, 2, 1.0, views=2, order=lambda messages: messages[::-1])
     np.testing.assert_array_equal(map_estimate(one).p_ML, map_estimate(other).p_ML)
     np.testing.assert_array_equal(map_estimate(one).covariance, map_estimate(other).covariance)
 
 
 def test_old_messages_change_nothing_and_the_state_copies_for_free(drive):
-    robot, state = explore(drive, 3, 1.0, goals=1)
+    robot, state = explore(drive, 3, 1.0, views=1)
     assert process_odometry(state, Odometry(robot.time, np.ones(3), np.zeros(2))) is state
     frame = robot._frame(robot.X_WB, robot.time - 1.0)
     assert process_detections(state, frame) is state
@@ -123,7 +123,7 @@ def test_before_and_out_of_turn():
 
 
 def test_turns_with_tags_teach_the_gyro_for_turns_without(drive):
-    robot, state = explore(drive, 3, 1.0, goals=3)
+    robot, state = explore(drive, 3, 1.0, views=3)
     robot.tags = np.zeros((0, 2))
     before = pose_estimate(state)
     for _ in range(TURN):

@@ -5,7 +5,7 @@ from tests.slam.rings import ODOMETRY, built, dense_solution, observed, reckoned
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam import keyframe_graph
-from tfg_drake.slam.keyframe_graph import empty_map, forget, fused, loosened, rescaled, without_tags
+from tfg_drake.slam.keyframe_graph import decoupled, empty_map, forget, fused, rescaled, without_tags
 
 
 def drive(seed, noise=1.0, count=10):
@@ -60,26 +60,26 @@ def test_what_shares_no_landmarks_or_is_full_stays(monkeypatch):
 
 
 def test_ways_that_only_odometry_speaks_for_are_loosened():
-    observations, _, _ = ring(6, goals=24)
+    observations, _, _ = ring(6, views=24)
     # Two turns at the end that have nothing in common with those before, the second nothing with the first but one tag.
     first, second = (replace(observations[k], ids=observations[k].ids + 1000) for k in (4, 6))
     shared = np.intersect1d(first.ids, second.ids)
     observations = [*observations[:4], first, observations[5], without_tags(second, shared[1:])]
     graph, loose = reckoned(observations), 100.0 * np.eye(3)
-    freed = loosened(graph, loose, np.empty(0, dtype=np.int64))
+    freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
     expected = [ODOMETRY, loose, loose]
     for j, covariance in zip((1, 3, 5), expected, strict=True):
         np.testing.assert_allclose(freed.keyframes[j].covariance, covariance)
     together, _ = drive(7)
     graph = reckoned(together)
-    assert loosened(graph, loose, np.empty(0, dtype=np.int64)) is graph
+    assert decoupled(graph, loose, np.empty(0, dtype=np.int64)) is graph
 
 
 def test_a_joint_that_only_odometry_speaks_for_becomes_a_loose_way():
     pieces, _ = drive(8, count=4)
     strange = [*pieces[:3], replace(pieces[3], ids=pieces[3].ids + 1000)]
     graph, loose = reckoned(strange), 100.0 * np.eye(3)
-    freed = loosened(graph, loose, np.empty(0, dtype=np.int64))
+    freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
     assert [len(one.ids) == 0 for one in freed.keyframes] == [False, False, False, True, False]
     np.testing.assert_allclose(freed.keyframes[3].covariance, loose)
     np.testing.assert_allclose(freed.X_MA, graph.X_MA)
@@ -96,7 +96,7 @@ def test_a_scale_learnt_later_is_taken_out_of_earlier_keyframes():
 
 
 def test_a_forgotten_landmark_leaves_what_it_told():
-    observations, _, _ = ring(10, goals=6, laps=0.3)
+    observations, _, _ = ring(10, views=6, laps=0.3)
     graph, _ = built(observations)
     gone = graph.ids[:2]
     after = forget(graph, gone)

@@ -65,7 +65,7 @@ def test_round_another_place_and_pose():
 
 
 def test_a_graph_whose_keyframes_are_fused_is_a_dense_solution_too():
-    observations, _, _ = ring(4, goals=60, laps=1.1)
+    observations, _, _ = ring(4, views=60, laps=1.1)
     joined = with_ways(observations)
     graph = fused(reckoned(joined))
     assert len(graph.keyframes) < 0.7 * len(joined)
@@ -75,7 +75,7 @@ def test_a_graph_whose_keyframes_are_fused_is_a_dense_solution_too():
 
 def test_the_yaw_of_the_camera_is_known_with_the_map():
     """What each keyframe says leaves it open by a degree."""
-    observations, _, _ = ring(6, goals=12, tags=60, laps=1.05)
+    observations, _, _ = ring(6, views=12, tags=60, laps=1.05)
     rng, yaw = np.random.default_rng(6), 0.02
 
     def seen_at(one):
@@ -95,7 +95,7 @@ def test_the_yaw_of_the_camera_is_known_with_the_map():
 
 
 def test_fused_keyframes_tell_the_same_of_the_yaw():
-    observations, _, _ = ring(7, goals=60, laps=1.1)
+    observations, _, _ = ring(7, views=60, laps=1.1)
     rng, believed = np.random.default_rng(7), np.array([0.0, 0.0175])
     joined = [replace(one, on_yaw=0.1 * rng.normal(size=2 * len(one.ids) + 3)) for one in with_ways(observations)]
     graph = reckoned(joined, replace(empty_graph(believed), yaw_prior=believed))
@@ -112,14 +112,14 @@ def test_fused_keyframes_tell_the_same_of_the_yaw():
 
 @pytest.mark.parametrize("joint", [400, 30])
 def test_errors_of_tags_are_known_with_the_map(joint):
-    observations, _, _ = ring(9, goals=12, tags=60, laps=1.05, tag_error=TAG_ERROR)
+    observations, _, _ = ring(9, views=12, tags=60, laps=1.05, tag_error=TAG_ERROR)
     graph = replace(reckoned(observations), tag_error=TAG_ERROR)
     solved, estimate = solve(graph, 0.0, observations[-1], joint=joint)
     assert_dense(graph, solved, estimate)
 
 
 def test_errors_of_tags_are_known_where_keyframes_are_fused():
-    observations, _, _ = ring(4, goals=60, laps=1.1, tag_error=TAG_ERROR)
+    observations, _, _ = ring(4, views=60, laps=1.1, tag_error=TAG_ERROR)
     joined = with_ways(observations)
     graph = replace(reckoned(joined), tag_error=TAG_ERROR)
     fewer = fused(graph)
@@ -134,7 +134,7 @@ def test_errors_of_tags_are_known_where_keyframes_are_fused():
 def test_how_large_the_errors_of_tags_are_is_learnt():
     found = []
     for seed in range(4):
-        observations, _, _ = ring(seed, goals=40, tags=200, laps=2.0, tag_error=TAG_ERROR)
+        observations, _, _ = ring(seed, views=40, tags=200, laps=2.0, tag_error=TAG_ERROR)
         graph = reckoned(observations)
         for _ in range(12):
             graph, _ = solve(graph, 0.0, observations[-1])
@@ -144,14 +144,14 @@ def test_how_large_the_errors_of_tags_are_is_learnt():
 
 def test_tags_without_errors_are_found_to_have_none():
     for seed in range(4):
-        observations, _, _ = ring(seed, goals=40, tags=200, laps=2.0)
+        observations, _, _ = ring(seed, views=40, tags=200, laps=2.0)
         graph, _ = solve(reckoned(observations), 0.0, observations[-1])
         assert not graph.tag_error.any()
 
 
 @pytest.mark.slow
 def test_six_thousand_unknowns_just_closed():
-    observations, _, _ = ring(5, goals=300, radius=150.0, tags=2100, reach=6.0, laps=1.003)
+    observations, _, _ = ring(5, views=300, radius=150.0, tags=2100, reach=6.0, laps=1.003)
     graph = reckoned(observations)
     assert 2 * len(graph.ids) + 3 * len(graph.keyframes) > 5500
     solved, estimate = solve(graph, 0.0, observations[-1])
@@ -161,7 +161,7 @@ def test_six_thousand_unknowns_just_closed():
 def test_consistent(nees):
     landmarks, poses = [], []
     for seed in range(12):
-        observations, p_ML, X_MN = ring(seed, goals=12, tags=60)
+        observations, p_ML, X_MN = ring(seed, views=12, tags=60)
         _, estimate = solve(reckoned(observations), 0.0, observations[-1])
         error = (estimate.p_ML - p_ML[estimate.ids - 100]).ravel()
         pose = estimate.X_MD - X_MN[-1]
@@ -174,7 +174,7 @@ def test_consistent(nees):
 
 def test_what_hangs_on_nothing_keeps_its_shape():
     """A way of which nothing is known, between two halves that share no tag."""
-    observations, p_ML, _ = ring(6, goals=6, radius=30.0, laps=0.1)
+    observations, p_ML, _ = ring(6, views=6, radius=30.0, laps=0.1)
     nothing = replace(observations[5], covariance=np.diag([1e7, 1e7, 1e7]))
     second = [replace(one, ids=one.ids + 1000) for one in observations[6:]]
     graph = reckoned([*observations[:5], nothing, *second])
@@ -188,7 +188,7 @@ def test_what_hangs_on_nothing_keeps_its_shape():
 
 
 def test_how_many_are_known_jointly_is_bounded(monkeypatch):
-    observations, _, _ = ring(7, goals=6)
+    observations, _, _ = ring(7, views=6)
     graph = reckoned(observations)
     assert known_jointly(graph) == len(graph.ids)
     monkeypatch.setattr(map_solver, "MOST_JOINT", 10)
@@ -197,7 +197,7 @@ def test_how_many_are_known_jointly_is_bounded(monkeypatch):
 
 def test_updates_come_to_what_a_solve_comes_to():
     """Without a loop that closes, updates one after the other differ from the optimum by what linearisation costs."""
-    observations, _, _ = ring(8, goals=12, laps=0.4)
+    observations, _, _ = ring(8, views=12, laps=0.4)
     graph, estimate = built(observations)
     solved, whole = solve(graph, 0.0, observations[-1])
     assert np.abs(estimate.p_ML - solved.p_ML).max() < 5e-3
@@ -209,7 +209,7 @@ def test_updates_come_to_what_a_solve_comes_to():
 @pytest.mark.parametrize("sigma", [0.3, 0.6])
 def test_the_covariance_is_that_of_the_map_where_headings_are_hardly_known(sigma):
     """Steps overshoot there; what was done against it must not be taken for knowledge."""
-    observations, _, _ = ring(3, goals=8, laps=1.05)
+    observations, _, _ = ring(3, views=8, laps=1.05)
     rng, blurred = np.random.default_rng(0), []
     for one in observations:
         noise = sigma * rng.normal(size=len(one.covariance))

@@ -20,7 +20,7 @@ def test_exact_without_noise():
 
 def test_one_update_is_a_dense_solution_of_both():
     """From a solved graph, one keyframe more that hardly moves anything."""
-    observations, _, _ = ring(2, noise=0.02, goals=40, laps=0.4)
+    observations, _, _ = ring(2, noise=0.02, views=40, laps=0.4)
     graph, estimate = solve(reckoned(observations[:-1]), 0.0, observations[-2])
     graph, estimate, _ = updated(graph, estimate, observations[-1])
     graph, estimate = finished(graph, estimate, 1.0, observations[-1])
@@ -40,7 +40,7 @@ def test_one_update_is_a_dense_solution_of_both():
 def test_consistent(nees):
     landmarks, poses = [], []
     for seed in range(12):
-        observations, p_ML, X_MN = ring(seed, goals=12, tags=60)
+        observations, p_ML, X_MN = ring(seed, views=12, tags=60)
         _, estimate = built(observations)
         landmarks.append(nees((estimate.p_ML - p_ML[estimate.ids - 100]).ravel(), estimate.covariance[:-3, :-3]))
         poses.append(nees(se2.between(X_MN[-1], estimate.X_MD), estimate.covariance[-3:, -3:]))
@@ -51,13 +51,13 @@ def test_consistent(nees):
 def test_moved_tags_are_left_out_and_named():
     observations, p_ML, _ = ring(4)
     graph, estimate = built(observations[:4])
-    goal = observations[4]
-    known = np.flatnonzero(np.isin(goal.ids, graph.ids))
-    p_AL = goal.p_AL.copy()
+    view = observations[4]
+    known = np.flatnonzero(np.isin(view.ids, graph.ids))
+    p_AL = view.p_AL.copy()
     p_AL[known[:2]] += 1.5
-    graph, estimate, rejected = updated(graph, estimate, replace(goal, p_AL=p_AL))
-    np.testing.assert_array_equal(rejected, goal.ids[known[:2]])
-    assert len(graph.keyframes[-1].ids) == len(goal.ids) - 2
+    graph, estimate, rejected = updated(graph, estimate, replace(view, p_AL=p_AL))
+    np.testing.assert_array_equal(rejected, view.ids[known[:2]])
+    assert len(graph.keyframes[-1].ids) == len(view.ids) - 2
     assert np.abs(estimate.p_ML - p_ML[estimate.ids - 100]).max() < 0.3
 
 

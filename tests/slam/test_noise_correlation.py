@@ -5,7 +5,7 @@ import pytest
 
 from tfg_drake.messages import replace
 from tfg_drake.simulation.tag_sensor import correlated
-from tfg_drake.slam.noise_correlation import LONG_RUN, compared, less_certain, no_correlation
+from tfg_drake.slam.noise_correlation import LONG_RUN, NoiseCorrelation, compared, less_certain, no_correlation
 from tfg_drake.slam.odometry_model import odometry_model
 from tfg_drake.slam.turn import solve_turn
 
@@ -54,6 +54,18 @@ def test_many_in_a_row_are_worth_what_their_mean_tells():
         errors = correlated(errors, rng.normal(size=2000), 0.1, time)
         means += errors / 400.0
     assert 1.0 / 400.0 / np.var(means) == pytest.approx(worth, rel=0.15)
+
+
+def test_what_frames_are_worth_is_what_their_best_mean_tells():
+    """Of a tag seen now and then, and of one seen once."""
+    rho = 0.8
+    correlation = NoiseCorrelation(rho * 1e9, 1e9, 10**9, 10**18)
+    node = np.array([3, 0, 1, 9, 10, 4])
+    tag = np.array([7, 7, 7, 7, 7, 2])
+    C = rho ** np.abs(node[:5, None] - node[None, :5])
+    told = np.linalg.inv(C).sum()
+    np.testing.assert_allclose(correlation.worth(tag, node), [told / 5] * 5 + [1.0], rtol=1e-6)
+    np.testing.assert_array_equal(no_correlation().worth(tag, node), np.ones(6))
 
 
 def test_a_turn_of_correlated_frames_is_as_sure_as_it_may_be(drive, nees):

@@ -41,7 +41,7 @@ class Tour:
                 else:
                     self.state = process_detections(self.state, self.spoil(message, self.rng))
 
-    def goal(self, slip_at=None, slip=(0.0, 0.0, 0.0)):
+    def turn_round(self, slip_at=None, slip=(0.0, 0.0, 0.0)):
         self.state = begin_turn(self.state, self.robot.time)
         for step in range(TURN):
             if step == slip_at:
@@ -69,21 +69,21 @@ class Tour:
 def test_a_robot_that_was_moved_finds_itself(drive, slip, when, caplog):
     tour = Tour(drive, 1)
     for _ in range(3):
-        tour.goal()
+        tour.turn_round()
         tour.leg()
     with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
         if when == "driving":
             tour.carry(slip)
             tour.leg(64)
-            tour.goal()
+            tour.turn_round()
         else:
-            tour.goal(slip_at=60, slip=slip)
+            tour.turn_round(slip_at=60, slip=slip)
     assert "from where its wheels have brought it" in caplog.text
     position, heading = tour.error()
     assert position < 0.1
     assert heading < 0.02
     tour.leg()
-    tour.goal()
+    tour.turn_round()
     assert tour.error()[0] < 0.1
     assert tour.map_rmse() < 0.08
     assert len(tour.state.rejected) == 0
@@ -94,7 +94,7 @@ def test_a_clean_drive_raises_no_alarm(drive, caplog):
         for seed in range(4):
             tour = Tour(drive, seed)
             for _ in range(3):
-                tour.goal()
+                tour.turn_round()
                 tour.leg()
     assert caplog.text == ""
 
@@ -117,26 +117,26 @@ def test_outliers_and_misread_ids_hardly_matter(drive, period):
         for spoil, results in ((lambda detections, rng: detections, clean), (outliers, spoilt)):
             tour = Tour(drive, seed, period=period, spoil=spoil)
             for _ in range(4):
-                tour.goal()
+                tour.turn_round()
                 tour.leg()
-            tour.goal()
+            tour.turn_round()
             results.append(tour.map_rmse())
     assert np.mean(spoilt) < 1.2 * np.mean(clean) + 0.003
 
 
 def test_a_moved_tag_is_mapped_anew(drive, caplog):
     tour = Tour(drive, 2)
-    tour.goal()
+    tour.turn_round()
     tour.leg()
-    tour.goal()
+    tour.turn_round()
     tag = int(map_estimate(tour.state).ids[np.argmin(np.hypot(*tour.robot.tags[map_estimate(tour.state).ids - 100].T))])
     tour.robot.tags[tag - 100] += [1.0, 0.5]
     with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
         tour.leg()
-        tour.goal()
+        tour.turn_round()
         assert tag in tour.state.rejected
         tour.leg()
-        tour.goal()
+        tour.turn_round()
     assert f"mapped anew, for more was seen of them elsewhere: tags {tag}" in caplog.text
     assert tag not in tour.state.rejected
     estimate = map_estimate(tour.state)
@@ -163,15 +163,15 @@ def test_an_id_misread_before_its_tag_is_seen_puts_it_nowhere_wrong(drive, caplo
 
     seen = set()
     tour = Tour(drive, 7, period=2.0, spoil=spoil)
-    tour.goal()
+    tour.turn_round()
     tour.leg(64)
-    tour.goal()
+    tour.turn_round()
     tag = misread[0]
     assert (tag in map_estimate(tour.state).ids) == (frames >= 3)
     with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
         for _ in range(4):
             tour.leg()
-            tour.goal()
+            tour.turn_round()
     estimate = map_estimate(tour.state)
     np.testing.assert_allclose(estimate.p_ML[estimate.ids == tag][0], tour.robot.p_ML(np.array([tag]))[0], atol=0.15)
     assert len(estimate.doubtful) == 0
@@ -187,16 +187,16 @@ def test_impossible_sightings_are_named_and_ignored(drive, caplog):
 
     tour = Tour(drive, 3, spoil=spoil)
     with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
-        tour.goal()
+        tour.turn_round()
         tour.leg()
-        tour.goal()
+        tour.turn_round()
     assert "impossible or ambiguous sightings ignored" in caplog.text
     assert tour.map_rmse() < 0.05
 
 
 def test_gaps_in_odometry_and_frames_of_the_past_are_survived(drive):
     tour = Tour(drive, 4)
-    tour.goal()
+    tour.turn_round()
     tour.leg(40)
     state = tour.state
     for _ in range(32):
@@ -204,7 +204,7 @@ def test_gaps_in_odometry_and_frames_of_the_past_are_survived(drive):
     late = TagDetections(0.5, np.array([100]), np.ones(1), np.zeros(1), np.ones(1), np.ones(1))
     assert process_detections(state, late) is state
     tour.leg(60)
-    tour.goal()
+    tour.turn_round()
     assert tour.error()[0] < 0.1
     assert tour.map_rmse() < 0.08
 
@@ -215,9 +215,9 @@ def test_mapping_the_way_sharpens_the_map(drive):
         for seed in range(4):
             tour = Tour(drive, seed, period=period)
             for _ in range(5):
-                tour.goal()
+                tour.turn_round()
                 tour.leg()
-            tour.goal()
+            tour.turn_round()
             values.append(tour.map_rmse())
             assert map_estimate(tour.state).stage == 6
     assert np.mean(rmse[1.0]) < np.mean(rmse[0.0])

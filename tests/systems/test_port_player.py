@@ -26,7 +26,7 @@ class LateStation(LeafSystem):
         self.DeclareVectorOutputPort(
             "base.enabled", 1, lambda context, output: output.SetFromVector([context.get_time() >= 1.0])
         )
-        self.DeclareVectorOutputPort("velocity_commanded", 2, lambda _, output: output.SetFromVector([0.25, 0.0]))
+        self.DeclareVectorOutputPort("base.velocity_commanded", 2, lambda _, output: output.SetFromVector([0.25, 0.0]))
 
     def message(self, name, context):
         stamp = np.floor(10.0 * context.get_time()) / 10.0 - LATE

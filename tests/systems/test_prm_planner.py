@@ -4,10 +4,10 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import (
-    GoalObservation,
     LaserScan,
     MapEstimate,
     MissionStatus,
+    Observation,
     PoseEstimate,
     TfgMap,
     WorkingMap,
@@ -27,7 +27,7 @@ SQUARE = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])
 
 def maps(stage):
     """A room of 8 x 8 m with a tag in the middle of three walls, the fourth unknown."""
-    observation = GoalObservation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
+    observation = Observation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
     if stage == 0:
         estimate = keyframe_graph.empty_map()
         tfg = TfgMap(0, np.zeros((0, 4)), IDS, IDS.reshape(0, 2), NONE, NONE, NONE[:, 0], NONE, np.zeros(1, dtype=int),
@@ -186,7 +186,7 @@ def test_what_blocked_the_way_is_kept_for_some_stages():
 def test_a_robot_that_fails_again_and_again_forgets_what_it_met():
     estimate, tfg = maps(2)
     met = np.array([[1.0, -1.0, 1.0, 1.0]])
-    state = replace(initial_state(), obstacles=met, obstacle_goal=np.zeros(1, dtype=np.int64))
+    state = replace(initial_state(), obstacles=met, obstacle_view=np.zeros(1, dtype=np.int64))
     robot, odometry, sensor, explorer, planner = CONFIGS
     parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
     for failures, left in ((BOLD_AFTER - 1, 1), (BOLD_AFTER, 0)):
@@ -210,7 +210,7 @@ def test_a_robot_shut_in_by_what_it_met_forgets_it():
     angle = np.linspace(0.0, 2.0 * np.pi, 13)
     ring = 0.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     met = np.hstack([ring[:-1], ring[1:]])
-    state = replace(initial_state(), obstacles=met, obstacle_goal=np.zeros(len(met), dtype=np.int64))
+    state = replace(initial_state(), obstacles=met, obstacle_view=np.zeros(len(met), dtype=np.int64))
     robot, odometry, sensor, explorer, planner = CONFIGS
     parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
     mission = MissionStatus("choose", 1, 0.0)

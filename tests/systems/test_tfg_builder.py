@@ -1,4 +1,4 @@
-"""The TFG builder as a system: which scans it takes, when it adds a goal, and that its state is all it keeps."""
+"""The TFG builder as a system: which scans it takes, when it adds a view, and that its state is all it keeps."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.visibility import cast_rays
-from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, MissionStatus, PoseEstimate, replace
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Observation, PoseEstimate, replace
 from tfg_drake.systems.tfg_builder import TfgBuilder
 from tfg_drake.tfg.star_polygon import looked_round
 
@@ -20,11 +20,11 @@ TURN_TIME = 6.5
 
 
 def estimate(stage: int, stop: float = TURN_TIME) -> MapEstimate:
-    """The map after a turn that ended at a time, s; without a goal the empty map."""
+    """The map after a turn that ended at a time, s; without a view the empty map."""
     stamps = np.arange(0.0, stop, 0.1)
     X_AB = np.stack([0.0 * stamps, 0.0 * stamps, stamps], axis=1)
     ids, p = (np.arange(4), TAGS) if stage else (NONE, TAGS[:0])
-    observation = GoalObservation(ids, p, np.zeros(3), np.eye(2 * len(ids) + 3), stamps, X_AB)
+    observation = Observation(ids, p, np.zeros(3), np.eye(2 * len(ids) + 3), stamps, X_AB)
     own = np.tile(np.eye(2), (len(ids), 1, 1))
     joint = np.eye(2 * len(ids) + 3)
     return MapEstimate(stage, stop, ids, p, np.zeros(3), ids, joint, own, np.zeros((stage, 3)), observation, 0.0)
@@ -68,7 +68,7 @@ def builder() -> Builder:
     return Builder()
 
 
-def test_nothing_is_known_before_the_first_goal(builder: Builder) -> None:
+def test_nothing_is_known_before_the_first_view(builder: Builder) -> None:
     builder.run_to(1.0)
     assert builder.tfg().stage == 0
     assert builder.tfg().segments.shape == (0, 4)
@@ -94,7 +94,7 @@ def test_scans_outside_a_turn_are_not_kept(builder: Builder) -> None:
         builder.run_to(7.0)
 
 
-def test_a_missed_goal_is_an_error(builder: Builder) -> None:
+def test_a_missed_view_is_an_error(builder: Builder) -> None:
     builder.turn()
     builder.fix(map=estimate(2))
     with pytest.raises(ValueError, match="cannot take stage 2"):

@@ -8,10 +8,10 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from tfg_drake.messages import (
     GoalChoice,
-    GoalObservation,
     LaserScan,
     MapEstimate,
     MissionStatus,
+    Observation,
     Path,
     PoseEstimate,
     Roadmap,
@@ -39,7 +39,7 @@ def make_world():
 
 
 def make_map(n=2, stage=1):
-    observation = GoalObservation(
+    observation = Observation(
         ids=np.zeros(0, dtype=int),
         p_AL=np.zeros((0, 2)),
         X_AD=np.zeros(3),

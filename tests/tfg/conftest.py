@@ -1,4 +1,4 @@
-"""A small flat world to turn round in, with exact goal poses."""
+"""A small flat world to turn round in, with exact view poses."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import pytest
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import between, inverse, transform
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
-from tfg_drake.messages import GoalObservation, LaserScan, MapEstimate, TfgMap, replace
-from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, no_sightings, resolve, update
+from tfg_drake.messages import LaserScan, MapEstimate, Observation, TfgMap, replace
+from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, empty_graph, no_sightings, resolve, update
 from tfg_drake.tfg.panorama import Panorama, build_panorama
 
 
 @dataclass
 class Simulation:
-    """Walls (m, 4), tags p_WT (n, 2) with outward normals (n, 2), and a graph that grows goal by goal; M is W."""
+    """Walls (m, 4), tags p_WT (n, 2) with outward normals (n, 2), and a graph that grows view by view; M is W."""
 
     walls: np.ndarray
     p_WT: np.ndarray
@@ -35,7 +35,7 @@ class Simulation:
     # What the map makes of the tags: their error (n, 2) and its standard deviation (n,), m.
     error: np.ndarray | None = None
     sigma: np.ndarray | None = None
-    # Of the newest goal, s.
+    # Of the newest view, s.
     stamp: float = 0.0
 
     def turn(self, X_WA: np.ndarray) -> tuple[list[LaserScan], np.ndarray, np.ndarray]:
@@ -61,8 +61,8 @@ class Simulation:
     def panorama(self, X_WA: np.ndarray) -> Panorama:
         return build_panorama(*self.turn(X_WA))
 
-    def observe(self, X_WA: np.ndarray, sightings: Sightings | None = None, glance: bool = False) -> TfgMap:
-        """Adds a goal with an exact pose and landmarks that are exact, but for `error`. glance: its first scan only."""
+    def observe(self, X_WA: np.ndarray, sightings: UnmappedSightings | None = None, glance: bool = False) -> TfgMap:
+        """Adds a view with an exact pose and landmarks that are exact, but for `error`. glance: its first scan only."""
         scans, stamps, X_AB = self.turn(X_WA)
         scans = scans[:1] if glance else scans
         seen = self.visible(X_WA[:2])
@@ -72,7 +72,7 @@ class Simulation:
         n = len(seen)
         error = np.zeros_like(self.p_WT) if self.error is None else self.error
         sigma = np.full(len(self.p_WT), 1e-3) if self.sigma is None else self.sigma
-        observation = GoalObservation(
+        observation = Observation(
             seen, transform(inverse(X_WA), self.p_WT[seen]), np.zeros(3), np.eye(2 * n + 3), stamps, X_AB
         )
         self.estimate = MapEstimate(

@@ -20,8 +20,8 @@ from tfg_drake.tfg.frontier import (
     points_of,
 )
 from tfg_drake.tfg.graph import (
-    Sightings,
-    _settled,
+    UnmappedSightings,
+    _explored,
     empty_graph,
     empty_map,
     no_sightings,
@@ -33,7 +33,7 @@ from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import sample
 from tfg_drake.tfg.surfaces import EDGE, END, LOOSE
 
-# Seven goals that see all of the two rooms.
+# Seven views that see all of the two rooms.
 TOUR = np.array(
     [
         [2.0, 3.0, 0.3],
@@ -185,8 +185,8 @@ def test_frontiers_lie_at_the_unexplored_door(two_rooms) -> None:
     in_next_room = tfg.frontiers[:, 0] > 6.0
     assert in_next_room.sum() > 5
     assert (tfg.frontiers[~in_next_room, 0] > 5.5).all()
-    shadows = place_points(two_rooms.graph.shadows, two_rooms.estimate.X_MA).p
-    assert not inside_any(shadows, tfg.star_offsets, tfg.star_vertices).any()
+    points = place_points(two_rooms.graph.free_space_frontiers, two_rooms.estimate.X_MA).p
+    assert not inside_any(points, tfg.star_offsets, tfg.star_vertices).any()
     np.testing.assert_allclose(np.hypot(*tfg.frontier_normal.T), 1.0)
 
 
@@ -250,7 +250,7 @@ def test_a_sighted_tag_is_a_frontier_until_it_is_mapped_or_given_up(two_rooms) -
     behind = int(np.flatnonzero((np.abs(two_rooms.p_WT - [12.0, 4.5]) < [0.05, 0.6]).all(axis=1))[0])
     ghost = 10_000
     ids, p = np.array([behind, ghost]), np.array([two_rooms.p_WT[behind], [3.0, 3.0]])
-    tfg = two_rooms.observe(TOUR[0], Sightings(ids, p, p - [1.0, 0.0]))
+    tfg = two_rooms.observe(TOUR[0], UnmappedSightings(ids, p, p - [1.0, 0.0]))
     assert (two_rooms.estimate.ids != behind).all()
     # In front of the wall, on the side it was seen from.
     at = np.hypot(*(tfg.frontiers - (two_rooms.p_WT[behind] - [0.3, 0.0])).T)
@@ -329,7 +329,7 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simula
     error = np.where(far, -0.5, 0.0)[:, None] * [[0.0, 1.0]]
 
     def far_face(tfg) -> float:
-        """Length of what faces away from the second goal within 0.1 m of where the far face is mapped, m."""
+        """Length of what faces away from the second view within 0.1 m of where the far face is mapped, m."""
         along = tfg.segments[:, 2:] - tfg.segments[:, :2]
         y = world.p_WT[far][0, 1] + (0.0 if world.error is None else -0.5)
         which = (np.abs(tfg.segments[:, [1, 3]] - y).max(axis=1) < 0.1) & (along[:, 0] > 0.0)
@@ -337,7 +337,7 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simula
 
     for sigma, held in ((0.2, True), (1e-3, False)):
         world.error, world.sigma = error, np.where(far, sigma, 1e-3)
-        graph, goals = world.graph, list(world.X_MA)
+        graph, views = world.graph, list(world.X_MA)
         tfg = world.observe(np.array([0.0, 0.0, 0.0]))
         # It stands in what is seen free, so there is nothing there now ...
         assert far_face(tfg) == 0.0
@@ -348,7 +348,7 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simula
         corrected = replace(world.estimate, p_ML=world.p_WT[world.estimate.ids])
         later = resolve(world.graph, corrected, RobotConfig(), ExplorerConfig())
         assert (far_face(later) > 6.0) == held
-        world.graph, world.X_MA = graph, goals
+        world.graph, world.X_MA = graph, views
 
 
 @pytest.mark.parametrize(
@@ -375,9 +375,9 @@ def test_of_two_rooms_that_have_drifted_into_each_other_the_wall_of_the_nearer_s
     for (x0, y0), (x1, y1) in rooms:
         walls += [[x0, y0, x1, y0], [x1, y0, x1, y1], [x1, y1, x0, y1], [x0, y1, x0, y0]]
     world = simulate(walls, spacing=1.0)
-    goals = [np.array([0.0, -2.5, 0.0]), np.array([0.0, 2.5, 0.0])]
-    for goal in goals if here == 1 else goals[::-1]:
-        world.observe(goal)
+    views = [np.array([0.0, -2.5, 0.0]), np.array([0.0, 2.5, 0.0])]
+    for view in views if here == 1 else views[::-1]:
+        world.observe(view)
     estimate = world.estimate
     p_ML, X_MA = estimate.p_ML.copy(), estimate.X_MA.copy()
     p_ML[p_ML[:, 1] < 0.0, 1] += 0.4
@@ -424,13 +424,13 @@ def test_when_a_loop_closes_its_arms_settle_what_was_open(simulate, closed) -> N
     assert at & {-4, 4} == (set() if closed else {-4, 4})
 
 
-def test_what_is_open_is_settled_half_a_metre_inside_of_what_another_arm_saw(two_rooms) -> None:
+def test_a_frontier_is_explored_half_a_metre_inside_of_what_another_arm_saw(two_rooms) -> None:
     two_rooms.observe(np.array([3.0, 3.0, 0.0]))
     square = np.array([[1.0, 1.0], [5.0, 1.0], [5.0, 5.0], [1.0, 5.0]])
     p, outward = np.array([[4.6, 3.0], [4.4, 3.0], [5.2, 3.0]]), np.tile([-1.0, 0.0], (3, 1))
     points = place_points(points_of(0, p, outward, np.ones(3)), np.zeros((1, 3)))
     star = np.array([0, 4]), square, np.array([[3.0, 3.0]])
-    assert _settled(points, star, two_rooms.estimate).tolist() == [False, True, False]
+    assert _explored(points, star, two_rooms.estimate).tolist() == [False, True, False]
 
 
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
@@ -449,7 +449,7 @@ def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
 
 
 def test_a_glance_is_no_attempt_at_what_it_did_not_settle(two_rooms) -> None:
-    ghost = Sightings(np.array([10_000]), np.array([[4.0, 3.0]]), np.array([[3.0, 3.0]]))
+    ghost = UnmappedSightings(np.array([10_000]), np.array([[4.0, 3.0]]), np.array([[3.0, 3.0]]))
     start = np.array([2.0, 3.0, 0.0])
     two_rooms.observe(start, ghost)
     tried = two_rooms.graph.tried_count.sum()
@@ -505,11 +505,11 @@ def test_round_the_corner_of_a_face_there_is_another_to_look_at(simulate) -> Non
     assert not (np.hypot(*(ends - [1.3, 0.15]).T) < 0.2).any()
 
 
-def test_a_goal_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth_less(simulate) -> None:
+def test_a_view_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth_less(simulate) -> None:
     """Tags sighted in the open, out of range and behind a wall; none is mapped ever."""
     world = simulate([[-3.0, 2.0, 3.0, 2.0]])
     p = np.array([[3.0, 0.0], [15.0, 0.0], [0.5, 4.0]])
-    ghosts = Sightings(np.array([10_000, 10_001, 10_002]), p, p - [1.0, 0.0])
+    ghosts = UnmappedSightings(np.array([10_000, 10_001, 10_002]), p, p - [1.0, 0.0])
     at = p - [0.3, 0.0]
 
     def length(tfg) -> list[float]:
@@ -531,7 +531,7 @@ def test_a_look_past_one_end_of_a_wall_is_no_attempt_but_through_a_slit_it_is(si
     def length(walls: list[list[float]]) -> float:
         world = simulate(walls)
         p = np.array([[4.3, 0.0]])
-        world.observe(np.zeros(3), Sightings(np.array([10_000]), p, p - [1.0, 0.0]))
+        world.observe(np.zeros(3), UnmappedSightings(np.array([10_000]), p, p - [1.0, 0.0]))
         tfg = world.observe(np.zeros(3))
         return float(tfg.frontier_length[np.hypot(*(tfg.frontiers - [4.0, 0.0]).T).argmin()])
 
@@ -546,8 +546,8 @@ def test_only_openings_that_the_robot_fits_through_and_that_were_tried_often_eno
     # A wide one, a narrow one, and another wide one that was tried less often.
     p = np.array([[0.0, -5.0], [0.4, -5.0], [4.0, -5.0], [-5.0, 0.0], [-5.0, 0.4]])
     n = len(p)
-    shadows = points_of(0, p, np.tile([0.0, 1.0], (n, 1)), np.full(n, 0.3))
-    graph = replace(world.graph, shadows=shadows, tried=shadows, tried_count=np.array([3, 3, 3, 2, 2]))
+    points = points_of(0, p, np.tile([0.0, 1.0], (n, 1)), np.full(n, 0.3))
+    graph = replace(world.graph, free_space_frontiers=points, tried=points, tried_count=np.array([3, 3, 3, 2, 2]))
     tfg = resolve(graph, world.estimate, RobotConfig(), ExplorerConfig(frontier_attempts=3))
     np.testing.assert_allclose(tfg.given_up, p[:2], atol=1e-9)
     np.testing.assert_allclose(tfg.given_up_length, 0.3)

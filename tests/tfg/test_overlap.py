@@ -1,4 +1,4 @@
-"""Which of two drifted surfaces stands is told by what ties them to the newest goal."""
+"""Which of two drifted surfaces stands is told by what ties them to the newest view."""
 
 import numpy as np
 import pytest
@@ -6,17 +6,17 @@ import pytest
 from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.drift import MOST_DRIFT
-from tfg_drake.tfg.overlap import SWING, distance_along_map, mapped_otherwise, standing
+from tfg_drake.tfg.overlap import SWING, distance_along_map, standing, weakly_tied
 from tfg_drake.tfg.surfaces import Surfaces
 
-# Goals on the corners of a square of 4 m and a fifth beyond the first; landmarks in the middle and beside the fifth.
+# Views on the corners of a square of 4 m and a fifth beyond the first; landmarks in the middle and beside the fifth.
 X_MA = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 4.0, 0.0], [0.0, 4.0, 0.0], [0.0, -1.0, 0.0]])
 MAP = replace(empty_map(), X_MA=X_MA, ids=np.array([3, 7]), p_ML=np.array([[2.0, 2.0], [0.0, -2.0]]))
 HALF = 2.0 * np.sqrt(2.0)
 
 
 @pytest.mark.parametrize(
-    ("seen", "goals", "expected"),
+    ("seen", "views", "expected"),
     [
         ([], [0, 1, 2, 3], [12.0, 8.0, 4.0, 0.0, np.inf]),
         ([(0, 3), (3, 3), (0, 3)], [0, 1, 2, 3], [2 * HALF, 8.0, 4.0, 0.0, np.inf]),
@@ -25,21 +25,21 @@ HALF = 2.0 * np.sqrt(2.0)
     ],
     ids=["one after the other", "across the square", "not one after the other", "round and across"],
 )
-def test_goals_are_as_far_as_what_ties_them_is_long(seen, goals, expected):
-    goal, ids = np.array(seen, dtype=np.int64).reshape(-1, 2).T
-    np.testing.assert_allclose(distance_along_map(goal, ids, np.array(goals), MAP), expected, rtol=1e-12)
+def test_views_are_as_far_as_what_ties_them_is_long(seen, views, expected):
+    view, ids = np.array(seen, dtype=np.int64).reshape(-1, 2).T
+    np.testing.assert_allclose(distance_along_map(view, ids, np.array(views), MAP), expected, rtol=1e-12)
 
 
-def test_a_goal_where_another_ended_is_tied_to_it():
+def test_a_view_where_another_ended_is_tied_to_it():
     twice = replace(MAP, X_MA=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [3.0, 0.0, 0.0]]))
     none = np.zeros(0, dtype=np.int64)
     np.testing.assert_allclose(distance_along_map(none, none, np.arange(3), twice), [3.0, 3.0, 0.0], atol=1e-8)
 
 
 @pytest.mark.parametrize(("seen_by_newest", "expected"), [(3, [True, False]), (7, [False, True])])
-def test_of_two_surfaces_in_each_others_way_that_stands_whose_goal_is_tied_more_closely(seen_by_newest, expected):
-    """The goals 0 and 2 face each other through a surface of either, and share landmark 7; the newest, 4, has seen 3 as
-    the goal 0 has, or 7. It stands beside the goal 2, which is newer than 0. The others rest."""
+def test_of_two_surfaces_in_each_others_way_that_stands_whose_view_is_tied_more_closely(seen_by_newest, expected):
+    """The views 0 and 2 face each other through a surface of either, and share landmark 7; the newest, 4, has seen 3 as
+    the view 0 has, or 7. It stands beside the view 2, which is newer than 0. The other views are inactive."""
     X_MA = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 1.5, 0.0]])
     estimate = replace(empty_map(), X_MA=X_MA, ids=np.array([3, 7]), p_ML=np.array([[0.0, 1.5], [10.0, 0.0]]))
     far = np.array([[20.0, 0.0], [21.0, 0.0]])
@@ -48,27 +48,27 @@ def test_of_two_surfaces_in_each_others_way_that_stands_whose_goal_is_tied_more_
     surfaces = Surfaces(
         kind=np.full(4, 1),
         ids=ids,
-        goal=np.array([0, 2, 0, 4]),
+        view=np.array([0, 2, 0, 4]),
         range=np.ones(4),
         offsets=2 * np.arange(5),
         vertices=np.vstack(polylines),
     )
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    star_goal = np.array([0, 2, 4])
-    centers = X_MA[star_goal, :2]
+    star_view = np.array([0, 2, 4])
+    centers = X_MA[star_view, :2]
     stars = (
         4 * np.arange(4),
         np.vstack([centers[0] + 2.0 * square, centers[1] + 2.0 * square, centers[2] + 0.1 * square]),
     )
-    stand = standing(surfaces, surfaces.vertices, np.array([7]), np.array([2]), (*stars, centers), star_goal, estimate)
+    stand = standing(surfaces, surfaces.vertices, np.array([7]), np.array([2]), (*stars, centers), star_view, estimate)
     np.testing.assert_array_equal(stand, [*expected, True, True])
 
 
 @pytest.mark.parametrize("robots", [0.0, 0.7])
 @pytest.mark.parametrize("share", [0.98, 1.02])
-def test_what_is_known_worse_than_the_way_can_have_made_it_was_mapped_otherwise(share, robots):
+def test_what_is_known_worse_than_the_way_can_have_made_it_is_weakly_tied(share, robots):
     """Landmark 1 before the robot, 2 and 3 so uncertain 4 m away, along either axis, 4 not known jointly with it, all
-    by so much more as the robot is; goals 0 and 1 saw one of each kind, 2 the uncertain ones only, 3 none known."""
+    by so much more as the robot is; views 0 and 1 saw one of each kind, 2 the uncertain ones only, 3 none known."""
     p_MD = np.array([20.0, 10.0])
     p_ML = p_MD + np.array([[1.0, 0.0], [0.0, 4.0], [4.0, 0.0], [4.0, 4.0]])
     uncertain = share * (MOST_DRIFT + 4.0 * SWING)
@@ -87,21 +87,21 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_was_mapped_otherwise(
     surfaces = Surfaces(
         kind=np.zeros(5, dtype=np.int64),
         ids=np.array([[1, 2], [1, -1], [2, 3], [-1, -1], [-1, -1]]),
-        goal=np.array([0, 1, 2, 2, 3]),
+        view=np.array([0, 1, 2, 2, 3]),
         range=np.ones(5),
         offsets=2 * np.arange(6),
         vertices=np.zeros((10, 2)),
     )
-    told = mapped_otherwise(surfaces, np.array([3, 4]), np.array([1, 3]), estimate)
-    otherwise = share > 1.0
-    assert told.landmarks.tolist() == [False, otherwise, otherwise, False]
-    assert told.goals.tolist() == [False, False, otherwise, False, False]
-    assert told.surfaces.tolist() == [otherwise, False, otherwise, otherwise, False]
+    told = weakly_tied(surfaces, np.array([3, 4]), np.array([1, 3]), estimate)
+    weak = share > 1.0
+    assert told.landmarks.tolist() == [False, weak, weak, False]
+    assert told.views.tolist() == [False, False, weak, False, False]
+    assert told.surfaces.tolist() == [weak, False, weak, weak, False]
     # What is in view is here, however badly it is known ...
     seen = replace(seen, ids=np.array([1, 2, 3]))
-    assert not mapped_otherwise(
+    assert not weakly_tied(
         surfaces, np.array([3, 4]), np.array([1, 3]), replace(estimate, observation=seen)
-    ).goals.any()
+    ).views.any()
     # ... and a look that sees nothing changes nothing.
     blind = replace(estimate, observation=empty_map().observation)
-    assert mapped_otherwise(surfaces, np.array([3, 4]), np.array([1, 3]), blind).goals.tolist() == told.goals.tolist()
+    assert weakly_tied(surfaces, np.array([3, 4]), np.array([1, 3]), blind).views.tolist() == told.views.tolist()

@@ -5,7 +5,17 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tfg_drake.tfg.polyline import arc_length, covered, cut, joined, nearest, pack, sample, segments_of, uncovered_runs
+from tfg_drake.tfg.polyline import (
+    arc_length,
+    covered,
+    joined,
+    nearest,
+    pack,
+    sample,
+    segments_of,
+    sub_polyline,
+    uncovered_runs,
+)
 
 
 def _polylines(seed: int, count: int) -> list[np.ndarray]:
@@ -55,8 +65,8 @@ def test_left_is_the_side_of_the_normal() -> None:
 
 def test_cut_keeps_the_corners_between() -> None:
     polyline = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    np.testing.assert_allclose(cut(polyline, 0.5, 1.5), [[0.5, 0.0], [1.0, 0.0], [1.0, 0.5]])
-    np.testing.assert_allclose(cut(polyline, 0.0, 2.0), polyline)
+    np.testing.assert_allclose(sub_polyline(polyline, 0.5, 1.5), [[0.5, 0.0], [1.0, 0.0], [1.0, 0.5]])
+    np.testing.assert_allclose(sub_polyline(polyline, 0.0, 2.0), polyline)
 
 
 def test_segments_do_not_join_polylines() -> None:

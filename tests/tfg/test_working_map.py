@@ -1,4 +1,4 @@
-"""The part of a large map that is worked on takes a goal up as the whole map does."""
+"""The part of a large map that is worked on takes a view up as the whole map does."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.tfg import graph as whole
 from tfg_drake.tfg.frontier import join, place_points, points_of, select
-from tfg_drake.tfg.graph import Sightings, TfgGraph, no_sightings, resolve
+from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, no_sightings, resolve
 from tfg_drake.tfg.working_map import empty_graphs, update, whole_graph, working_map
 
 # A corridor, rooms with thin walls and doors on one side of it, an unexplored end.
@@ -25,7 +25,7 @@ FAR_END = np.array([64.0, 1.4, 0.0])
 
 @pytest.fixture(autouse=True)
 def little_is_worked_on(monkeypatch) -> None:
-    """As much as one goal sees, or the corridor would have to be longer."""
+    """As much as one view sees, or the corridor would have to be longer."""
     monkeypatch.setattr("tfg_drake.tfg.working_map.COMPLETE", 1.0)
 
 
@@ -66,7 +66,7 @@ def toured(world, glance=False, sightings_at=-1, small_until=0):
     for k, X_WA in enumerate(TOUR):
         seen = no_sightings()
         if k == sightings_at:
-            seen = Sightings(np.array([10_000]), X_WA[None, :2] + [1.0, 0.5], X_WA[None, :2])
+            seen = UnmappedSightings(np.array([10_000]), X_WA[None, :2] + [1.0, 0.5], X_WA[None, :2])
         graphs = take_up(world, graphs, X_WA, seen, glance, is_large=k >= small_until)
     return graphs
 
@@ -81,7 +81,7 @@ def take_up(world, graphs, X_WA, seen, glance, is_large=True):
 
 
 @pytest.mark.parametrize("glance", [False, True])
-def test_a_goal_changes_the_part_round_it_as_it_does_the_whole(simulate, glance) -> None:
+def test_a_view_changes_the_part_round_it_as_it_does_the_whole(simulate, glance) -> None:
     world = simulate(WALLS)
     graphs = toured(world, glance, sightings_at=4)
     assert len(world.graph.surfaces.kind) > 100
@@ -94,10 +94,10 @@ def test_what_a_small_map_found_far_away_rests_where_it_lies(simulate) -> None:
     graphs = toured(world, small_until=18)
     assert_same(world.graph, whole_graph(graphs), world, world.estimate)
     graphs = take_up(world, graphs, FAR_END, no_sightings(), False)
-    assert graphs.resting
-    for part in (graphs.near, *graphs.resting.values()):
+    assert graphs.inactive
+    for part in (graphs.active, *graphs.inactive.values()):
         for points in (part.unseen_backs, part.open_ends):
-            away = place_points(points, world.estimate.X_MA).p - world.estimate.X_MA[points.goal, :2]
+            away = place_points(points, world.estimate.X_MA).p - world.estimate.X_MA[points.view, :2]
             assert np.hypot(*away.T).max(initial=0.0) < 11.0
 
 
@@ -108,8 +108,8 @@ def test_what_is_worked_on_is_the_map_as_far_as_a_stage_needs_it(simulate) -> No
     part = working_map(graphs, estimate, world.last_panorama, world.robot, world.explorer)
     assert not part.is_all
     assert part.stage == len(TOUR) + 1
-    np.testing.assert_array_equal(part.goals, graphs.goals)
-    assert len(part.tfg.star_centers) == len(graphs.goals)
+    np.testing.assert_array_equal(part.views, graphs.views)
+    assert len(part.tfg.star_centers) == len(graphs.views)
     all_of_it = resolve(world.graph, estimate, world.robot, world.explorer)
     near = np.hypot(*(all_of_it.frontiers - FAR_END[:2]).T) < part.reach
     gap, _ = cKDTree(part.tfg.frontiers).query(all_of_it.frontiers[near])
@@ -122,11 +122,11 @@ def test_what_is_worked_on_is_the_map_as_far_as_a_stage_needs_it(simulate) -> No
     distance, _ = cKDTree(part.tfg.segments[:, :2]).query(all_of_it.segments[seen, :2])
     assert seen.sum() > 30
     assert distance.max() < 0.1
-    # Row for row with its own landmarks, which are what near goals saw and what is within reach.
+    # Row for row with its own landmarks, which are what near views saw and what is within reach.
     at = np.searchsorted(estimate.ids, part.estimate.ids)
     assert 0 < len(at) < len(estimate.ids)
     np.testing.assert_array_equal(part.estimate.p_ML, estimate.p_ML[at])
-    faced = np.isin(part.estimate.ids, graphs.near.tag_ids)
+    faced = np.isin(part.estimate.ids, graphs.active.tag_ids)
     np.testing.assert_allclose(part.tfg.facing[faced], all_of_it.facing[at[faced]], atol=1e-12)
     assert np.isin(np.flatnonzero(np.hypot(*(estimate.p_ML - FAR_END[:2]).T) < 10.0), at).all()
     assert len(part.estimate.covariance) == 2 * len(part.estimate.local) + 3
@@ -145,7 +145,7 @@ def test_a_small_map_is_worked_on_as_a_whole(two_rooms) -> None:
             two_rooms.robot,
             two_rooms.explorer,
         )
-    assert whole_graph(graphs).stage == graphs.near.stage == len(graphs.goals)
+    assert whole_graph(graphs).stage == graphs.active.stage == len(graphs.views)
     part = working_map(graphs, two_rooms.estimate, two_rooms.last_panorama, two_rooms.robot, two_rooms.explorer)
     assert part.is_all
     assert part.estimate is two_rooms.estimate
@@ -160,12 +160,12 @@ def test_nothing_rests_where_all_of_the_map_is_asked_at_every_stage(simulate, se
         world.observe(X_WA, glance=True)
         arguments = large(world.estimate), world.last_panorama, no_sightings(), world.tags, world.robot
         graphs = update(graphs, *arguments, explorer, glance=True)
-    assert not graphs.resting
+    assert not graphs.inactive
 
 
 def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_it_is(simulate, monkeypatch) -> None:
     """A passage 1 m wide along a room, whose map has drifted by 1 m into the passage; before, a wall far away."""
-    monkeypatch.setattr("tfg_drake.tfg.resting.LEAST_GOALS", 1)
+    monkeypatch.setattr("tfg_drake.tfg.submaps.LEAST_VIEWS", 1)
     walls = [[-3.0, 0.2, 3.0, 0.2], [3.0, 0.2, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [998.0, 2.0, 1002.0, 2.0]]
     walls += [[-8.0, 0.0, 8.0, 0.0], [-8.0, -1.0, 8.0, -1.0], [-1.0, -1.0, -1.0, -0.45]]
     in_room, in_passage = np.array([-2.0, 1.6, 0.0]), np.array([0.5, -0.5, 0.0])
@@ -178,13 +178,13 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
     drifted = in_room - np.array([0.0, 1.0, 0.0])
     # Much of what is open in the room lies now where it is in the passage, and in the middle of that.
     open_there = {}
-    for name in ("shadows", "uninspected"):
-        there = place_points(select(of := getattr(passage.near, name), of.goal == 1), np.array(alone.X_MA))
+    for name in ("free_space_frontiers", "uninspected"):
+        there = place_points(select(of := getattr(passage.active, name), of.view == 1), np.array(alone.X_MA))
         p, normal = (np.vstack([each, [xy]]) for each, xy in ((there.p, [1.0, -0.5]), (there.normal, [0.0, -1.0])))
         points = points_of(1, transform(inverse(drifted), p), normal, np.full(len(p), 0.3))
-        open_there[name] = join(getattr(graphs.near, name), points)
-    room = replace(graphs.near, **open_there)
-    graphs = replace(graphs, near=room)
+        open_there[name] = join(getattr(graphs.active, name), points)
+    room = replace(graphs.active, **open_there)
+    graphs = replace(graphs, active=room)
     of_room = np.isin(np.arange(len(world.p_WT)), room.tag_ids) & (world.p_WT[:, 0] < 100.0)
     world.error = np.where(of_room, -1.0, 0.0)[:, None] * [[0.0, 1.0]]
     world.sigma = np.where(of_room, 2.0, 1e-3)
@@ -197,12 +197,12 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
     )
     np.testing.assert_array_equal(part.tfg.segments, expected.tfg.segments)
     assert part.tfg.facing.any(axis=1).tolist() == (~of_room[part.estimate.ids]).tolist()
-    for name in ("shadows", "uninspected"):
-        mine, alone_there = getattr(graphs.near, name), getattr(passage.near, name)
-        np.testing.assert_array_equal(mine.p[mine.goal == 2], alone_there.p[alone_there.goal == 1])
+    for name in ("free_space_frontiers", "uninspected"):
+        mine, alone_there = getattr(graphs.active, name), getattr(passage.active, name)
+        np.testing.assert_array_equal(mine.p[mine.view == 2], alone_there.p[alone_there.view == 1])
     # ... which loses nothing by that,
-    for name in ("shadows", "uninspected"):
-        mine, before = (select(of := getattr(graph, name), of.goal == 1) for graph in (graphs.near, room))
+    for name in ("free_space_frontiers", "uninspected"):
+        mine, before = (select(of := getattr(graph, name), of.view == 1) for graph in (graphs.active, room))
         assert len(before.p) > 1
         np.testing.assert_array_equal(mine.p, before.p)
     all_of_it = resolve(whole_graph(graphs), world.estimate, world.robot, world.explorer)
@@ -216,8 +216,8 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
 
 
 def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_view(simulate, monkeypatch) -> None:
-    """The end of a wall that its goal only looked along has drifted into the middle of where the robot is."""
-    monkeypatch.setattr("tfg_drake.tfg.resting.LEAST_GOALS", 1)
+    """The end of a wall that its view only looked along has drifted into the middle of where the robot is."""
+    monkeypatch.setattr("tfg_drake.tfg.submaps.LEAST_VIEWS", 1)
     box = [[-3.0, -3.0, 3.0, -3.0], [3.0, -3.0, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [-3.0, 3.0, -3.0, -3.0]]
     elsewhere = [[998.0, 2.0, 1002.0, 2.0], [96.0, 2.0, 108.0, 2.0]]
     world = simulate([*elsewhere, *box], noise=0.0)
@@ -228,5 +228,5 @@ def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_vie
     world.sigma = np.where(of_wall, 2.0, 1e-3)
     world.X_MA[1] = np.array([-6.0, 0.0, 0.0])
     graphs = take_up(world, graphs, np.zeros(3), no_sightings(), False)
-    tried = place_points(graphs.near.tried, np.array(world.X_MA)).p
+    tried = place_points(graphs.active.tried, np.array(world.X_MA)).p
     assert (np.abs(tried - [1.0, 2.0]).max(axis=1) < 1.0).any()

@@ -1,4 +1,4 @@
-"""Which things hang together, pair by pair (a numba kernel)."""
+"""Connected components by union-find (numba kernels)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from tfg_drake.messages import IntArray
 
 @njit(cache=True)
 def connect(first: IntArray, a: int, b: int) -> None:
-    """Note that a and b hang together, in place: following first (n,) from entry to entry leads from either to the
-    least of all that do, which is its own. Before the first pair it is 0, 1, ..., n - 1."""
+    """Merge the components of a and b, in place.
+
+    first: (n,) the union-find forest; following it from entry to entry leads to the least member of a component, which
+    is its own entry. Before the first pair it is 0, 1, ..., n - 1.
+    """
     while first[a] != a:
         first[a] = first[first[a]]
         a = first[a]
@@ -21,7 +24,7 @@ def connect(first: IntArray, a: int, b: int) -> None:
 
 
 @njit(cache=True)
-def settle(first: IntArray) -> None:
-    """Lead every entry to the least that it hangs together with in one step, in place; see `connect`."""
+def component_labels(first: IntArray) -> None:
+    """Replace every entry of the forest (n,) by the least member of its component, in place; see `connect`."""
     for i in range(len(first)):
         first[i] = first[first[i]]

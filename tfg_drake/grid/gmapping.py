@@ -173,7 +173,7 @@ def pose_estimate(state: GmappingState, stage: int) -> PoseEstimate:
     """Where the best particle is, carried on by odometry since the newest scan that was put in.
 
     Its covariance is that of the weighted particles, their headings taken as angles, and of the odometry since.
-    stage: number of goals, for the message.
+    stage: number of views, for the message.
     """
     X_OB = state.reckonings[-1].X_OB if state.reckonings else np.zeros(3)
     X_UB = se2.between(state.X_OU, X_OB)
@@ -196,7 +196,7 @@ def pose_estimate(state: GmappingState, stage: int) -> PoseEstimate:
 
 
 def grid_map(state: GmappingState, stage: int) -> GridMap:
-    """The best particle's grid. stage: number of goals, for the message."""
+    """The best particle's grid. stage: number of views, for the message."""
     origin, steps = log_odds(state.maps, best_particle(state))
     return GridMap(stage, state.stamp, state.maps.resolution, origin, probability(steps))
 

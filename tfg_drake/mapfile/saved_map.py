@@ -28,8 +28,8 @@ from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 7
-# Bytes of a map's arrays at most; 274 landmarks and 138 goals have 0.8 MB.
+SCHEMA = 8
+# Bytes of a map's arrays at most; 274 landmarks and 138 views have 0.8 MB.
 _LARGEST = 64 * 2**20
 # Fields of the TfgMap that are places.
 _PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
@@ -43,11 +43,11 @@ class MapFileError(Exception):
 class SavedMap:
     """A map as it is kept on disk.
 
-    X_WM: (3,) pose of the map frame in the world, m and rad. stage: goals in it. stamp: time of the last, s. graph: the
+    X_WM: (3,) pose of the map frame in the world, m and rad. stage: views in it. stamp: time of the last, s. graph: the
     estimator's keyframes and values. odometry_calibration: (3,), odometry_covariance: (3, 3), camera and range_scale:
     what it knows of the odometry, see OdometryModel, of the camera, and of the tag sensor's ranges. doubtful: (d,) ids,
     ascending, of tags that were seen but are not known to be at any one place, landmarks or not. tfg_graph: the
-    topological feature graph, anchored to landmarks and goals, of the same stage or, where a run was cut short between
+    topological feature graph, anchored to landmarks and views, of the same stage or, where a run was cut short between
     the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
 
@@ -85,7 +85,7 @@ class SavedMap:
 
     @property
     def X_MA(self) -> FloatArray:
-        """(g, 3) arrival poses of the goals and glances in M, m and rad."""
+        """(g, 3) arrival poses of the views in M, m and rad."""
         return self.graph.X_MA
 
     @property
@@ -131,7 +131,7 @@ REGISTRY: Registry = {
     },
     TfgGraph: {
         "tag_ids": ("n",),
-        "tag_goal": ("n",),
+        "tag_view": ("n",),
         "tag_facing": ("n", 2),
         "tag_range": ("n",),
         "star_offsets": ("k+1",),
@@ -142,13 +142,13 @@ REGISTRY: Registry = {
     Surfaces: {
         "kind": ("s",),
         "ids": ("s", 2),
-        "goal": ("s",),
+        "view": ("s",),
         "range": ("s",),
         "offsets": ("s+1",),
         "vertices": ("v", 2),
     },
     FrontierPoints: {
-        "goal": ("f",),
+        "view": ("f",),
         "p": ("f", 2),
         "normal": ("f", 2),
         "length": ("f",),
@@ -175,19 +175,19 @@ REGISTRY: Registry = {
 
 
 def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg: TfgMap) -> SavedMap:
-    """What is kept of a map.
+    """The map as it is saved.
 
     Args:
         X_WM: (3,) pose of the map frame in the world, m and rad.
-        state: the estimator's, after its first goal.
+        state: the estimator's, after its first view.
         tfg_graph, tfg: the TFG builder's, of one stage, that of the estimator's map or the one before.
 
     Raises:
-        ValueError: no goal is in the map yet.
+        ValueError: no view is in the map yet.
     """
     estimate = state.map
     if estimate is None:
-        raise ValueError("There is no map before the first goal.")
+        raise ValueError("There is no map before the first view.")
     return SavedMap(
         X_WM=np.array(X_WM, dtype=float),
         stage=estimate.stage,
@@ -205,7 +205,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
 
 def restored_estimate(saved: SavedMap) -> MapEstimate:
     """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
-    round the last goal. Its observation is empty: what the newest goal saw is in the keyframes."""
+    round the last view. Its observation is empty: what the newest view saw is in the keyframes."""
     nothing = empty_map().observation
     estimate = solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
     return replace(estimate, doubtful=saved.doubtful)
@@ -290,7 +290,7 @@ def _read(path: Path) -> dict[str, Array]:
 
 
 def _contradiction(saved: SavedMap) -> str:
-    """What in a map does not fit together, "" where all does; indices are within bounds after this."""
+    """The first inconsistency of a map, in words; "" without any, and then all indices are within bounds."""
     graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
     landmarks, known = len(graph.ids), graph.ids
     if not 1 <= stage == len(graph.view_keyframe):
@@ -312,23 +312,23 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != landmarks:
         return "tfg.facing does not fit graph.ids"
-    if len(tfg_graph.tried_count) != len(tfg_graph.tried.goal):
+    if len(tfg_graph.tried_count) != len(tfg_graph.tried.view):
         return "tfg_graph.tried_count does not fit tfg_graph.tried"
-    if len(tfg_graph.met_stamp) != len(tfg_graph.met.goal):
+    if len(tfg_graph.met_stamp) != len(tfg_graph.met.view):
         return "tfg_graph.met_stamp does not fit tfg_graph.met"
-    if len(tfg_graph.viewpoints.goal) != len(tfg_graph.sighted.goal):
+    if len(tfg_graph.viewpoints.view) != len(tfg_graph.sighted.view):
         return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
     places = {"graph.p_ML": graph.p_ML, "graph.X_MN": graph.X_MN[:, :2]}
     places |= {f"tfg.{name}": getattr(tfg, name) for name in _PLACES}
     for name, p_M in places.items():
         if not (np.abs(p_M) <= LONGEST).all():
             return f"{name} is more than {LONGEST:g} m from the origin"
-    goals = {"tag_goal": tfg_graph.tag_goal, "surfaces.goal": tfg_graph.surfaces.goal}
+    views = {"tag_view": tfg_graph.tag_view, "surfaces.view": tfg_graph.surfaces.view}
     for field in dataclasses.fields(TfgGraph):
         if isinstance(points := getattr(tfg_graph, field.name), FrontierPoints):
-            goals[f"{field.name}.goal"] = points.goal
-    for name, goal in goals.items():
-        if np.any((goal < 0) | (goal >= tfg_graph.stage)):
+            views[f"{field.name}.view"] = points.view
+    for name, view in views.items():
+        if np.any((view < 0) | (view >= tfg_graph.stage)):
             return f"tfg_graph.{name} does not fit tfg_graph.stage"
     ids = {"tfg_graph.tag_ids": tfg_graph.tag_ids, "tfg_graph.surfaces.ids": tfg_graph.surfaces.ids}
     for name, some in (ids | {"tfg.segment_ids": tfg.segment_ids}).items():

@@ -19,7 +19,7 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     area = covered_area(tfg.star_offsets, tfg.star_vertices)
     rows = [
         ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
-        ("goals", f"{saved.stage} goals and glances, the last at {saved.stamp:.1f} s"),
+        ("views", f"{saved.stage} turns and glances, the last at {saved.stamp:.1f} s"),
         ("landmarks", f"{len(saved.ids)} landmarks" + _named_doubtful(saved)),
         ("deviation", _deviation(saved)),
         ("entropy", f"{saved.entropy:.1f} nats"),

@@ -27,14 +27,14 @@ from tfg_drake.pictures.drawing import Mesh, discs, ellipses, outline_segments, 
 from tfg_drake.pictures.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END
 
 FREE: Colour = (0.94, 0.96, 0.92)
-GOAL: Colour = (0.45, 0.25, 0.60)
+VIEW: Colour = (0.45, 0.25, 0.60)
 LEGEND = (
     ("edge", EDGE),
     ("wall end", WALL_END),
     ("surface without tag", BARE_SURFACE),
     ("landmark, 3\u03c3", LANDMARK),
     ("frontier", FRONTIER),
-    ("goal", GOAL),
+    ("view", VIEW),
     ("free space", FREE),
 )
 # Where the server looks for a free port first.
@@ -140,11 +140,11 @@ def _commands(saved: SavedMap) -> Iterator[bytes]:
     segments = np.hstack([transform(X_WM, tfg.segments[:, :2]), transform(X_WM, tfg.segments[:, 2:])])
     for kind, (name, colour) in enumerate((("edges", EDGE), ("ends", WALL_END), ("bare", BARE_SURFACE))):
         yield from _mesh(f"surfaces/{name}", ribbons(segments[tfg.segment_kind == kind], unit, 0.02), colour)
-    goals = compose(X_WM, saved.X_MA)
-    tips = goals[:, :2] + 4.0 * unit * np.stack([np.cos(goals[:, 2]), np.sin(goals[:, 2])], axis=1)
-    rings = outline_segments(ellipses(goals[:, :2], np.tile(np.eye(2), (len(goals), 1, 1)), sigmas=2.0 * unit))
-    arrows = np.vstack([rings, np.hstack([goals[:, :2], tips])])
-    yield from _mesh("goals", ribbons(arrows, 0.5 * unit, 0.04), GOAL)
+    views = compose(X_WM, saved.X_MA)
+    tips = views[:, :2] + 4.0 * unit * np.stack([np.cos(views[:, 2]), np.sin(views[:, 2])], axis=1)
+    rings = outline_segments(ellipses(views[:, :2], np.tile(np.eye(2), (len(views), 1, 1)), sigmas=2.0 * unit))
+    arrows = np.vstack([rings, np.hstack([views[:, :2], tips])])
+    yield from _mesh("views", ribbons(arrows, 0.5 * unit, 0.04), VIEW)
     yield from _mesh("frontiers", discs(transform(X_WM, tfg.frontiers), 1.1 * unit, 0.06), FRONTIER)
     p_WL, covariance = landmarks_in_world(saved)
     yield from _mesh("ellipses", ribbons(outline_segments(ellipses(p_WL, covariance)), 0.3 * unit, 0.08), LANDMARK)

@@ -12,7 +12,7 @@ import numpy as np
 from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus, replace
 
 # A follower status older than this after a phase began may still speak of the phase before, s.
-SETTLING_TIME = 0.125
+STATUS_LATENCY = 0.125
 # New paths asked for at one stage before the robot observes where it stands instead.
 MAX_REPLANS = 5
 # The same where nothing is in the way, but the base does not move: it has not seen its way, and a look round shows it.
@@ -38,7 +38,7 @@ PATIENCE = 4.0
 class MissionInputs:
     """What the sequencer sees at one instant.
 
-    time: s. follower, goal, path, path_status: the newest messages. mapped_stage: goals in the map and in all that is
+    time: s. follower, view, path, path_status: the newest messages. mapped_stage: views in the map and in all that is
     made of it. max_speed: the robot's, m/s. glance_period: s, as explorer.glance_period. bumper: the base reports
     contact. pause, enable, stop: the operator's inputs.
     """
@@ -72,7 +72,7 @@ def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     if status.phase == "paused":
         if held:
             return status
-        # A path may have gone stale while the robot stood (or was carried): plan it anew.
+        # A path may have gone stale while the robot stood (or was kidnapped): plan it anew.
         resume = "plan" if status.resume_phase == "follow" else status.resume_phase
         since = status.since if resume == "observe" else inputs.time
         # What a glance was to see ahead is not where the robot drives any more: it stands until there is a new path.
@@ -94,7 +94,7 @@ def _end(status: MissionStatus, inputs: MissionInputs, outcome: str, reason: str
 
 
 def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
-    fresh = inputs.follower.stamp > status.since + SETTLING_TIME
+    fresh = inputs.follower.stamp > status.since + STATUS_LATENCY
     return _begin(status, inputs, "map", changes=0) if fresh and inputs.follower.turn_done else status
 
 

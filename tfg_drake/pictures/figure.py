@@ -21,7 +21,7 @@ from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
 _MAPPED, _DOUBTFUL, _MISSED = "#12876f", "#a32ea8", "#d62728"
-# Goals nearer to each other than this, m and in points of the drawing, are not both numbered.
+# Views nearer to each other than this, m and in points of the drawing, are not both numbered.
 NUMBER_SPACING = 1.5
 NUMBER_POINTS = 36.0
 _ESTIMATE, _TRUTH = "#1f4e9c", "#7fb2e5"
@@ -92,7 +92,7 @@ def draw_run(
     if estimate is not None:
         mapped = estimate.ids
         draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, estimate.is_doubtful, symbol)
-        _draw_goals(axes, X_WM, estimate.X_MA)
+        _draw_views(axes, X_WM, estimate.X_MA)
     if world is not None and grid is None:
         missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
         if len(missed):
@@ -125,7 +125,7 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
     draw_surfaces(axes, X_WM, tfg)
     draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, np.isin(saved.ids, saved.doubtful), symbol)
-    _draw_goals(axes, X_WM, saved.X_MA)
+    _draw_views(axes, X_WM, saved.X_MA)
     if len(tfg.frontiers):
         p_WF = transform(X_WM, tfg.frontiers)
         axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
@@ -208,21 +208,21 @@ def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
     axes.axis(limits)
 
 
-def _draw_goals(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]
-    """A dot where each goal's turn or glance began, under its number where there is room for one."""
-    goals = compose(X_WM, X_MA)[:, :2] if len(X_MA) else np.zeros((0, 2))
-    if not len(goals):
+def _draw_views(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]
+    """A dot where each turn or glance began, under its number where there is room for one."""
+    views = compose(X_WM, X_MA)[:, :2] if len(X_MA) else np.zeros((0, 2))
+    if not len(views):
         return
     x_min, x_max = axes.get_xlim()
     spacing = max(NUMBER_SPACING, NUMBER_POINTS * (x_max - x_min) / (_WIDTH * _POINTS_PER_INCH))
     numbered: list[int] = []
     # The last first: where the robot came back, the newer number says so.
-    for number in range(len(goals) - 1, -1, -1):
-        if all(np.hypot(*(goals[number] - goals[other])) > spacing for other in numbered):
+    for number in range(len(views) - 1, -1, -1):
+        if all(np.hypot(*(views[number] - views[other])) > spacing for other in numbered):
             numbered.append(number)
-    axes.plot(*goals.T, "o", markersize=3, color=_ESTIMATE, linewidth=0, label="goal or glance", zorder=4.9)
+    axes.plot(*views.T, "o", markersize=3, color=_ESTIMATE, linewidth=0, label="turn or glance", zorder=4.9)
     # As wide as the number is.
     box = {"boxstyle": "round,pad=0.3,rounding_size=0.8", "facecolor": "white", "edgecolor": _ESTIMATE}
     middle = {"ha": "center", "va": "center"}
     for number in numbered:
-        axes.text(*goals[number], str(number + 1), fontsize=6, color=_ESTIMATE, bbox=box, **middle, zorder=5)
+        axes.text(*views[number], str(number + 1), fontsize=6, color=_ESTIMATE, bbox=box, **middle, zorder=5)

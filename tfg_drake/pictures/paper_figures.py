@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection, PathCollection, PolyCollectio
 from matplotlib.figure import Figure
 
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.planning.candidates import GoalParameters, Situation, expected_gains, places
+from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.information_gain import Gains
 from tfg_drake.storage.files import write_atomic
@@ -23,7 +23,7 @@ from tfg_drake.storage.files import write_atomic
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.01}
 FORMATS = (".png", ".pdf")
 _SURFACE, _BARE, _FREE = "0.15", "0.55", "#f3f5f1"
-_LANDMARK, _FRONTIER, _GOAL = "#12876f", "#1a5ce0", "#8a8f98"
+_LANDMARK, _FRONTIER, _VIEW = "#12876f", "#1a5ce0", "#8a8f98"
 _COLOURS = "coolwarm"
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 
@@ -43,7 +43,7 @@ def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gain
     estimate, tfg, roadmap = stage.estimate, stage.tfg, stage.roadmap
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     tags = expected_tags(roadmap.points[nodes], estimate, tfg, parameters.sensor)
-    return nodes, expected_gains(nodes, tags, Situation(estimate, tfg, roadmap, parameters))
+    return nodes, turn_gains(nodes, tags, Situation(estimate, tfg, roadmap, parameters))
 
 
 def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
@@ -78,7 +78,7 @@ def draw_tfg(stage: Stage) -> Figure:
     seen = estimate.p_ML[np.isin(estimate.ids, estimate.observation.ids)]
     rays = [(X_MA[-1, :2], p) for p in seen]
     axis.add_collection(LineCollection(rays, colors=_FRONTIER, linewidths=0.3, alpha=0.5, label="seen from the newest"))
-    axis.plot(*X_MA[:, :2].T, "o", color=_GOAL, markersize=7, markeredgewidth=0, label="goal point", zorder=5)
+    axis.plot(*X_MA[:, :2].T, "o", color=_VIEW, markersize=7, markeredgewidth=0, label="goal point", zorder=5)
     for number, (x, y, _) in enumerate(X_MA, start=1):
         axis.text(x, y, str(number), fontsize=5, color="white", ha="center", va="center", zorder=6)
     figure.legend(loc="outside lower center", ncols=5, fontsize=7, frameon=False)
@@ -92,8 +92,8 @@ def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -
     figure, axes = _panels(stages[-1].tfg, -(-len(stages) // columns), columns)
     for axis, stage in zip(axes, stages, strict=False):
         _draw_map(axis, stage)
-        axis.plot(*p_MB[stamps <= stage.estimate.stamp].T, "-", color=_GOAL, linewidth=0.6, zorder=2)
-        axis.plot(*stage.estimate.X_MA[:, :2].T, "o", color=_GOAL, markersize=3, markeredgewidth=0, zorder=5)
+        axis.plot(*p_MB[stamps <= stage.estimate.stamp].T, "-", color=_VIEW, linewidth=0.6, zorder=2)
+        axis.plot(*stage.estimate.X_MA[:, :2].T, "o", color=_VIEW, markersize=3, markeredgewidth=0, zorder=5)
         text = f"stage {stage.estimate.stage}, {stage.estimate.stamp:.0f} s, {len(stage.estimate.ids)} landmarks"
         axis.set_title(text, fontsize=8)
     return figure

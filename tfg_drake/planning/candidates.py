@@ -1,4 +1,4 @@
-"""The candidates for the next goal: which they are, and what each is expected to bring."""
+"""The candidates for the next goal and their expected gains."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
-from tfg_drake.planning.expected_view import View, expected_tags, local_view
+from tfg_drake.planning.expected_gains import ExpectedGains
+from tfg_drake.planning.expected_view import Visibility, expected_tags, local_visibility
 from tfg_drake.planning.information_gain import Gains, frontier_reach, turns
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
-from tfg_drake.planning.promises import Promises
 from tfg_drake.tfg.drift import known_jointly
 from tfg_drake.tfg.star_polygon import looked_round
 
@@ -31,8 +31,7 @@ KNOWN_REACH = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class GoalParameters:
-    """What the choice of goals needs to know of the robot, its sensors and the explorer, and the seed of the rule that
-    goes anywhere."""
+    """The parameters of robot, sensors and explorer for the choice of a goal, and the seed of the rule `random`."""
 
     robot: RobotConfig
     sensor: TagSensorConfig
@@ -43,8 +42,8 @@ class GoalParameters:
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """All that a choice goes by at one stage: map, TFG and roadmap of that stage, or as much of them as is near, and
-    what is known of the robot."""
+    """The input of a choice at one stage: map, TFG and roadmap of that stage, or their active part, and the
+    parameters."""
 
     estimate: MapEstimate
     tfg: TfgMap
@@ -56,16 +55,16 @@ class Situation:
 class Candidates:
     """Places to go to next.
 
-    nodes: (c,) of the roadmap, ascending, names: (c,) theirs. points: (c, 2) m in M, time: (c,) s to get there.
-    promises: what each is expected to bring. tags: (c,) known landmarks in view, -1 where they were not looked up.
+    nodes: (c,) of the roadmap, ascending, node_ids: (c,) theirs. points: (c, 2) m in M, time: (c,) s to get there.
+    expected_gains: (c,) of a full turn at each. tags: (c,) known landmarks in view, -1 where they were not looked up.
     open_ahead: (c, f) m that each sees of each live frontier point.
     """
 
     nodes: IntArray
-    names: IntArray
+    node_ids: IntArray
     points: FloatArray
     time: FloatArray
-    promises: Promises
+    expected_gains: ExpectedGains
     tags: IntArray
     open_ahead: FloatArray
 
@@ -75,11 +74,11 @@ class Candidates:
         return np.asarray(self.open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
 
     def worth(self, stop_gain: float, asked: BoolArray) -> BoolArray:
-        """Which (c,) are worth a visit: they see enough live frontier, or promise more than stop_gain, nats, as far as
-        that is asked (c,)."""
+        """Which (c,) are worth a visit: they see enough live frontier, or have a gain above stop_gain, nats. The
+        gain counts only where it is asked for (c,)."""
         enough = self.sees_enough
-        self.promises.ask(np.flatnonzero(asked & ~enough & (self.promises.gains.gain > stop_gain)))
-        return np.asarray(enough | (asked & (self.promises.gains.gain > stop_gain)))
+        self.expected_gains.ask(np.flatnonzero(asked & ~enough & (self.expected_gains.gains.gain > stop_gain)))
+        return np.asarray(enough | (asked & (self.expected_gains.gains.gain > stop_gain)))
 
 
 def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
@@ -93,24 +92,24 @@ def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
 
 
 def judged(now: Situation, previous: GoalChoice) -> Candidates:
-    """The roadmap's reachable nodes, but for those next to past goals, at most explorer.samples of them judged now.
+    """The roadmap's reachable nodes, but for those next to past views, at most explorer.samples of them judged now.
 
-    On a large map, a place where the landmarks are not known jointly with the robot's pose promises what it did when
-    they last were, by the previous choice (see `goal_choice.remember`): nothing has changed there since.
+    On a large map, a place whose landmarks are not known jointly with the robot's pose keeps the gain of the previous
+    choice (see `goal_choice.remember`): nothing has changed there since they last were.
     """
     estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
-    sees = View(roadmap.frontier_offsets, roadmap.frontier_index)
+    sees = Visibility(roadmap.frontier_offsets, roadmap.frontier_index)
     here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
-    kept = ~here & np.isin(roadmap.names(nodes), previous.candidates)
+    kept = ~here & np.isin(roadmap.node_ids(nodes), previous.candidates)
     # Far away, where nothing was worth remembering, only what sees frontier is asked.
     ask = ~kept & (here | (sees.count[nodes] > 0))
     asked = thin_candidates(nodes[ask], sees.count[nodes[ask]], explorer.samples)
     candidates = np.union1d(asked, nodes[kept]) if kept.any() else asked
     ask = np.isin(candidates, asked)
     here = here[np.searchsorted(nodes, candidates)]
-    points, time, names = roadmap.points[candidates], roadmap.travel_time[candidates], roadmap.names(candidates)
+    points, time, node_ids = roadmap.points[candidates], roadmap.travel_time[candidates], roadmap.node_ids(candidates)
     frontiers_seen = sees.of(candidates)
     open_ahead = frontier_seen(points, frontiers_seen, tfg, sensor)
     judge = turns(estimate, tfg, sensor, now.parameters.odometry, explorer)
@@ -124,28 +123,28 @@ def judged(now: Situation, previous: GoalChoice) -> Candidates:
 
     # What is remembered has to be known, and the most that a place can bring is known of the exact gain alone.
     all_at_once = not estimate.is_joint or explorer.gain != "exact" or not explorer.pose_price
-    promised = expected(np.flatnonzero(ask)) if all_at_once else judge.most(points, arrival, frontiers_seen)
-    gains = _filled(previous, names, ask, promised, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
-    promises = Promises(gains, ~ask | all_at_once, expected, pay=explorer.pose_price)
+    judged_now = expected(np.flatnonzero(ask)) if all_at_once else judge.most(points, arrival, frontiers_seen)
+    gains = _filled(previous, node_ids, ask, judged_now, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
+    expected_gains = ExpectedGains(gains, ~ask | all_at_once, expected, pay=explorer.pose_price)
     in_view = np.full(len(candidates), -1)
     if explorer.least_tags:
         in_view[ask] = expected_tags(points[ask], estimate, tfg, sensor, grid).count
-    return Candidates(candidates, names, points, time, promises, in_view, open_ahead)
+    return Candidates(candidates, node_ids, points, time, expected_gains, in_view, open_ahead)
 
 
-def expected_gains(nodes: IntArray, tags: View, now: Situation) -> Gains:
-    """What a full turn at each of the nodes (c,) of the roadmap, from where these tags are seen, is expected to
-    bring."""
+def turn_gains(nodes: IntArray, tags: Visibility, now: Situation) -> Gains:
+    """The gains (c,) of a full turn at each of the nodes (c,) of the roadmap. tags: the landmarks visible from
+    them."""
     roadmap, parameters = now.roadmap, now.parameters
     points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
-    frontiers = View(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
+    frontiers = Visibility(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
     judge = turns(now.estimate, now.tfg, parameters.sensor, parameters.odometry, parameters.explorer)
     return judge.gains(points, judge.arrival(points, distance, time), tags, frontiers)
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:
-    """The nodes, ascending, that the robot at p_MD (2,), m in M, can reach and has not been done with."""
-    return np.flatnonzero(roadmap.reachable & apart_from_goals(roadmap.points, tfg, p_MD))
+    """The nodes, ascending, that the robot at p_MD (2,), m in M, can reach and that are apart from past views."""
+    return np.flatnonzero(roadmap.reachable & apart_from_views(roadmap.points, tfg, p_MD))
 
 
 def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> IntArray:
@@ -161,7 +160,7 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
     return np.sort(np.append(seeing, take(others, count - len(seeing))))
 
 
-def apart_from_goals(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
+def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
     """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
     nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
@@ -196,8 +195,8 @@ def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, s
     if known.all():
         return known
     ask = np.flatnonzero(~known & (np.hypot(*(points - estimate.X_MD[:2]).T) < sensor.range))
-    view = expected_tags(points[ask], estimate, tfg, dataclasses.replace(sensor, range=reach))
-    known[ask] = local_view(view, estimate).count == view.count
+    visible = expected_tags(points[ask], estimate, tfg, dataclasses.replace(sensor, range=reach))
+    known[ask] = local_visibility(visible, estimate).count == visible.count
     return known
 
 
@@ -211,8 +210,8 @@ def _found_again(gains: Gains, known: BoolArray) -> Gains:
 def _filled(
     previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains, sees_frontier: BoolArray
 ) -> Gains:
-    """The gains of all candidates (c,), by name: those of the ones asked for (c,) now, of the others as they were
-    before, but for what they promised of a frontier that they do not see (c,) any more."""
+    """The gains of all candidates (c,), by node id: the new gains of those asked for (c,), the previous gains of the
+    others, whose exploration is 0 where they see no frontier (c,) any more."""
     row = np.searchsorted(previous.candidates, candidates[~asked])
 
     def fill(now: FloatArray, before: FloatArray) -> FloatArray:
@@ -232,12 +231,12 @@ def _filled(
 def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
     """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
     fit."""
-    _, total = _each_seen(roadmap.points, View(roadmap.frontier_offsets, roadmap.frontier_index), tfg, sensor)
+    _, total = _each_seen(roadmap.points, Visibility(roadmap.frontier_offsets, roadmap.frontier_index), tfg, sensor)
     enough = total >= ENOUGH_FRONTIER
     return bool(enough[roadmap.reachable].any()), bool(enough[~roadmap.reachable].any())
 
 
-def frontier_seen(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
+def frontier_seen(points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
     """Length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, less where the view
     ends soon behind it."""
     seen, _ = _each_seen(points, frontiers, tfg, sensor)
@@ -247,9 +246,9 @@ def frontier_seen(points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagS
 
 
 def _each_seen(
-    points: FloatArray, frontiers: View, tfg: TfgMap, sensor: TagSensorConfig
+    points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor: TagSensorConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Of each entry of the view the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
+    """Of each entry of `frontiers` the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
     of_frontier = tfg.frontiers, tfg.frontier_length, frontier_reach(sensor)
     return _lengths_seen(points, frontiers.offsets, frontiers.index, *of_frontier)
 

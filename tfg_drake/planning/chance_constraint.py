@@ -271,9 +271,9 @@ def deviation_along(
     sigma, _ = predicted_deviation(path, estimate, tfg, sensor, odometry, speed)
     step = np.diff(path, axis=0)
     heading = np.arctan2(*np.vstack([step[:1], step]).T[::-1])
-    view = expected_tags(path, estimate, tfg, sensor)
-    point = np.repeat(np.arange(len(path)), view.count)
-    d = estimate.p_ML[view.index] - path[point]
+    visible = expected_tags(path, estimate, tfg, sensor)
+    point = np.repeat(np.arange(len(path)), visible.count)
+    d = estimate.p_ML[visible.index] - path[point]
     ahead = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - heading[point])) < 0.5 * sensor.field_of_view
     in_view = np.bincount(point[ahead], minlength=len(path))
     known = np.flatnonzero((in_view >= 2) | (np.arange(len(path)) == 0))

@@ -1,4 +1,4 @@
-"""What a full turn at a point is expected to see: known landmarks and frontier points (numba kernels)."""
+"""The landmarks and frontier points that a full turn at a point is expected to see (numba kernels)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FRONTIER_INCIDENCE_MARGIN = math.radians(5.0)
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class Visibility:
     """Which targets each of c points sees: point i sees index[offsets[i]:offsets[i + 1]], ascending.
 
     offsets: (c + 1,). index: rows of the targets.
@@ -40,33 +40,33 @@ class View:
         """Targets seen from each point, (c,)."""
         return self.offsets[1:] - self.offsets[:-1]
 
-    def of(self, points: IntArray) -> View:
-        """The view from some of the points, (k,) rows."""
+    def of(self, points: IntArray) -> Visibility:
+        """The visibility from some of the points, (k,) rows."""
         count = self.count[points]
         offsets = np.zeros(len(points) + 1, dtype=np.int64)
         np.cumsum(count, out=offsets[1:])
         row = np.repeat(self.offsets[:-1][points] - offsets[:-1], count) + np.arange(offsets[-1])
-        return View(offsets, self.index[row])
+        return Visibility(offsets, self.index[row])
 
-    def spread(self, points: IntArray, count: int) -> View:
-        """The view from as many points as count, these (k,) rows, ascending, among them; the others see nothing."""
+    def spread(self, points: IntArray, count: int) -> Visibility:
+        """The visibility from `count` points: these are the rows (k,), ascending, of them; the others see nothing."""
         counts = np.zeros(count, dtype=np.int64)
         counts[points] = self.count
-        return View(np.append(0, np.cumsum(counts)), self.index)
+        return Visibility(np.append(0, np.cumsum(counts)), self.index)
 
-    def kept(self, keep: BoolArray) -> View:
-        """The view without some of its entries, keep: one truth value an entry of index."""
+    def kept(self, keep: BoolArray) -> Visibility:
+        """The visibility without some of its entries. keep: one truth value for each entry of index."""
         point = np.repeat(np.arange(len(self.count)), self.count)[keep]
         count = np.bincount(point, minlength=len(self.count))
-        return View(np.append(0, np.cumsum(count)), self.index[keep])
+        return Visibility(np.append(0, np.cumsum(count)), self.index[keep])
 
-    def thinned(self, most: int) -> View:
-        """The view with at most so many targets a point, evenly taken."""
+    def thinned(self, most: int) -> Visibility:
+        """The visibility with at most so many targets a point, evenly taken."""
         count = np.minimum(self.count, most)
         offsets = np.append(0, np.cumsum(count))
         place = np.arange(offsets[-1]) - np.repeat(offsets[:-1], count)
         row = np.repeat(self.offsets[:-1], count) + place * np.repeat(self.count, count) // np.repeat(count, count)
-        return View(offsets, self.index[row])
+        return Visibility(offsets, self.index[row])
 
 
 @njit(cache=True)
@@ -183,7 +183,7 @@ def _hiding(
 
 def expected_tags(
     points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, grid: SegmentGrid | None = None
-) -> View:
+) -> Visibility:
     """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.ids.
 
     A landmark is seen from the side it was seen from before, so those on the far face of a thin wall do not count.
@@ -191,10 +191,12 @@ def expected_tags(
     """
     surfaces = tfg.segments, grid or segment_grid(tfg.segments)
     within = sensor.range, sensor.max_incidence, SURFACE_TOLERANCE
-    return View(*visible_targets(points, estimate.p_ML, tfg.facing, *surfaces, *within, 0.0, 0.0))
+    return Visibility(*visible_targets(points, estimate.p_ML, tfg.facing, *surfaces, *within, 0.0, 0.0))
 
 
-def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0) -> View:
+def expected_frontiers(
+    points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0
+) -> Visibility:
     """Frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of tfg.frontiers.
 
     Past one end of a surface it must look by more than GRAZE (see `tfg_drake.geometry.visibility.surely_visible`).
@@ -202,16 +204,16 @@ def expected_frontiers(points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig,
     """
     surfaces = tfg.segments, segment_grid(tfg.segments)
     within = FRONTIER_RANGE_SHARE * sensor.range, sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN, 0.0
-    view = View(*visible_targets(points, tfg.frontiers, tfg.frontier_normal, *surfaces, *within, GRAZE, 0.0))
+    visible = Visibility(*visible_targets(points, tfg.frontiers, tfg.frontier_normal, *surfaces, *within, GRAZE, 0.0))
     if least_range == 0.0:
-        return view
-    ways = tfg.frontiers[view.index] - np.repeat(points, view.count, axis=0)
-    return view.kept(np.hypot(ways[:, 0], ways[:, 1]) >= least_range)
+        return visible
+    ways = tfg.frontiers[visible.index] - np.repeat(points, visible.count, axis=0)
+    return visible.kept(np.hypot(ways[:, 0], ways[:, 1]) >= least_range)
 
 
-def local_view(tags: View, estimate: MapEstimate) -> View:
-    """A view of rows of estimate.ids as one of the landmarks known jointly, the others left out."""
+def local_visibility(tags: Visibility, estimate: MapEstimate) -> Visibility:
+    """A visibility of rows of estimate.ids as rows of the landmarks known jointly; the others are left out."""
     if estimate.is_joint:
         return tags
     index = estimate.local_entry[tags.index]
-    return View(tags.offsets, index).kept(index >= 0)
+    return Visibility(tags.offsets, index).kept(index >= 0)

@@ -9,22 +9,22 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
-from tfg_drake.planning.barred import barred_places, looked_again, worth_of_looking
 from tfg_drake.planning.budget import Budget, budget_left, way_home
 from tfg_drake.planning.candidates import (
     Candidates,
     GoalParameters,
     Situation,
-    expected_gains,
     frontier_in_sight,
     judged,
     places,
     time_all_round,
     time_at_goal,
+    turn_gains,
 )
 from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
+from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
 
 # After this many goals without a landmark or a surface there is no building here.
@@ -63,19 +63,18 @@ def choose(
     found worth remembering (see remember). everything: they are no part of a larger map. recalled: the robot was called
     back, so that no place is worth going to but home.
 
-    Worth going to is what sees enough live frontier, whatever its gain, and what promises more than explorer.stop_gain.
-    Where no place sees enough, the robot looks again first where the map gains most in accuracy
-    (`tfg_drake.planning.revisit`); where nothing is worth going to, it goes back to passages that were too narrow
-    (`tfg_drake.planning.barred`).
+    A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
+    sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Where
+    none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
-        node, verdict, looked = -1, "stuck", previous.looked_again
+        node, verdict, looked = -1, "stuck", previous.passages_revisited
         if parameters.explorer.return_home:
             node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
         name, p_MG = _named(roadmap, node)
         ended = replace(empty_choice(), stage=estimate.stage, node=name, p_MG=p_MG)
-        return replace(ended, verdict=verdict, reason=reason, looked_again=looked)
+        return replace(ended, verdict=verdict, reason=reason, passages_revisited=looked)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
     stay = time_at_goal(parameters.sensor, explorer)
@@ -86,7 +85,7 @@ def choose(
         if again is not None:
             return again
     candidates = judged(now, previous)
-    promises = candidates.promises
+    expected_gains = candidates.expected_gains
     affordable = budget.affords(roadmap, candidates.nodes)
     worth = candidates.worth(explorer.stop_gain, _in_question(candidates, affordable, explorer))
     # As long as any place is worth going to, every place will do for a goal drawn at random.
@@ -96,20 +95,20 @@ def choose(
     if anywhere:
         value = np.random.default_rng((parameters.seed, estimate.stage)).random(len(candidates.nodes))
         # It goes all the way there: what it comes to is no candidate any more.
-        value[candidates.names == previous.node] = 1.0
+        value[candidates.node_ids == previous.node] = 1.0
     best = pick(value, open_to, candidates.time)
     if explorer.goal == "tour" and best >= 0 and not estimate.is_joint:
         # Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour,
         # must not turn the robot round before it is done with what is nearer.
-        before = np.flatnonzero((candidates.names == previous.node) & open_to & candidates.sees_enough)
+        before = np.flatnonzero((candidates.node_ids == previous.node) & open_to & candidates.sees_enough)
         if len(before) and candidates.time[before[0]] < candidates.time[best]:
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
-    looked, explored = previous.looked_again, math.inf
+    looked, explored = previous.passages_revisited, math.inf
     if best >= 0:
         node, verdict = int(candidates.nodes[best]), "goal"
-        promises.ask(np.array([best]))
-        gain = promises.gains.gain[best]
+        expected_gains.ask(np.array([best]))
+        gain = expected_gains.gains.gain[best]
         rate = gain / (candidates.time[best] + stay)
         reason = f"{gain:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     elif worth.any():
@@ -120,12 +119,12 @@ def choose(
     if verdict != "goal" and explorer.return_home:
         node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
     name, p_MG = _named(roadmap, node)
-    gains = promises.gains
+    gains = expected_gains.gains
     return GoalChoice(
         stage=estimate.stage,
         node=name,
         p_MG=p_MG,
-        candidates=candidates.names,
+        candidates=candidates.node_ids,
         exploitation=gains.exploitation,
         exploration=gains.exploration,
         pose_price=gains.pose_price,
@@ -136,7 +135,7 @@ def choose(
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
         longest_way=budget.longest_way(roadmap, node) if verdict == "goal" else math.inf,
         look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
-        looked_again=looked,
+        passages_revisited=looked,
         explored=explored,
     )
 
@@ -144,17 +143,17 @@ def choose(
 def _homewards(
     estimate: MapEstimate, roadmap: Roadmap, verdict: str, reason: str, looked: IntArray
 ) -> tuple[int, str, str, IntArray]:
-    """Where a mission that ends with this verdict for a reason ends, at home: the node there, -1 for where the robot
-    stands; verdict and reason; and the names (t,) as of `_last`.
+    """The end at home of a mission with this verdict and reason: the node there, -1 for where the robot stands; verdict
+    and reason; and the node ids (t,) as of `_last`.
 
-    Where the way is too narrow, the robot looks at it once more from as near as it gets; where that does not help, it
-    is stuck.
+    Where the way is too narrow, the robot looks at it once more from as near as it gets. If that does not help, it is
+    stuck.
     """
     home = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
     if home < 0 or roadmap.reachable[home]:
         return home, verdict, reason, looked
     before = int(roadmap.entry[home])
-    name = roadmap.names(np.array([before]))
+    name = roadmap.node_ids(np.array([before]))
     if before >= 0 and not np.isin(name, looked).any():
         return before, "goal", "The way home is too narrow: it looks once more.", np.union1d(looked, name)
     return -1, "stuck", f"{reason} But the robot cannot get back to where it began.", looked
@@ -164,7 +163,7 @@ def _named(roadmap: Roadmap, node: int) -> tuple[int, FloatArray]:
     """A node's name and place (2,), m in M; -1 and the origin for none."""
     if node < 0:
         return -1, np.zeros(2)
-    return int(roadmap.names(np.array([node]))[0]), roadmap.points[node]
+    return int(roadmap.node_ids(np.array([node]))[0]), roadmap.points[node]
 
 
 def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
@@ -181,13 +180,13 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     if best < 0:
         return None
     asked, node = nodes[[best]], int(nodes[best])
-    names, points = roadmap.names(asked), roadmap.points[asked]
-    gains = expected_gains(asked, expected_tags(points, estimate, tfg, sensor), now)
+    node_ids, points = roadmap.node_ids(asked), roadmap.points[asked]
+    gains = turn_gains(asked, expected_tags(points, estimate, tfg, sensor), now)
     return GoalChoice(
         stage=estimate.stage,
-        node=int(names[0]),
+        node=int(node_ids[0]),
         p_MG=points[0],
-        candidates=names,
+        candidates=node_ids,
         exploitation=gains.exploitation,
         exploration=gains.exploration,
         pose_price=gains.pose_price,
@@ -197,7 +196,7 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
         reason="All is explored, but the map grows more accurate yet: it looks round once more.",
         latest_arrival=budget.latest_arrival(roadmap, node),
         longest_way=budget.longest_way(roadmap, node),
-        looked_again=previous.looked_again,
+        passages_revisited=previous.passages_revisited,
         explored=min(previous.explored, estimate.stamp),
     )
 
@@ -205,28 +204,27 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
 def _last(
     now: Situation, any_left: bool, budget: Budget, looked: IntArray, *, everything: bool
 ) -> tuple[int, str, str, IntArray]:
-    """Where no candidate, if any is left, is worth going to: the node before a passage that was too narrow, -1 where
-    the mission ends; verdict and reason; and the names (t,) of nodes from which the robot has looked at such a passage
-    again.
+    """The choice where no candidate is worth going to: the node before a passage that was too narrow, -1 where the
+    mission ends; verdict and reason; and the ids (t,) of nodes from which the robot has looked at such a passage again.
 
-    looked: (s,) those so far. everything: as of `choose`.
+    any_left: there are candidates. looked: (s,) node ids so far. everything: as of `choose`.
     """
     estimate, roadmap, stop_gain = now.estimate, now.roadmap, now.parameters.explorer.stop_gain
-    barred = barred_places(now)
-    back = np.zeros(len(barred.nodes))
+    narrow = narrow_places(now)
+    back = np.zeros(len(narrow.nodes))
     if everything:
-        looked = looked_again(barred, roadmap, estimate.X_MD[:2], looked)
-        back = worth_of_looking(barred, roadmap, budget.stay, stop_gain, looked)
-    again = pick(back, (back > 0.0) & budget.affords(roadmap, barred.entry), roadmap.travel_time[barred.entry])
+        looked = passages_revisited(narrow, roadmap, estimate.X_MD[:2], looked)
+        back = worth_of_looking(narrow, roadmap, budget.stay, stop_gain, looked)
+    again = pick(back, (back > 0.0) & budget.affords(roadmap, narrow.entry), roadmap.travel_time[narrow.entry])
     if again >= 0:
-        reason = f"{barred.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
-        return int(barred.entry[again]), "goal", reason, looked
+        reason = f"{narrow.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
+        return int(narrow.entry[again]), "goal", reason, looked
     if back.any():
         return -1, "budget", budget.spent(), looked
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     verdict, reason = why_end(
         any_left,
-        float(barred.gain.max(initial=0.0)),
+        float(narrow.gain.max(initial=0.0)),
         given_up_open(now.tfg, roadmap, now.parameters.robot.radius + NODE_MARGIN),
         float(now.tfg.frontier_length.sum()),
         bool(roadmap.entry[home] < 0),
@@ -236,20 +234,20 @@ def _last(
 
 
 def remember(before: GoalChoice, choice: GoalChoice, roadmap: Roadmap, stop_gain: float) -> GoalChoice:
-    """The choice, with those candidates of the ones before it that were out of its reach, by its roadmap, and that
-    promised more than stop_gain, nats."""
+    """The choice with those candidates of the choice before it added that are out of reach in its roadmap and had a
+    gain above stop_gain, nats."""
     old = (
         (before.gain > stop_gain) & ~roadmap.reaches(before.candidates) & ~np.isin(before.candidates, choice.candidates)
     )
-    names = np.append(before.candidates[old], choice.candidates)
-    order = np.argsort(names)
+    node_ids = np.append(before.candidates[old], choice.candidates)
+    order = np.argsort(node_ids)
 
     def both(then: FloatArray, now: FloatArray) -> FloatArray:
         return np.append(then[old], now)[order]
 
     return replace(
         choice,
-        candidates=names[order],
+        candidates=node_ids[order],
         exploitation=both(before.exploitation, choice.exploitation),
         exploration=both(before.exploration, choice.exploration),
         pose_price=both(before.pose_price, choice.pose_price),
@@ -290,12 +288,12 @@ def _values(
     robot: RobotConfig,
     explorer: ExplorerConfig,
 ) -> tuple[FloatArray, BoolArray]:
-    """What each of the candidates (c,) is worth by the rule explorer.goal, and which of the live frontier points (f,)
+    """The value of each of the candidates (c,) by the rule explorer.goal, and which of the live frontier points (f,)
     are to be looked at from the best.
 
     stay: s at each. open_to: (c,) those that may be chosen.
     """
-    promises, time, open_ahead = candidates.promises, candidates.time, candidates.open_ahead
+    expected_gains, time, open_ahead = candidates.expected_gains, candidates.time, candidates.open_ahead
     all_of_it = np.ones(len(tfg.frontiers), dtype=np.bool_)
     if explorer.goal == "nearest_frontier":
         apart = np.hypot(*(candidates.points[:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
@@ -303,10 +301,10 @@ def _values(
         return nearest_frontier(time, np.where(asked, apart, np.inf)), all_of_it
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
-        return tour(promises, time, stay, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
+        return tour(expected_gains, time, stay, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
     spent = np.ones(len(time)) if explorer.goal == "argmax" else time + stay
-    promises.best(lambda paid: np.where(open_to, paid / spent, -np.inf))
-    return gain_per_time(promises.paid, spent), all_of_it
+    expected_gains.best(lambda paid: np.where(open_to, paid / spent, -np.inf))
+    return gain_per_time(expected_gains.paid, spent), all_of_it
 
 
 def preferred(open_to: BoolArray, tags: IntArray, least_tags: int) -> BoolArray:

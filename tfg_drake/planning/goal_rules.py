@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
+from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.information_gain import Gains
-from tfg_drake.planning.promises import Promises
 from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
 
 # Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
@@ -41,7 +41,7 @@ def nearest_frontier(time: FloatArray, frontier_distance: FloatArray) -> FloatAr
 
 
 def tour(
-    promises: Promises,
+    expected_gains: ExpectedGains,
     time: FloatArray,
     stay: float,
     frontier: FloatArray,
@@ -50,26 +50,26 @@ def tour(
     roadmap: Roadmap,
     speed: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Minus the time (c,), s, until each goal of a short tour is done with, -inf for the others: the tour's first is
-    best. And what that goal is there to look at, (f,) of the frontier points.
+    """The value (c,) of each candidate by a short tour, and which frontier points (f,) the tour's first goal is for.
 
-    The tour's goals look through all that is open near the robot: one after the other, the candidate that adds most of
-    what it promises, nats, by what it sees of the frontier that those before do not, over the time (c,), s, of going
-    there and the stay, s. Their order is the one that takes least time from the robot to the farthest of them, which
-    comes last: exploring goes on from there, and what is nearer now would have to be come back for. The place of the
-    first is then the one that lies best on the way to the second, among those that see as good as all it was chosen
-    for.
+    The value is minus the time, s, until a goal of the tour is done with, so the first goal is best; -inf for
+    candidates that are not in it. The goals are chosen one after the other: the candidate of most gain, nats, in
+    proportion to the frontier that it sees and those before do not, over the time (c,), s, of going there and the stay,
+    s. They are visited in the order that takes least time from the robot to the farthest of them, which comes last, as
+    exploring goes on from there. Last, the first goal is moved to the candidate that lies best on the way to the
+    second, among those that see almost all that it was chosen for.
+
     frontier: (c, f) m that each candidate sees of each frontier point. least: m, less than this is not worth a goal.
-    nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides; where no place that sees
-    enough promises anything, as by an approximation with few tags in view, the metres of frontier do.
+    nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides; where no candidate that
+    sees enough has any gain, as by an approximation with few tags in view, the metres of frontier do.
     """
     seen = frontier.sum(axis=1)
-    chosen, looked_at = _most_by_time(promises, frontier, least, time + stay)
+    chosen, looked_at = _most_by_time(expected_gains, frontier, least, time + stay)
     if not chosen:
         metres = Gains(seen, np.zeros(len(seen)), np.zeros(len(seen)))
-        chosen, looked_at = _most_by_time(Promises(metres), frontier, least, time + stay)
+        chosen, looked_at = _most_by_time(ExpectedGains(metres), frontier, least, time + stay)
     if not chosen:
-        return gain_per_time(promises.paid, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
+        return gain_per_time(expected_gains.paid, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
     # From a place that only the robot is joined to, as it stands near it, the way leads back past where it stands.
     past_robot = time[chosen][:, None] + time
     to_nodes = np.minimum(_times_to(nodes[chosen], nodes, roadmap, speed), past_robot)
@@ -90,21 +90,23 @@ def tour(
 
 
 def _most_by_time(
-    promises: Promises, frontier: FloatArray, least: float, spent: FloatArray
+    expected_gains: ExpectedGains, frontier: FloatArray, least: float, spent: FloatArray
 ) -> tuple[list[int], list[BoolArray]]:
-    """The goals of a tour, TOUR_GOALS at the most, and which frontier points (f,) each is the first to look at: one
-    after the other, the candidate (c,) of most of what it promises, in proportion to what is new of the frontier that
-    it sees (c, f), m, over the time spent (c,), s."""
+    """The goals of a tour, TOUR_GOALS at the most, and which frontier points (f,) each is the first to see.
+
+    They are chosen one after the other: the candidate (c,) of most gain, in proportion to what is new of the frontier
+    that it sees (c, f), m, over the time spent (c,), s. least: m, as of `tour`.
+    """
     seen = np.maximum(frontier.sum(axis=1), 1e-9)
 
-    def by_time(promise: FloatArray, new: FloatArray) -> FloatArray:
-        return np.where(new >= least, promise * new / seen / spent, -np.inf)
+    def by_time(gain: FloatArray, new: FloatArray) -> FloatArray:
+        return np.where(new >= least, gain * new / seen / spent, -np.inf)
 
     left = np.ones(frontier.shape[1], dtype=np.bool_)
     chosen: list[int] = []
     looked_at: list[BoolArray] = []
     while len(chosen) < TOUR_GOALS:
-        goal, rate = promises.best(functools.partial(by_time, new=frontier @ left))
+        goal, rate = expected_gains.best(functools.partial(by_time, new=frontier @ left))
         if rate <= 0.0:
             break
         chosen.append(goal)

@@ -1,4 +1,4 @@
-"""The information about the landmarks that a full turn at a candidate goal is expected to bring.
+"""The expected information about the landmarks of a full turn at a candidate for the next goal.
 
 By default the mutual information of all landmarks, known and new, and the measurements of the turn (`exact_gain`). It
 is what the paper's Section IV approximates (Theorem 1); it holds for a pose that odometry ties to the map, and depends
@@ -26,11 +26,11 @@ from tfg_drake.planning.exact_gain import (
     most_gain,
     to_arrival,
 )
-from tfg_drake.planning.expected_view import View, local_view
+from tfg_drake.planning.expected_view import Visibility, local_visibility
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
 # A turn's measurements of one tag are never worth more than this, m and rad: the headings of its frames are uncertain
-# and tie all tags of a goal together.
+# and tie all tags of a view together.
 RANGE_FLOOR = 0.01
 BEARING_FLOOR = 0.002
 # A frontier yields its full number of new landmarks to a view that reaches this share of the sensor's range beyond it.
@@ -64,7 +64,8 @@ def frontier_reach(sensor: TagSensorConfig) -> FloatArray:
 def sightings_of_turn(sensor: TagSensorConfig, turn_rate: float, frame_worth: float = 1.0) -> float:
     """How often each tag is seen in a full turn at turn_rate (rad/s), independently: it is in view for field_of_view /
     turn_rate s. frame_worth: as in MapEstimate."""
-    return frame_worth * sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
+    frames = sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
+    return frames - max(frames - 1.0, 0.0) * (1.0 - frame_worth)
 
 
 def turn_noise(sensor: TagSensorConfig, sightings: float, tag_error: FloatArray | None = None) -> FloatArray:
@@ -98,8 +99,8 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class Turns:
-    """What full turns are judged by at one stage: map, TFG and settings, and the covariance (3, 3) of the departure
-    pose given all landmarks (see `departure_given_landmarks`), which is worked out once."""
+    """The input of the gains at one stage: map, TFG and settings, and the covariance (3, 3) of the departure pose given
+    all landmarks (see `departure_given_landmarks`), which is computed once."""
 
     estimate: MapEstimate
     tfg: TfgMap
@@ -121,19 +122,19 @@ class Turns:
     def _number(self) -> FloatArray:
         return self.explorer.density * self.tfg.frontier_length
 
-    def _new(self, frontiers: View) -> New:
+    def _new(self, frontiers: Visibility) -> New:
         reach = frontier_reach(self.sensor)
         index = frontiers.offsets, frontiers.index
         return New(*index, self.tfg.frontiers, self._number, self.explorer.prior_sigma, reach)
 
     def arrival(self, points: FloatArray, distance: FloatArray, time: FloatArray) -> Arrival:
-        """How a robot arrives at each point (c, 2), m in M, after distance (c,) m and time (c,) s: its pose is known
-        through odometry since the last departure alone, as in the factor that will join the two goals."""
+        """The arrival at each point (c, 2), m in M, after distance (c,) m and time (c,) s. The pose is known by
+        odometry since the last departure alone, as in the factor that will tie the two views."""
         X_MD = self.estimate.X_MD
         Q = odometry_covariance(X_MD, points, distance, time, self.odometry)
         return Arrival(X_MD, self.departure_given_map, Q)
 
-    def gains(self, points: FloatArray, arrival: Arrival, tags: View, frontiers: View) -> Gains:
+    def gains(self, points: FloatArray, arrival: Arrival, tags: Visibility, frontiers: Visibility) -> Gains:
         """Expected gains of a full turn at each point (c, 2), m in M, arrived at like this.
 
         tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new
@@ -141,7 +142,7 @@ class Turns:
         known jointly with the departure pose count for nothing. explorer.gain names the formula.
         """
         estimate, explorer = self.estimate, self.explorer
-        tags = local_view(tags, estimate)
+        tags = local_visibility(tags, estimate)
         points = np.ascontiguousarray(points)
         known = Known(tags.offsets, tags.index, self._p_ML, estimate.covariance)
         new, noise = self._new(frontiers), self._noise
@@ -154,7 +155,7 @@ class Turns:
             out = gain(points, arrival, known, new, noise)
         return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])
 
-    def most(self, points: FloatArray, arrival: Arrival, frontiers: View) -> Gains:
+    def most(self, points: FloatArray, arrival: Arrival, frontiers: Visibility) -> Gains:
         """As much as gains can be by the exact formula at the most, whichever of the known landmarks the points see:
         many times cheaper than that, and little more where most of it lies beyond the frontiers."""
         estimate, sensor = self.estimate, self.sensor
@@ -183,5 +184,5 @@ class Turns:
 def turns(
     estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, odometry: OdometryConfig, explorer: ExplorerConfig
 ) -> Turns:
-    """What full turns are judged by, with this map, its TFG and these settings."""
+    """The input of the gains with this map, its TFG and these settings."""
     return Turns(estimate, tfg, sensor, odometry, explorer, departure_given_landmarks(estimate))

@@ -35,7 +35,7 @@ def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
 
 def why_end(
     candidates: bool,
-    barred_gain: float,
+    narrow_gain: float,
     given_up_length: float,
     frontier_length: float,
     cut_off: bool,
@@ -43,8 +43,8 @@ def why_end(
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate is worth going to.
 
-    candidates: there are any. barred_gain: nats that a place promises that has room for the robot but that it may not
-    try to reach. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier,
+    candidates: there are any. narrow_gain: nats, of the best place behind a passage that is too narrow for the robot's
+    uncertainty. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier,
     seen or not: what remains when nothing else does is closed to this robot. cut_off: the robot cannot get back to
     where it began.
     """
@@ -53,8 +53,8 @@ def why_end(
     if cut_off and frontier_length >= ENOUGH_FRONTIER:
         left = f"{frontier_length:.1f} m of frontier are left"
         return "stuck", f"The robot cannot get back to where it began, and {left}."
-    if barred_gain > stop_gain:
-        return "stuck", f"{barred_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
+    if narrow_gain > stop_gain:
+        return "stuck", f"{narrow_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
     if given_up_length > 0.0:
         return "stuck", f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
     but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length >= 0.05 else ""

@@ -28,7 +28,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.budget import leads_home
-from tfg_drake.planning.candidates import apart_from_goals, frontier_in_sight, places
+from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen_past, unmapped_obstacles
@@ -40,23 +40,23 @@ from tfg_drake.planning.roadmap import (
     place_in_map,
     within,
 )
-from tfg_drake.planning.roadmap_parts import cut, empty_roadmaps, joined, whole_roadmap
+from tfg_drake.planning.roadmap_parts import empty_roadmaps, merged, split, whole_roadmap
 from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.slam.pose_prediction import pose_at
-from tfg_drake.tfg.resting import Parted, extended, rearranged
+from tfg_drake.tfg.submaps import Submaps, extended, rearranged
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
 # After this many goals in a row that could not be reached, what was met on the way is forgotten, and only what the
 # robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
 BOLD_AFTER = 2
-# What is met on the way is kept for this many stages, or until it is seen past: it may be too small for the map, or
-# walk away.
+# Obstacles met on the way are kept for this many stages, or until they are seen past: they may be too small for the
+# map, or walk away.
 OBSTACLE_MEMORY = 10
-# Where it bars every way the robot waits for so long, s, and sees so often, s, whether there is one.
+# Where obstacles bar every way, the robot waits for so long, s, and looks for a way so often, s.
 PATIENCE = 5.0
 ASK_AGAIN = 0.5
-# A way that is barred as soon as it is found is followed by no other for so long, s: who walks in the way is not past.
+# After a way that was barred as soon as it was found, no other is looked for so long, s: a person needs time to pass.
 BREATH = 1.0
 
 
@@ -64,22 +64,22 @@ BREATH = 1.0
 class PlannerState:
     """All that the planner remembers.
 
-    parts: the roadmap itself. roadmap, path, status: what it says of what is near. replans: the mission's count when
-    the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m in the frames A of the
-    goals obstacle_goal: (b,). scan_stamp: s, of the newest scan the path was checked against, look_stamp: of the newest
-    one that the obstacles were. waiting_since: s, when every way to the goal was found barred by them, inf if it is
-    not, asked: when a way was looked for last. driven: (d, 2) where the robot has been at this stage, m in M, from
-    where the newest goal's observation began on; driven_before: m, until it ended. open_length: m of frontier that was
-    live when the roadmap was extended, inf before.
+    parts: the submaps of the roadmap. roadmap, path, status: the planner's messages, of the active one. replans: the
+    mission's count when the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m
+    in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest scan the path was checked against,
+    look_stamp: of the newest one that the obstacles were. waiting_since: s, when every way to the goal was found barred
+    by them, inf if it is not, asked: when a way was looked for last. driven: (d, 2) where the robot has been at this
+    stage, m in M, from where the newest view began on; driven_before: m, until it ended. open_length: m of frontier
+    that was live when the roadmap was extended, inf before.
     """
 
-    parts: Parted[RoadmapState]
+    parts: Submaps[RoadmapState]
     roadmap: Roadmap
     path: Path
     status: PathStatus
     replans: int
     obstacles: FloatArray
-    obstacle_goal: IntArray
+    obstacle_view: IntArray
     scan_stamp: float
     look_stamp: float
     waiting_since: float
@@ -91,13 +91,13 @@ class PlannerState:
     @property
     def nodes(self) -> RoadmapState:
         """The roadmap near the robot."""
-        return self.parts.near
+        return self.parts.active
 
 
 def initial_state() -> PlannerState:
-    """Before the first goal."""
+    """Before the first view."""
     parts = empty_roadmaps()
-    nodes = parts.near
+    nodes = parts.active
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
         parts=parts,
@@ -106,7 +106,7 @@ def initial_state() -> PlannerState:
         status=PathStatus(path_id=0, free=True),
         replans=0,
         obstacles=np.zeros((0, 4)),
-        obstacle_goal=np.zeros(0, dtype=np.int64),
+        obstacle_view=np.zeros(0, dtype=np.int64),
         scan_stamp=-np.inf,
         look_stamp=-np.inf,
         waiting_since=np.inf,
@@ -146,7 +146,7 @@ def step(
     if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + pause:
         nodes = state.nodes
         if not state.roadmap.reaches(np.array([goal.node]), working.reach)[0]:
-            # A way as long as that may be shorter through what rests.
+            # A way as long as that may be shorter through inactive submaps.
             estimate, tfg = whole()
             nodes = whole_roadmap(state.parts, estimate.X_MA)
         return _plan_or_wait(state, nodes, estimate, tfg, pose, goal, scan, mission, parameters)
@@ -167,7 +167,7 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
     """Length, m, of the way driven (d, 2), m in M, from where one observation ended to where (2,) the next did.
 
     The way during a glance comes first in it and was counted at the end of the stage before; what is not noted at the
-    end is a step at most, and where it is more, somebody carried the robot.
+    end is a step at most, and where it is more, the robot was kidnapped.
     """
     if not len(driven):
         return 0.0
@@ -176,17 +176,17 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
 
 
 def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters) -> PlannerState:
-    """The state with the roadmap extended to the newest goal of the map; what of that rests, rests here, too."""
+    """The state with the roadmap extended to the newest view of the map; inactive submaps are inactive here, too."""
     estimate, tfg = working.estimate, working.tfg
-    state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_goal <= OBSTACLE_MEMORY)
+    state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_view <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
     state = replace(state, driven_before=driven_before)
-    parts = rearranged(state.parts, working.near, cut, joined)
-    nodes = parts.near
+    parts = rearranged(state.parts, working.active, split, merged)
+    nodes = parts.active
     reach = working.reach
     open_length = float(tfg.frontier_length[within(tfg.frontiers, estimate.X_MA[-1], reach)].sum())
     # Where nothing is open and nothing was a stage ago, a sample would find no new space.
-    sampled = bool(working.near.all()) and max(open_length, state.open_length) < ENOUGH_FRONTIER
+    sampled = bool(working.active.all()) and max(open_length, state.open_length) < ENOUGH_FRONTIER
     for effort in range(len(EFFORTS)):
         nodes = extend(
             nodes,
@@ -195,7 +195,7 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
             parameters,
             driven=state.driven,
             effort=effort,
-            goals=working.goals,
+            views=working.views,
             reach=reach,
             sampled=sampled,
         )
@@ -237,9 +237,9 @@ def make_roadmap(
     driven: float,
     reach: float = np.inf,
 ) -> Roadmap:
-    """What the roadmap's nodes are to a robot at the map's departure pose: the ways to them, and what they see.
+    """The roadmap message for a robot at the map's departure pose: the ways to the nodes, and what they see.
 
-    obstacles: (b, 4) segments met on the way, m in M. driven: m, so far. reach: m round the newest goal: what is
+    obstacles: (b, 4) segments met on the way, m in M. driven: m, so far. reach: m round the newest view: what is
     farther away is no place to go to.
     """
     robot, planner = parameters.robot, parameters.planner
@@ -259,20 +259,20 @@ def with_frontiers(
     roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0
 ) -> Roadmap:
     """The roadmap with what its nodes see of the live frontiers, not nearer than least_range (m)."""
-    asked = (roadmap.reachable | roadmap.enterable) & apart_from_goals(roadmap.points, tfg, estimate.X_MD[:2])
-    view = expected_frontiers(roadmap.points[asked], tfg, sensor, least_range)
-    view = view.spread(np.flatnonzero(asked), len(roadmap.points))
-    return replace(roadmap, frontier_offsets=view.offsets, frontier_index=view.index)
+    asked = (roadmap.reachable | roadmap.enterable) & apart_from_views(roadmap.points, tfg, estimate.X_MD[:2])
+    visible = expected_frontiers(roadmap.points[asked], tfg, sensor, least_range)
+    visible = visible.spread(np.flatnonzero(asked), len(roadmap.points))
+    return replace(roadmap, frontier_offsets=visible.offsets, frontier_index=visible.index)
 
 
 def obstacles_in_map(state: PlannerState, estimate: MapEstimate) -> FloatArray:
-    """What was met on the way (b, 4), m in M."""
-    ends = place_in_map(np.repeat(state.obstacle_goal, 2), state.obstacles.reshape(-1, 2), estimate.X_MA)
+    """The obstacles met on the way (b, 4), m in M."""
+    ends = place_in_map(np.repeat(state.obstacle_view, 2), state.obstacles.reshape(-1, 2), estimate.X_MA)
     return ends.reshape(-1, 4)
 
 
 def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
-    return replace(state, obstacles=state.obstacles[keep], obstacle_goal=state.obstacle_goal[keep])
+    return replace(state, obstacles=state.obstacles[keep], obstacle_view=state.obstacle_view[keep])
 
 
 def _plan_or_wait(
@@ -357,5 +357,5 @@ def _watch(
         seen,
         status=PathStatus(path_id=state.path.id, free=False),
         obstacles=np.vstack([state.obstacles, in_A]),
-        obstacle_goal=np.append(state.obstacle_goal, np.full(len(in_A), len(estimate.X_MA) - 1)),
+        obstacle_view=np.append(state.obstacle_view, np.full(len(in_A), len(estimate.X_MA) - 1)),
     )

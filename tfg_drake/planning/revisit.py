@@ -12,7 +12,7 @@ import numpy as np
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
-from tfg_drake.planning.expected_view import View, expected_tags
+from tfg_drake.planning.expected_view import Visibility, expected_tags
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
@@ -34,8 +34,8 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     value = np.zeros(len(nodes))
     if not estimate.is_joint or not len(estimate.ids):
         return value
-    # Mostly the same places at every stage: names are given once and for all.
-    asked = np.flatnonzero(roadmap.names(nodes) % (1 + len(nodes) // PLACES) == 0)
+    # Mostly the same places at every stage: node ids are given once and for all.
+    asked = np.flatnonzero(roadmap.node_ids(nodes) % (1 + len(nodes) // PLACES) == 0)
     nodes = nodes[asked]
     sensor, explorer = parameters.sensor, parameters.explorer
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
@@ -46,7 +46,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     covariance, squared = estimate.covariance, squared_by_landmarks(estimate.covariance)
     time = time + time_all_round(sensor, explorer)
 
-    def share_of_error(rows: IntArray, seen: View) -> FloatArray:
+    def share_of_error(rows: IntArray, seen: Visibility) -> FloatArray:
         removed = error_removed(points[rows], Q[rows], seen, estimate.p_ML, estimate.X_MD, covariance, squared, noise)
         return np.asarray(removed / np.trace(covariance[:-3, :-3]))
 
@@ -67,7 +67,7 @@ def squared_by_landmarks(covariance: FloatArray) -> FloatArray:
 def error_removed(
     points: FloatArray,
     Q: FloatArray,
-    tags: View,
+    tags: Visibility,
     p_ML: FloatArray,
     X_MD: FloatArray,
     covariance: FloatArray,

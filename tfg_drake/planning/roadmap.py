@@ -1,6 +1,6 @@
 """A probabilistic roadmap that persists from stage to stage and moves with the map (the paper's Sec. V).
 
-Every node keeps its place in the frame of a goal's arrival pose, so it moves when a loop closes; every stage checks
+Every node keeps its place in the frame of a view's arrival pose, so it moves when a loop closes; every stage checks
 the edges near the robot against the surfaces as they are now. What the robot has travelled stays in the roadmap: a
 narrow door once passed is not lost again to bad luck in sampling.
 """
@@ -24,7 +24,7 @@ from tfg_drake.config import (
     RobotConfig,
     TagSensorConfig,
 )
-from tfg_drake.geometry.connected import connect, settle
+from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
@@ -64,7 +64,7 @@ OBSTACLE_MARGIN = 0.08
 
 @dataclasses.dataclass(frozen=True)
 class RoadmapParameters:
-    """What the roadmap needs to know of the robot, its sensors and the explorer, and the seed of its samples.
+    """The parameters of robot, sensors and explorer that the roadmap needs, and the seed of its samples.
 
     least_range: m, nearer the scanner sees nothing.
     """
@@ -115,12 +115,12 @@ class Edges:
 class RoadmapState:
     """The roadmap and its edges as checked at one stage.
 
-    stage. ids: (n,) ascending, the names of the nodes, next_id: that of the next new one. anchor: (n,) the goal in
-    whose arrival frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m, sigma:
-    (n,) m, the deviation of the robot there relative to the surfaces, settled: (n,) whether by landmarks known jointly,
-    now or when the robot was last near. edges: all that were ever proposed, between rows of the nodes. links: edges to
-    nodes that rest, between names. way_end: the name of the node where the way that the robot has driven ends, -1 for
-    none.
+    stage. ids: (n,) of the nodes, ascending, next_id: that of the next new one. anchor: (n,) the view in whose arrival
+    frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m. sigma: (n,) m, the
+    deviation of the robot there relative to the surfaces. known_jointly: (n,) whether sigma follows from landmarks
+    known jointly, now or when the robot was last near. edges: all that were ever proposed, between rows of the nodes.
+    links: edges to nodes of inactive submaps, between ids. way_end: the id of the node where the way that the robot has
+    driven ends, -1 for none.
     """
 
     stage: int
@@ -130,7 +130,7 @@ class RoadmapState:
     p_AN: FloatArray
     points: FloatArray
     sigma: FloatArray
-    settled: BoolArray
+    known_jointly: BoolArray
     edges: Edges
     links: Edges
     way_end: int
@@ -143,7 +143,7 @@ def unchecked(nodes: IntArray, travelled: BoolArray) -> Edges:
 
 
 def empty_roadmap() -> RoadmapState:
-    """The roadmap before the first goal."""
+    """The roadmap before the first view."""
     number, pairs = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     none = unchecked(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.bool_))
     return RoadmapState(
@@ -154,7 +154,7 @@ def empty_roadmap() -> RoadmapState:
         p_AN=pairs,
         points=pairs,
         sigma=np.zeros(0),
-        settled=np.zeros(0, dtype=np.bool_),
+        known_jointly=np.zeros(0, dtype=np.bool_),
         edges=none,
         links=none,
         way_end=-1,
@@ -296,7 +296,7 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
-    """Which edges (e, 4), m in M, lie in the free space seen from past goals, (e,)."""
+    """Which edges (e, 4), m in M, lie in the free space seen from past views, (e,)."""
     return np.asarray(lines_in_stars(edges, tfg.star_offsets, tfg.star_vertices))
 
 
@@ -369,17 +369,17 @@ def _chords(way: FloatArray) -> IntArray:
 def _travelled_nodes(
     nodes: FloatArray, driven: FloatArray, estimate: MapEstimate, segments: FloatArray, radius: float, way_end: int
 ) -> tuple[FloatArray, IntArray, int]:
-    """New nodes along the way driven (d, 2) to the last goal, the chain of edges (e, 2), smaller node first, between
+    """New nodes along the way driven (d, 2) to the last view, the chain of edges (e, 2), smaller node first, between
     them and existing nodes, and the node where it ends.
 
     It begins at the node where the way ended before, way_end, however the map has moved since, and ends where the robot
-    drove on from there; if it was carried since, the goal alone is new. An old node nearby stands for a new one where
-    there is room for that.
+    drove on from there; of a robot that was kidnapped since, the view's place alone is new. An old node nearby stands
+    for a new one where there is room for that.
     """
-    goal = estimate.X_MA[-1, :2]
-    chain = goal[None]
+    view = estimate.X_MA[-1, :2]
+    chain = view[None]
     if len(driven) and np.hypot(*(driven[-1] - estimate.X_MD[:2])) < 0.5:
-        chain = np.vstack([driven, goal])
+        chain = np.vstack([driven, view])
         chain = chain[_chords(chain)]
     room = clearance(np.hstack([chain, chain]), segments, 1.0)
     near_enough = np.clip(room - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE)
@@ -447,42 +447,43 @@ def extend(
     *,
     driven: FloatArray | None = None,
     effort: int = 0,
-    goals: IntArray | None = None,
+    views: IntArray | None = None,
     reach: float = np.inf,
     sampled: bool = False,
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
-    driven: (d, 2) m in M, the way of the robot to the last goal. effort: index into EFFORTS. goals: (a,) those whose
-    stars the map holds, if it is a part of one. reach: m round the newest goal; farther away nothing is added and all
+    driven: (d, 2) m in M, the way of the robot to the last view. effort: index into EFFORTS. views: (a,) those whose
+    stars the map holds, if it is a part of one. reach: m round the newest view; farther away nothing is added and all
     stays as it was checked last. sampled: it is on all of the map already, and only that way is new. The same arguments
     give the same roadmap.
     """
-    goals = np.arange(len(estimate.X_MA)) if goals is None else goals
+    views = np.arange(len(estimate.X_MA)) if views is None else views
     path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
     points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach, sampled)
     first_new = len(state.anchor)
     fresh = len(points) - first_new
-    apart = points[first_new:, None] - estimate.X_MA[goals, :2]
-    anchor = np.append(state.anchor, goals[np.square(apart).sum(axis=2).argmin(axis=1)])
+    apart = points[first_new:, None] - estimate.X_MA[views, :2]
+    anchor = np.append(state.anchor, views[np.square(apart).sum(axis=2).argmin(axis=1)])
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
     around = np.append(within(points[:first_new], estimate.X_MA[-1], reach), np.ones(fresh, dtype=np.bool_))
-    sigma, settled = np.append(state.sigma, np.zeros(fresh)), np.append(state.settled, np.zeros(fresh, dtype=np.bool_))
-    sigma[around], settled[around] = predicted_deviation(
+    sigma = np.append(state.sigma, np.zeros(fresh))
+    known_jointly = np.append(state.known_jointly, np.zeros(fresh, dtype=np.bool_))
+    sigma[around], known_jointly[around] = predicted_deviation(
         points[around],
         estimate,
         tfg,
         parameters.sensor,
         parameters.odometry,
         parameters.robot.max_speed,
-        np.where(settled, sigma, np.inf)[around],
+        np.where(known_jointly, sigma, np.inf)[around],
     )
     proposed = np.vstack([chain, _nearest_edges(points, first_new)])
     was_driven = np.arange(len(proposed)) < len(chain)
     edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
     edges, asked = _checked(edges, around, points, sigma, tfg, parameters, EFFORTS[effort][1])
-    home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(goals), -1]])
+    home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(views), -1]])
     edges = _with_needed(edges, asked, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
     ids = np.append(state.ids, state.next_id + np.arange(fresh))
     return replace(
@@ -494,7 +495,7 @@ def extend(
         p_AN=p_AN,
         points=points,
         sigma=sigma,
-        settled=settled,
+        known_jointly=known_jointly,
         edges=edges,
         way_end=int(ids[way_end]),
     )
@@ -618,9 +619,9 @@ def _with_needed(edges: Edges, asked: BoolArray, least: float, home: int, here: 
     return replace(edges, required=required, usable=usable)
 
 
-def _entry(goals: IntArray) -> int:
-    """Of the goals (a,) of a part of the map, the first since the robot was last outside."""
-    return int(goals[np.flatnonzero(np.diff(goals) > 1).max(initial=-1) + 1])
+def _entry(views: IntArray) -> int:
+    """Of the views (a,) of a part of the map, the first since the robot was last outside."""
+    return int(views[np.flatnonzero(np.diff(views) > 1).max(initial=-1) + 1])
 
 
 def _needed(
@@ -655,7 +656,7 @@ def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
     for e in range(len(edges)):
         if which[e]:
             connect(first, edges[e, 0], edges[e, 1])
-    settle(first)
+    component_labels(first)
     return first
 
 
@@ -665,7 +666,7 @@ def within(points: FloatArray, place: FloatArray, reach: float) -> BoolArray:
 
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
-    """p_MN (n, 2), m, of points p_AN (n, 2), each kept in the arrival frame of the goal anchor (n,); X_MA: (k, 3)."""
+    """p_MN (n, 2), m, of points p_AN (n, 2), each kept in the arrival frame of the view anchor (n,); X_MA: (k, 3)."""
     X = X_MA[anchor]
     c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
     return np.stack([X[:, 0] + c * p_AN[:, 0] - s * p_AN[:, 1], X[:, 1] + s * p_AN[:, 0] + c * p_AN[:, 1]], axis=1)

@@ -1,6 +1,6 @@
-"""What speaks for where the map has each tag, and what for other places: one account for all that does not fit.
+"""The evidence for the place of each tag in the map and for other places, to find misread ids, outliers and moved tags.
 
-An id may be misread, a range grossly wrong, and a tag carried elsewhere. So a tag is believed to be at a place when it
+An id may be misread, a range grossly wrong, and a tag moved elsewhere. So a tag is believed to be at a place when it
 was seen there in several frames, of one keyframe or of many, and what was believed is taken back when more has been
 seen of it elsewhere since. Each frame speaks for one place and against all others; the frames of one keyframe have
 their errors in common, and old ones fade, so neither counts without limit.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Observation, message, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of, without_tags
 from tfg_drake.slam.keyframe_kernels import linearised
 from tfg_drake.slam.map_update import REJECTED
@@ -27,29 +27,29 @@ MOST = 20
 # this large, m: the map may have moved between them.
 SAME = 9.2
 LEAST_DEVIATION = 0.1
-# The goal of a place that the map has.
+# Stands for the view of a place that is the one in the map.
 MAPPED = -1
 
 
 @message
 class Sighted:
-    """What was seen in one keyframe. frames: (n,) in how many of its frames each of its tags was seen."""
+    """The observation of one keyframe. frames: (n,) in how many of its frames each of its tags was seen."""
 
-    observation: GoalObservation
+    observation: Observation
     frames: IntArray
 
 
 @message
 class Evidence:
-    """Places of tags, and what speaks for each.
+    """Places of tags, and the number of frames that speak for each.
 
-    ids: (h,) the tag's. goal: (h,) MAPPED where it is the place that the map has, else the goal or glance that the
+    ids: (h,) the tag's. view: (h,) MAPPED where it is the place that the map has, else the view that the
     place is kept with: p_AL (h, 2) is in its arrival frame, m, with variance (h,), m^2. frames: (h,) that speak for it,
     more than for other places since.
     """
 
     ids: IntArray
-    goal: IntArray
+    view: IntArray
     p_AL: FloatArray
     variance: FloatArray
     frames: IntArray
@@ -57,22 +57,22 @@ class Evidence:
     @property
     def is_mapped(self) -> BoolArray:
         """(h,) which of the places the map has."""
-        return np.asarray(self.goal == MAPPED)
+        return np.asarray(self.view == MAPPED)
 
     def kept(self, rows: BoolArray) -> Evidence:
-        """That of some (h,) of the places."""
-        return Evidence(self.ids[rows], self.goal[rows], self.p_AL[rows], self.variance[rows], self.frames[rows])
+        """The evidence of some (h,) of the places."""
+        return Evidence(self.ids[rows], self.view[rows], self.p_AL[rows], self.variance[rows], self.frames[rows])
 
 
 def only(seen: Sighted, tags: BoolArray) -> Sighted:
-    """What was seen of some of its tags (n,)."""
+    """The observation with some of its tags (n,) only."""
     if tags.all():
         return seen
     return Sighted(without_tags(seen.observation, seen.observation.ids[~tags]), seen.frames[tags])
 
 
 def no_evidence() -> Evidence:
-    """Before anything was seen."""
+    """The evidence before anything was seen."""
     none = np.empty(0, dtype=np.int64)
     return Evidence(none, none, np.empty((0, 2)), np.empty(0), none)
 
@@ -87,7 +87,7 @@ def believable(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfr
 
 
 def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: KeyframeGraph) -> Evidence:
-    """The evidence with one keyframe more, the newest of a graph that has a goal or glance.
+    """The evidence with one keyframe more, the newest of a graph that has a view.
 
     agrees: (n,) which of its tags the map has where it saw them.
     """
@@ -104,10 +104,10 @@ def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: Keyfram
     old = old.kept(~joins & (old.is_mapped | (old.frames > 0)))
     new = np.ones(len(once), dtype=bool)
     new[tag[same & ~joins]] = False
-    p_AL = se2.transform(se2.between(_of_goals(graph, newest), X_MA)[0], seen.observation.p_AL[new])
+    p_AL = se2.transform(se2.between(_of_views(graph, newest), X_MA)[0], seen.observation.p_AL[new])
     return Evidence(
         np.concatenate([old.ids, seen.observation.ids[new]]),
-        np.concatenate([old.goal, np.where(agrees[new], MAPPED, newest)]),
+        np.concatenate([old.view, np.where(agrees[new], MAPPED, newest)]),
         np.concatenate([old.p_AL, p_AL]),
         np.concatenate([old.variance, _variance(seen.observation)[new]]),
         np.concatenate([old.frames, np.minimum(gain[new], MOST)]),
@@ -177,7 +177,7 @@ def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfra
     at = np.flatnonzero(is_seen & ~evidence.is_mapped)
     if len(at):
         p_ML = se2.transform(X_MA, observation.p_AL[tag[at]])
-        X_MV, in_V = _of_goals(graph, evidence.goal[at]), np.zeros((len(at), 3))
+        X_MV, in_V = _of_views(graph, evidence.view[at]), np.zeros((len(at), 3))
         in_V[:, :2] = evidence.p_AL[at]
         before = se2.compose(X_MV, in_V)[:, :2]
         variance = evidence.variance[at] + _variance(observation)[tag[at]] + LEAST_DEVIATION**2
@@ -185,12 +185,12 @@ def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfra
     return tag, same
 
 
-def _of_goals(graph: KeyframeGraph, goals: IntArray) -> FloatArray:
-    """(m, 3) arrival poses of some goals and glances (m,)."""
-    return se2.compose(graph.X_MN[graph.view_keyframe[goals]], graph.X_AV[goals])
+def _of_views(graph: KeyframeGraph, views: IntArray) -> FloatArray:
+    """(m, 3) arrival poses of some views (m,)."""
+    return se2.compose(graph.X_MN[graph.view_keyframe[views]], graph.X_AV[views])
 
 
-def _variance(observation: GoalObservation) -> FloatArray:
+def _variance(observation: Observation) -> FloatArray:
     """(n,) of each tag's place in A, m^2, as if it were the same in all directions."""
     return np.asarray(0.5 * np.diag(observation.covariance)[:-3].reshape(-1, 2).sum(axis=1))
 

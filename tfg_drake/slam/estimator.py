@@ -1,6 +1,6 @@
 """The SLAM estimator as pure steps on one immutable state: odometry and detections in, pose and map out.
 
-Between goals a localiser estimates the pose in the map; turns in place and pieces of the way collect frames. At the
+Between views a localiser estimates the pose in the map; turns in place and pieces of the way collect frames. At the
 end of a turn it and the pieces before it are solved, each by itself, and join the map, and the localiser starts anew at
 the departure pose. Frames are taken by their stamps, whatever the order of arrival: one is processed when odometry
 beyond its stamp has arrived. Those with stamps in [begin, end) belong to the turn.
@@ -19,10 +19,10 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.messages import (
     FloatArray,
-    GoalObservation,
     IntArray,
     LaserScan,
     MapEstimate,
+    Observation,
     Odometry,
     PoseEstimate,
     TagDetections,
@@ -41,10 +41,10 @@ from tfg_drake.slam.doubt import (
     overturned,
     weighed,
 )
-from tfg_drake.slam.estimator_state import EstimatorState, OpenTurn, camera_prior, instant, opened, unknown_way
+from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, camera_prior, instant, opened, unknown_way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
-from tfg_drake.slam.lost_robot import look_for_itself, mapped_elsewhere
+from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.noise_correlation import less_certain
@@ -58,7 +58,7 @@ from tfg_drake.slam.odometry_model import (
     reckon,
 )
 from tfg_drake.slam.range_scale import compare, corrected, correction
-from tfg_drake.slam.rejoin import rejoined
+from tfg_drake.slam.realign import realigned
 from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
 
@@ -70,10 +70,13 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many more such frames than others the robot may be elsewhere.
 CONTRADICTIONS = 3
-# What is seen meanwhile waits to be mapped, for this long at most, s.
+# Frames seen while the pose is in doubt wait to be mapped, for this long at most, s.
 LONGEST_DOUBT = 60.0
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
 MOST_TAKEN_BACK = 10
+# The last map is solved until the deviation of the tags' errors changes by no more than this share, so often at most.
+SAME_TAG_ERROR = 0.05
+MOST_SOLVES = 6
 # A turn that ends this near to where it began was one in place, m.
 IN_PLACE = 0.1
 # A frame is compared with a scan if the robot has moved by less than this meanwhile, m and rad.
@@ -141,7 +144,7 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
 
 
 def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state with the open turn solved as a goal and in the map, and the localiser at the departure pose D.
+    """The state with the open turn solved and added to the map as a view, and the localiser at the departure pose D.
 
     The stamp is brought into the span of the odometry at hand. Raises ValueError where no turn is open.
     """
@@ -150,11 +153,11 @@ def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     state = _step_to(state, stamp)
     turn = state.turn
     assert turn is not None
-    return _add_goal(state, turn)
+    return _add_view(state, turn)
 
 
 def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state with the piece of the way since the last call made a goal of the map, as if it had been a turn.
+    """The state with the piece of the way since the last call added to the map as a view, as if it had been a turn.
 
     For recorded drives without turns; needs path_keyframe_period = inf. While it is in doubt where the robot is, the
     piece stays open. The stamp is brought into the span of the
@@ -168,7 +171,7 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     in_doubt = state.lost or state.contradictions >= CONTRADICTIONS
     if in_doubt and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
         return state
-    return _add_goal(state, piece)
+    return _add_view(state, piece)
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -197,20 +200,24 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
 
 
 def map_estimate(state: EstimatorState) -> MapEstimate | None:
-    """The map after the newest goal, None before the first."""
+    """The map after the newest view, None before the first."""
     return state.map
 
 
-def settled(state: EstimatorState) -> EstimatorState:
-    """The state with its map solved and known jointly as a whole, as far as memory allows: for the end of a mission.
+def finished_map(state: EstimatorState) -> EstimatorState:
+    """The state at the end of a mission: its map is solved and known jointly as a whole, as far as memory allows.
 
-    All that was believed is put to the test once more, and what the map as a whole contradicts is taken back.
+    Every sighting is tested once more, and those that the map as a whole contradicts are taken back.
     """
     estimate = state.map
     if estimate is None:
         return state
     graph, evidence = fused(replace(state.graph, p_ML=estimate.p_ML)), state.evidence
-    graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+    for _ in range(MOST_SOLVES):
+        before = graph.tag_error
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+        if np.allclose(graph.tag_error, before, rtol=SAME_TAG_ERROR):
+            break
     for _ in range(MOST_TAKEN_BACK):
         wrong = contradicted(graph)
         if wrong is None:
@@ -295,15 +302,15 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     )
     state = replace(state, suspect=_suspect(state, taken))
     if (contradictions >= CONTRADICTIONS or state.lost) and len(frame.ids):
-        state = look_for_itself(state, stamp)
+        state = find_itself(state, stamp)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
         state = _end_piece(state)
     return state
 
 
-def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenTurn | None:
-    """What was seen since the pose came into doubt, with the newest frame."""
+def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
+    """The observation since the pose came into doubt, with the newest frame."""
     suspect = state.suspect
     if suspect is not None and not state.lost:
         over = taken.stamp - suspect.begin.stamp > LONGEST_DOUBT
@@ -316,12 +323,12 @@ def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenTurn | None:
 
 
 def _end_piece(state: EstimatorState) -> EstimatorState:
-    """The state with the open piece of the way solved and put to the others, unless the robot was carried, and the next
-    one open."""
+    """The state with the open piece of the way solved and put to the others, unless the robot was kidnapped, and
+    the next one open."""
     piece = state.piece
     if piece is None or state.map is None or state.stamp <= piece.begin.stamp:
         return replace(state, piece=opened(state)) if piece is not None else state
-    if state.carried:
+    if state.kidnapped:
         X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
         way: tuple[Sighted, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
@@ -333,7 +340,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
     return replace(state, piece=opened(state), way=way)
 
 
-def _solve(state: EstimatorState, turn: OpenTurn) -> TurnSolution:
+def _solve(state: EstimatorState, turn: OpenObservation) -> TurnSolution:
     """A turn or piece solved by itself."""
     frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
     solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state), state.correlation)
@@ -356,17 +363,17 @@ def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorStat
     return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph, pending=pending)
 
 
-def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
-    """The state with a turn or piece made a goal of the map, and the localiser at its end."""
+def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
+    """The state with a turn or piece added to the map as a view, and the localiser at its end."""
     solution = _solve(state, turn)
     state, way = _with_camera(state, solution), state.way
-    if state.carried and state.turn is None and state.map is not None:
+    if state.kidnapped and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
-    before, known = rejoined(state.graph, state.map or NO_MAP, solution.observation)
+    before, known = realigned(state.graph, state.map or NO_MAP, solution.observation)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     for seen in (*way, _sighted(solution)):
-        is_goal = seen.observation is solution.observation
-        graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_goal)
+        is_view = seen.observation is solution.observation
+        graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
         if len(anew):
             _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
             moved = True
@@ -375,7 +382,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
     corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
     if (
         moved
-        or state.carried
+        or state.kidnapped
         or before is not state.graph
         or corrected_graph is not graph
         or needs_solve(graph, solved, estimate)
@@ -395,7 +402,7 @@ def _add_goal(state: EstimatorState, turn: OpenTurn) -> EstimatorState:
         turn=None,
         piece=None,
         way=(),
-        carried=False,
+        kidnapped=False,
         contradictions=0,
         suspect=None,
         lost=False,
@@ -416,7 +423,7 @@ def _with_keyframe(
     """Graph, map and evidence with one keyframe more, which begins at the map's newest pose; the ids of known tags left
     out of it, and of those that were forgotten and mapped anew for it.
 
-    is_view: whether it is a goal or glance, not a piece of the way.
+    is_view: whether it is a turn or glance, not a piece of the way.
     """
     ids = seen.observation.ids
     far = ids[~jointly_known(estimate, ids)]
@@ -441,7 +448,7 @@ def _with_keyframe(
     return graph, estimate, evidence, rejected, np.union1d(anew, others)
 
 
-def _solved(graph: KeyframeGraph, stamp: float, observation: GoalObservation) -> tuple[KeyframeGraph, MapEstimate]:
+def _solved(graph: KeyframeGraph, stamp: float, observation: Observation) -> tuple[KeyframeGraph, MapEstimate]:
     """A graph of one keyframe or more solved, the empty graph as it is."""
     return solve(graph, stamp, observation) if graph.keyframes else (graph, NO_MAP)
 

@@ -24,15 +24,17 @@ from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry
 from tfg_drake.slam.range_scale import RangeScale, unknown_scale
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
-# Standard deviations of the motion between two goals when the robot was carried on the way: it says nothing, m, m, rad.
-CARRIED = np.array([100.0, 100.0, 10.0])
+# Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
+KIDNAPPED = np.array([100.0, 100.0, 10.0])
 
 
 @message
-class OpenTurn:
-    """A turn under way, or a piece of the way that is mapped like one. begin: its first instant, X_MB: (3,) the pose
-    then as the localiser had it, sigma: (3,) its deviations. frames: those seen since. unwatched: s, for so long before
-    it nothing said where the robot was."""
+class OpenObservation:
+    """An observation under way: a turn, or a piece of the way that is mapped like one.
+
+    begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: those
+    seen since. unwatched: s before it in which no tag confirmed the pose.
+    """
 
     begin: TurnFrame
     X_MB: FloatArray
@@ -51,11 +53,11 @@ class EstimatorState:
     tags' ranges. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
     frames that contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was
     seen since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
-    carried: the robot was moved since the last goal by something else than
-    its wheels. turn, piece: the open turn and piece of the way, way: those before it since the last goal. graph: its
-    landmarks as they lay at its last solve or when they were first seen, solved: the graph at that solve. map: what has
-    become of it since, None before the first goal. rejected: (r,) ids of known tags left out of the newest goal,
-    dropped: sightings left out of its turn. evidence: for where it has its tags, and against.
+    kidnapped: the robot was moved since the last view by something else than its wheels. turn, piece: the open turn and
+    piece of the way, way: those before it since the last view. graph: its landmarks as they lay at its last solve or
+    when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
+    view. rejected: (r,) ids of known tags left out of the newest view, dropped: sightings left out of its turn.
+    evidence: for the places where it has its tags, and against them.
     """
 
     model: OdometryModel
@@ -73,11 +75,11 @@ class EstimatorState:
     localizer: Localizer
     contradictions: int
     agreed: float
-    suspect: OpenTurn | None
+    suspect: OpenObservation | None
     lost: bool
-    carried: bool
-    turn: OpenTurn | None
-    piece: OpenTurn | None
+    kidnapped: bool
+    turn: OpenObservation | None
+    piece: OpenObservation | None
     way: tuple[Sighted, ...]
     graph: KeyframeGraph
     solved: KeyframeGraph
@@ -93,7 +95,7 @@ def initial_state(
     """The estimator at the map's origin, before any message.
 
     camera: what is known of it beforehand; none: that it looks ahead and its clock is right.
-    path_keyframe_period: s; the way between goals is mapped in pieces of this length, inf: in those that `close_piece`
+    path_keyframe_period: s; the way between views is mapped in pieces of this length, inf: in those that `close_piece`
     ends. 0: of the way only its motion is mapped, and path sightings localise (the paper's Sec. III).
     """
     model, camera = odometry_model(config), camera or exact_camera()
@@ -116,7 +118,7 @@ def initial_state(
         agreed=-np.inf,
         suspect=None,
         lost=False,
-        carried=False,
+        kidnapped=False,
         turn=None,
         piece=None,
         way=(),
@@ -130,12 +132,12 @@ def initial_state(
 
 
 def known_camera(state: EstimatorState) -> CameraModel:
-    """All that is known of the camera: its clock by the turns and pieces, its yaw by all that they say together."""
+    """The camera as known from everything: its clock from the observations, its yaw from the whole graph."""
     return state.camera.with_yaw(state.graph.yaw)
 
 
 def camera_prior(state: EstimatorState) -> CameraModel:
-    """What is known of the camera without how the keyframes fit together."""
+    """The camera as known from each observation by itself, without how the keyframes fit together."""
     return state.camera.with_yaw(state.graph.yaw_prior)
 
 
@@ -144,13 +146,13 @@ def instant(state: EstimatorState) -> TurnFrame:
     return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))
 
 
-def opened(state: EstimatorState) -> OpenTurn:
+def opened(state: EstimatorState) -> OpenObservation:
     """A turn or piece of the way that begins now."""
     X_MB, covariance = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-    return OpenTurn(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
+    return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 
-def unknown_way(X_DA: FloatArray, sigma: FloatArray = CARRIED) -> Sighted:
-    """A way on which the robot was carried; it seems to have led to X_DA (3,), with deviations (3,), m, m, rad."""
+def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Sighted:
+    """The motion of a kidnapped robot: it seems to have led to X_DA (3,), with deviations sigma (3,), m, m, rad."""
     observation = replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(sigma**2))
     return Sighted(observation, np.empty(0, dtype=np.int64))

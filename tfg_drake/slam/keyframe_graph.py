@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.camera_model import LEAST_SIGMA
 from tfg_drake.slam.keyframe_kernels import fused_information
 
@@ -36,7 +36,7 @@ SAME_SCALE = 1e-4
 
 @message
 class Keyframe:
-    """What was seen from the pose A at its beginning to D at its end, as a joint Gaussian in A.
+    """The joint Gaussian, in A, of the tags seen from the pose A at its beginning to D at its end, and of D.
 
     ids: (n,) ascending, n may be 0: a way of which only odometry tells. p_AL: (n, 2), m. X_AD: (3,). information: (2n +
     3, 2n + 3) of (p_AL row by row, X_AD). range_scale: the error of scale taken out of its ranges. yaw: rad, the
@@ -63,15 +63,15 @@ class Keyframe:
         return 0.5 * (covariance + covariance.T)
 
 
-Seen = TypeVar("Seen", Keyframe, GoalObservation)
+Seen = TypeVar("Seen", Keyframe, Observation)
 
 
 @message
 class KeyframeGraph:
     """k keyframes, n landmarks, their current values, and how well the landmarks are known.
 
-    keyframes: k. X_MN: (k + 1, 3) the poses between them. view_keyframe: (g,) the keyframe that each of g goals and
-    glances lies in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML: (n, 2), m.
+    keyframes: k. X_MN: (k + 1, 3) the poses between them. view_keyframe: (g,) the keyframe that each of g views
+    lies in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML: (n, 2), m.
     landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
     of the landmarks, nats. pose_information: (3, 3) on the newest pose, given the landmarks; infinite at the origin.
     yaw: (2,) the camera's in the body frame, which all keyframes are given at, and its standard deviation, rad.
@@ -94,12 +94,12 @@ class KeyframeGraph:
 
     @property
     def X_MA(self) -> FloatArray:
-        """(g, 3) arrival poses of the goals and glances."""
+        """(g, 3) arrival poses of the views."""
         return se2.compose(self.X_MN[self.view_keyframe], self.X_AV) if len(self.X_AV) else self.X_AV
 
 
 def empty_graph(yaw: FloatArray | None = None) -> KeyframeGraph:
-    """The graph before the first goal. yaw: (2,) the camera's and its standard deviation, rad; none: it looks ahead."""
+    """The graph before the first view. yaw: (2,) the camera's and its standard deviation, rad; none: it looks ahead."""
     none = np.empty(0, dtype=np.int64)
     yaw = np.array([0.0, LEAST_SIGMA]) if yaw is None else yaw
     return KeyframeGraph(
@@ -121,7 +121,7 @@ def empty_graph(yaw: FloatArray | None = None) -> KeyframeGraph:
 def empty_map() -> MapEstimate:
     """The map of stage 0: no landmark, the robot at the origin, known exactly."""
     none = np.empty(0, dtype=np.int64)
-    nothing = GoalObservation(
+    nothing = Observation(
         ids=none,
         p_AL=np.empty((0, 2)),
         X_AD=np.zeros(3),
@@ -152,8 +152,8 @@ def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
     return row, np.asarray(known[row] == ids)
 
 
-def keyframe(observation: GoalObservation) -> Keyframe:
-    """What the graph keeps of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
+def keyframe(observation: Observation) -> Keyframe:
+    """The keyframe of an observation. Raises numpy.linalg.LinAlgError where its covariance is singular."""
     root = np.linalg.inv(np.linalg.cholesky(observation.covariance))
     n = len(observation.ids)
     on_yaw = observation.on_yaw if len(observation.on_yaw) else np.zeros(2 * n + 3)
@@ -182,13 +182,13 @@ def at_yaw(one: Seen, yaw: float) -> Seen:
     return replace(one, p_AL=one.p_AL + change[:-3].reshape(-1, 2), X_AD=one.X_AD + change[-3:], yaw=yaw)
 
 
-def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation:
+def without_tags(observation: Observation, ids: IntArray) -> Observation:
     """The observation with some tags marginalised out."""
     if len(ids) == 0:
         return observation
     keep = ~np.isin(observation.ids, ids)
     rows = np.concatenate([np.repeat(keep, 2), np.ones(3, dtype=bool)])
-    return GoalObservation(
+    return Observation(
         ids=observation.ids[keep],
         p_AL=observation.p_AL[keep],
         X_AD=observation.X_AD,
@@ -202,10 +202,10 @@ def without_tags(observation: GoalObservation, ids: IntArray) -> GoalObservation
     )
 
 
-def extended(graph: KeyframeGraph, observation: GoalObservation, X_MD: FloatArray, *, is_view: bool) -> KeyframeGraph:
+def extended(graph: KeyframeGraph, observation: Observation, X_MD: FloatArray, *, is_view: bool) -> KeyframeGraph:
     """The graph with one keyframe more, which ends at X_MD (3,). New landmarks lie where it saw them.
 
-    is_view: a goal or glance, whose arrival pose is looked up later; not a piece of the way.
+    is_view: a turn or glance, whose arrival pose is looked up later; not a piece of the way.
     """
     k, X_MA = len(graph.keyframes), graph.X_MN[-1]
     _, known = rows_of(observation.ids, graph.ids)
@@ -361,10 +361,13 @@ def _forgetting(one: Keyframe, ids: IntArray) -> Keyframe:
     )
 
 
-def loosened(graph: KeyframeGraph, covariance: FloatArray, found_by: IntArray) -> KeyframeGraph:
-    """The graph with this covariance (3, 3) put where nothing but odometry ties the newest keyframes to those before:
-    back to one that shares WITNESSES landmarks with what was seen before it, or saw one by which the robot has found
-    itself. Odometry has been found wrong there."""
+def decoupled(graph: KeyframeGraph, covariance: FloatArray, found_by: IntArray) -> KeyframeGraph:
+    """The graph with the newest keyframes decoupled: where only odometry ties them to those before, this covariance
+    (3, 3) takes the place of odometry's, as odometry has been found wrong there.
+
+    It goes back to the newest keyframe that shares WITNESSES landmarks with those before it, or that saw one of the
+    landmarks found_by (f,), by which the robot has found itself.
+    """
     for j in range(len(graph.keyframes) - 1, 0, -1):
         one = graph.keyframes[j]
         before = np.concatenate([other.ids for other in graph.keyframes[:j]])

@@ -1,6 +1,6 @@
 """The online pose in the map: mapped landmarks considered, never updated, and tags met on the way as own states.
 
-Path sightings localise only; the map learns from goals. Correlations between pose and map are kept, so the pose's
+Path sightings localise only; the map learns from views. Correlations between pose and map are kept, so the pose's
 covariance stays honest over any number of frames. The filter works in the frame of the last departure pose D and
 carries X_MD along, so that the pose in M has its full covariance too.
 """
@@ -30,7 +30,7 @@ ANYWHERE = (1.0, 1.0, 0.5)
 
 @message
 class Localizer:
-    """The filter in D, X_MD (3,): the last departure pose, or that of a goal near which the robot found itself."""
+    """The filter in D, X_MD (3,): the last departure pose, or that of a view near which the robot found itself."""
 
     X_MD: FloatArray
     filter: PoseFilter

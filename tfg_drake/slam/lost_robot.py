@@ -1,8 +1,8 @@
-"""A robot that is suddenly elsewhere: a slip, a push, a kidnapping.
+"""Finds a robot again that is suddenly elsewhere: after a slip, a push or a kidnapping.
 
-From the first frame that contradicts the pose on, all that is seen is kept together: where a frame shows one tag or
-two, the way from the one to the next tells what none does by itself. What is found at last is the pose at the end of
-all that; so what was seen meanwhile is mapped where it belongs, and nothing before that is known.
+All tags seen since the first frame that contradicts the pose are gathered, as one frame may show one or two only, which
+do not tell a pose. The pose is looked for by all of them together. Once it is found, the tags gathered are mapped by
+it, and the motion before the first contradiction counts as unknown.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections, replace
 from tfg_drake.slam.camera_model import seen_from_camera
-from tfg_drake.slam.estimator_state import CARRIED, EstimatorState, OpenTurn, opened, unknown_way
-from tfg_drake.slam.keyframe_graph import loosened, rows_of
+from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, opened, unknown_way
+from tfg_drake.slam.keyframe_graph import decoupled, rows_of
 from tfg_drake.slam.localizer import Localizer, localized_pose, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.range_scale import corrected
@@ -26,7 +26,8 @@ from tfg_drake.slam.sightings import select
 SAME_PLACE = 16.0
 # A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
 ELSEWHERE = 5.0
-# How fast a robot that sees nothing is carried, or misjudges its way, m/s, m/s, rad/s, and how far a push moves it.
+# Deviation of the motion of a robot that sees nothing, m/s, m/s, rad/s: it may be moved or misjudge its way. And of a
+# push, m, m, rad.
 CARRIES = np.array([0.05, 0.05, 0.05])
 PUSHES = np.array([0.1, 0.1, 0.1])
 # Tags that must contradict the pose where no other is found.
@@ -36,7 +37,7 @@ _log = logging.getLogger("tfg_drake.slam")
 
 
 def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
-    """How many of a frame's tags are mapped, though too far away to be considered, and seen metres from there."""
+    """The number of a frame's tags that are mapped too far away for the localiser and seen far from there."""
     row, mapped = rows_of(seen.ids, state.graph.ids)
     mapped &= ~rows_of(seen.ids, localizer.filter.map_ids)[1]
     if state.map is None or not mapped.any():
@@ -47,8 +48,8 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
-def look_for_itself(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state after a frame that contradicts the pose once too often, or of a robot that is lost: where is it?"""
+def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
+    """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose."""
     estimate, suspect = state.map, state.suspect
     if estimate is None or suspect is None:
         return state
@@ -58,20 +59,22 @@ def look_for_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     expected = Expected(se2.compose(suspect.X_MB, way), suspect.sigma, moved)
     found = relocalize(estimate, seen, expected)
     if found is None:
-        if state.carried or disagreeing(estimate, seen, expected.X_MB) < LEAST_AGAINST:
+        if state.kidnapped or disagreeing(estimate, seen, expected.X_MB) < LEAST_AGAINST:
             return state
         _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
-        # What it met before it was moved stands elsewhere, seen from here.
-        return _carried(replace(state, localizer=without_local(state.localizer)), replace(opened(state), sigma=CARRIED))
+        # Tags met before the robot was moved have another place relative to it now.
+        return _kidnapped(
+            replace(state, localizer=without_local(state.localizer)), replace(opened(state), sigma=KIDNAPPED)
+        )
     tags = select(seen, found.agreeing)
     # As far from what was expected as the search took it to be: two tags may say no more of where it is on their ring.
-    sigma = moved if found.is_near else CARRIED
+    sigma = moved if found.is_near else KIDNAPPED
     begun = replace(suspect, X_MB=se2.compose(found.X_MB, se2.inverse(way)), sigma=sigma)
     if not found.is_known:
         if not state.lost:
             _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
         localizer = restart_localizer(state.model, estimate, found.X_MB, tags)
-        return _carried(replace(state, localizer=localizer, lost=True), begun)
+        return _kidnapped(replace(state, localizer=localizer, lost=True), begun)
     X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.model, np.zeros(3), 0.0)[0]
     error = found.X_MB - X_MB
     error[2] = se2.wrap_angle(error[2])
@@ -82,10 +85,12 @@ def look_for_itself(state: EstimatorState, stamp: float) -> EstimatorState:
         "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
         stamp, distance, angle, len(tags.ids),
     )  # fmt: skip
-    # What joins the newest goals to the others may be wrong as well.
-    graph = loosened(state.graph, np.diag(CARRIED**2), tags.ids)
+    # The ties of the newest views to the others may be wrong as well.
+    graph = decoupled(state.graph, np.diag(KIDNAPPED**2), tags.ids)
     if graph is not state.graph:
-        _log.warning("%.2f s: nothing but that way ties the newest goals to the others: they hang loose", stamp)
+        _log.warning(
+            "%.2f s: nothing but that way ties the newest views to the others: they are not tied any longer", stamp
+        )
     witness = max(range(len(graph.keyframes)), key=lambda k: np.isin(tags.ids, graph.keyframes[k].ids).sum())
     graph = replace(graph, p_ML=estimate.p_ML)
     _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
@@ -93,23 +98,23 @@ def look_for_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     state = replace(state, graph=graph, solved=graph, map=estimate)
     localizer = restart_localizer(state.model, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
-    return _carried(state, begun)
+    return _kidnapped(state, begun)
 
 
-def _carried(state: EstimatorState, begun: OpenTurn) -> EstimatorState:
-    """The state with what was measured from the last goal until something began given up: the robot was moved."""
+def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
+    """The state of a kidnapped robot: the motion from the last view to the observation that has begun is unknown."""
     if state.turn is None:
-        return replace(state, carried=True, way=(), piece=begun)
+        return replace(state, kidnapped=True, way=(), piece=begun)
     assert state.map is not None
     if begun.begin.stamp < state.turn.begin.stamp:
         begun = replace(opened(state), sigma=begun.sigma)
     way = unknown_way(se2.between(state.map.X_MD, begun.X_MB), begun.sigma)
-    return replace(state, carried=True, way=(way,), turn=begun)
+    return replace(state, kidnapped=True, way=(way,), turn=begun)
 
 
-def gathered(state: EstimatorState, since: OpenTurn) -> TagDetections:
-    """All tags seen since something began, each once, as they would be seen from where the robot is now; what odometry
-    may have got wrong meanwhile is in their deviations."""
+def gathered(state: EstimatorState, since: OpenObservation) -> TagDetections:
+    """All tags seen since an observation began, each once, as seen from where the robot is now. Their deviations
+    include the error of odometry since they were seen."""
     model, ids, p_BL, variance = state.model, [], [], []
     for frame in since.frames:
         seen = corrected(frame.detections, state.scale)

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 import scipy.linalg
 
-from tfg_drake.messages import FloatArray, GoalObservation, IntArray, MapEstimate, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, at_yaw, rows_of
 from tfg_drake.slam.keyframe_kernels import YAW_STEP, assemble, assemble_tag_errors, batch_error, chain, tag_pulls
 from tfg_drake.slam.tag_error import learnt, suspected
@@ -111,7 +111,7 @@ class _Eliminated:
 def solve(
     graph: KeyframeGraph,
     stamp: float,
-    observation: GoalObservation,
+    observation: Observation,
     *,
     place: FloatArray | None = None,
     node: int = -1,
@@ -122,7 +122,7 @@ def solve(
 
     Args:
         graph: k keyframes, at least one.
-        stamp: s, observation: the newest goal's, with its trajectory; both go into the MapEstimate.
+        stamp: s, observation: the newest view's, with its trajectory; both go into the MapEstimate.
         place: (2,), m in M, where the nearest landmarks are known jointly; where the node is by default.
         node: whose pose X_MD is, from 1 to k; the newest by default.
         also: (r,) rows of landmarks that are to be among them however far away.
@@ -135,7 +135,7 @@ def solve(
     local = np.sort(np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")[:joint])
     local = local if also is None else np.union1d(local, also)
     cells = _cells(graph, factors, local, node)
-    values = _Values(graph.X_MN, graph.p_ML, np.zeros_like(graph.p_ML))
+    values = _Values(graph.X_MN.copy(), graph.p_ML.copy(), np.zeros(graph.p_ML.shape))
     for _ in range(MOST_STEPS):
         blocks, gradient, error, poses = _linearised(factors, cells, values)
         eliminated, root = _factorised(cells, blocks, gradient)
@@ -267,7 +267,7 @@ def with_local(landmark_covariance: FloatArray, local: IntArray, covariance: Flo
 def estimate_of(
     graph: KeyframeGraph,
     stamp: float,
-    observation: GoalObservation,
+    observation: Observation,
     p_ML: FloatArray,
     X_MD: FloatArray,
     local: IntArray,

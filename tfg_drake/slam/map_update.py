@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, MapEstimate, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, at_yaw, extended, rows_of, without_tags
 from tfg_drake.slam.keyframe_kernels import chain, linearised
 from tfg_drake.slam.map_solver import estimate_of, with_local
@@ -45,7 +45,7 @@ class _Update:
 def updated(
     graph: KeyframeGraph,
     estimate: MapEstimate,
-    observation: GoalObservation,
+    observation: Observation,
     *,
     is_view: bool = True,
 ) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
@@ -55,7 +55,7 @@ def updated(
     Args:
         graph: with the values of its last solve. estimate: what has become of the landmarks and the newest pose since.
         observation: those of its tags that are known must be known jointly.
-        is_view: whether it is a goal or glance, not a piece of the way.
+        is_view: whether it is a turn or glance, not a piece of the way.
 
     What `estimate` says of the stage is not brought up to date, see `finished`.
     """
@@ -75,7 +75,7 @@ def updated(
     return *_joined(graph, estimate, observation, loose.covariance, local_row[kept], update, is_view), rejected
 
 
-def _with_tag_errors(observation: GoalObservation, tag_error: FloatArray) -> GoalObservation:
+def _with_tag_errors(observation: Observation, tag_error: FloatArray) -> Observation:
     """The observation as uncertain as the constant errors of its tags, of these deviations (2,), make it, as if they
     were others in each keyframe: a solve knows better."""
     n = len(observation.on_error)
@@ -108,9 +108,9 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
 
 
 def finished(
-    graph: KeyframeGraph, estimate: MapEstimate, stamp: float, observation: GoalObservation
+    graph: KeyframeGraph, estimate: MapEstimate, stamp: float, observation: Observation
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """Graph and map after all updates of a stage. stamp: s, observation: the newest goal's, with its trajectory."""
+    """Graph and map after all updates of a stage. stamp: s, observation: the newest view's, with its trajectory."""
     each = with_local(graph.landmark_covariance, estimate.local, estimate.covariance)
     graph = replace(graph, landmark_covariance=each)
     return graph, estimate_of(
@@ -123,7 +123,7 @@ def _entries(size: int, local_row: IntArray) -> IntArray:
     return np.append((2 * local_row[:, None] + [0, 1]).ravel(), [size - 3, size - 2, size - 1])
 
 
-def _iterated(estimate: MapEstimate, local_row: IntArray, observation: GoalObservation, seen: IntArray) -> _Update:
+def _iterated(estimate: MapEstimate, local_row: IntArray, observation: Observation, seen: IntArray) -> _Update:
     """The update by m tags: local_row (m,) where they are in local, seen (m,) where in the observation."""
     m = len(seen)
     if m == 0:
@@ -161,7 +161,7 @@ def _distances(update: _Update) -> FloatArray:
 def _joined(
     graph: KeyframeGraph,
     estimate: MapEstimate,
-    observation: GoalObservation,
+    observation: Observation,
     R: FloatArray,
     local_row: IntArray,
     update: _Update,

@@ -1,9 +1,10 @@
 """How the tags' noise goes on from one frame to the next, learnt from the frames of a robot that stands and looks.
 
 A detector that errs by the same amount in ten frames in a row tells as much in them as in one. With a correlation rho
-between frames that follow each other (a first-order Gauss-Markov process), one of many in a row is worth (1 - rho) / (1
-+ rho) of an independent one. A solution of such frames takes part of the noise for signal, all the more the shorter it
-sees a tag: only long runs are made use of, and what they lose is made up for (Kendall 1954).
+between frames that follow each other (a first-order Gauss-Markov process), the first of them tells as much as an
+independent one, each that follows (1 - rho) / (1 + rho) of that; g frames later, with rho^g for rho. A solution of such
+frames takes part of the noise for signal, all the more the shorter it sees a tag: only long runs are made use of, and
+what they lose is made up for (Kendall 1954).
 """
 
 from __future__ import annotations
@@ -42,8 +43,20 @@ class NoiseCorrelation:
 
     @property
     def frame_worth(self) -> float:
-        """What share of an independent frame one of many in a row tells."""
+        """What share of an independent frame one of many in a row tells, after the first."""
         return (1.0 - self.value) / (1.0 + self.value)
+
+    def worth(self, tag: IntArray, node: IntArray) -> FloatArray:
+        """What share of an independent frame each sighting (m,) tells, of the tags (m,) in the frames (m,): all of one
+        tag the same."""
+        order = np.lexsort([node, tag])
+        first = np.append(True, np.diff(tag[order]) != 0)[: len(tag)]
+        left = np.where(first, 0.0, self.value ** np.where(first, 1, np.diff(node[order], prepend=0)))
+        told = (1.0 - left) / (1.0 + left)
+        _, row, count = np.unique(tag[order], return_inverse=True, return_counts=True)
+        share = np.empty(len(tag))
+        share[order] = (np.bincount(row, told) / count)[row]
+        return share
 
 
 def no_correlation() -> NoiseCorrelation:

@@ -22,7 +22,7 @@ POSITION_NOISE = 5e-4
 # A robot whose wheels stand may have turned by less than an encoder tells: errors accrue at this share of their rate in
 # motion, which makes 0.3 mrad in half a minute; a tick of one wheel of a Kobuki is 0.4 mrad.
 REST_SHARE = 0.0001
-# From goal to goal the calibration may change by this share of its first standard deviation.
+# From view to view the calibration may change by this share of its first standard deviation.
 DRIFT = 0.1
 # Least standard deviation of a member of the calibration: a known constant is still a state.
 LEAST_CALIBRATION_SIGMA = 1e-6
@@ -56,7 +56,7 @@ def odometry_model(config: OdometryConfig) -> OdometryModel:
 
 
 def learnt(model: OdometryModel, calibration: FloatArray, covariance: FloatArray) -> OdometryModel:
-    """The model after a goal that knew the calibration (3,) with a covariance (3, 3)."""
+    """The model after a view that knew the calibration (3,) with a covariance (3, 3)."""
     drift = np.diag((DRIFT * model.calibration_sigma) ** 2)
     return replace(model, calibration=calibration, calibration_covariance=covariance + drift)
 

@@ -1,4 +1,4 @@
-"""The filter between goals: pose, odometry calibration and tags met on the way, beside landmarks it only considers.
+"""The filter between views: pose, odometry calibration and tags met on the way, beside landmarks it only considers.
 
 State x: pose (3) in the frame D the filter started in, calibration (3) of the odometry model, local tags (2 each) that
 enter under flat priors at their first sighting. Considered: landmarks y of the map with their joint covariance P_yy

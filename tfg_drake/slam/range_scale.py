@@ -145,7 +145,7 @@ def _compare(
 def correction(scale: RangeScale) -> float:
     """The expected scale error r where it is beyond doubt, else 0.
 
-    A correction that is itself in doubt would tie all tags of a goal together by an error that their covariance does
+    A correction that is itself in doubt would tie all tags of a view together by an error that their covariance does
     not know.
     """
     r, _, sigma = _moments(scale.information, scale.vector)

@@ -1,8 +1,8 @@
-"""Where the robot is when it has lost its way: its pose by geometry, from mapped tags and how far it can have got.
+"""Relocalisation: the pose of a lost robot by geometry, from mapped tags and how far it can have got.
 
 Any two tags with range and bearing give a pose, and one gives a ring of them. Each is judged by how many tags agree
-with it and by how far from the expected pose it is: beyond some distance that counts no more, as somebody may have
-carried the robot anywhere. Wrong ids and outliers are outvoted, and where there are several answers none is known.
+with it and by how far from the expected pose it is: beyond some distance that counts no more, as the robot
+may have been kidnapped. Wrong ids and outliers are outvoted, and where there are several answers none is known.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _mapped(estimate: MapEstimate, detections: TagDetections) -> tuple[IntArray,
     """The rows (n,) of a frame's tags in the map, and which of them (m,) are mapped."""
     row, known = rows_of(detections.ids, estimate.ids)
     mapped = np.flatnonzero(known)
-    # What hangs loose tells nothing of the rest of the map.
+    # Landmarks of a part that nothing ties tell nothing of the rest of the map.
     return row, mapped[np.trace(estimate.landmark_covariance[row[mapped]], axis1=1, axis2=2) < LOOSE**2]
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray
 
-# Tags are taken to have errors where the keyframes' squared pull at them is so many times what noise alone does.
+# Tags are taken to have errors where the keyframes' squared pull at them is so many times what noise alone does: by
+# chance it is once and a quarter of that, in small maps.
 SUSPICIOUS = 1.5
 # Tags from which on that is asked.
-LEAST_TAGS = 20
+LEAST_TAGS = 40
 # The deviations with which they are first looked for, m and rad, which count as much as so many tags do; and such as
 # are none.
 FIRST = (0.01, 0.003)

@@ -1,7 +1,7 @@
-"""One turn in place at a goal, or a piece of the way: its poses and tags, solved and reduced to what the map needs.
+"""One turn in place, or a piece of the way: its poses and tags, solved and reduced to what the map needs.
 
-The tags of a goal are tied together by the turn's uncertain headings, so they enter the map as one joint factor on
-goal poses and tags, the turn's other poses eliminated (the paper's sec. III, "measurements at a goal are combined").
+The tags of a turn are tied together by the turn's uncertain headings, so they enter the map as one joint factor on
+its poses and tags, the turn's other poses eliminated (the paper's sec. III, "measurements at a goal are combined").
 Damped Gauss-Newton steps on the poses in A, a chain, and on what all of them touch, calibration and tags, its border:
 the chain is eliminated pose by pose, what is left is dense and small.
 """
@@ -17,7 +17,7 @@ from numba import njit
 from scipy.linalg import lapack
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, IntArray, TagDetections, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Observation, TagDetections, message, replace
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.noise_correlation import (
     LONG_RUN,
@@ -100,7 +100,7 @@ class TurnSolution:
     left out as outliers. calibration: (3,) of the odometry, calibration_covariance: (3, 3), see OdometryModel. camera,
     correlation: what is known of the camera and of the noise now."""
 
-    observation: GoalObservation
+    observation: Observation
     sightings: IntArray
     dropped: int
     calibration: FloatArray
@@ -156,12 +156,12 @@ def solve_turn(
                 known, problem = slipping, (stamps, *problem[1:])
     correlation = _compared(correlation or no_correlation(), solution, problem, kept)
     if correlation.frame_worth < 1.0:
-        solution = _solved(known, _less_certain(problem, correlation.frame_worth), solution.X_AB, kept)
+        solution = _solved(known, _less_certain(problem, kept, correlation), solution.X_AB, kept)
 
     # All the turn tells given the yaw, which it shares with all others; what it tells of the yaw goes beside it.
     of_yaw = solution.covariance[TAGS:, CAMERA] / solution.covariance[CAMERA, CAMERA]
     given_yaw = solution.covariance[TAGS:, TAGS:] - np.outer(of_yaw, solution.covariance[TAGS:, CAMERA])
-    observation = GoalObservation(
+    observation = Observation(
         ids=solution.ids,
         p_AL=solution.p_AL,
         X_AD=solution.X_AB[-1],
@@ -210,11 +210,12 @@ def _compared(
     return compared(correlation, errors, tag, node)
 
 
-def _less_certain(problem: _Problem, frame_worth: float) -> _Problem:
-    """The problem with the standard deviations that make frames in a row count as much as they tell."""
+def _less_certain(problem: _Problem, kept: BoolArray, correlation: NoiseCorrelation) -> _Problem:
+    """The problem with the standard deviations that make those frames in a row that are kept (m,) count as much as they
+    tell."""
     clock, X_OB, node, ids, z = problem
     z = z.copy()
-    z[:, 2:4] *= frame_worth**-0.5
+    z[kept, 2:4] *= correlation.worth(ids[kept], node[kept])[:, None] ** -0.5
     return clock, X_OB, node, ids, z
 
 

@@ -1,7 +1,7 @@
 """Frontiers: where a turn's free space ends at the unknown, not at a surface.
 
-They lie along the shadow edges and maximum-range arcs of every goal's star polygon, a little inside the unknown, and
-along surfaces that no turn has seen well enough to have found a tag there. All are kept in the frame A of the goal
+They lie along the shadow edges and maximum-range arcs of every view's star polygon, a little inside the unknown, and
+along surfaces that no turn has seen well enough to have found a tag there. All are kept in the frame A of the view
 that saw them, so that they move with the map.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from tfg_drake.geometry.connected import connect, settle
+from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, enter
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
@@ -51,7 +51,7 @@ THIN_WALL = 0.25
 # A surface that ends farther than this from every other one goes on round a corner, m; how much of it is unseen, m.
 END_GAP = 0.15
 END_LENGTH = 0.4
-# A point of two goals' frontiers counts once within this distance, m.
+# A point of two views' frontiers counts once within this distance, m.
 SAME_FRONTIER = 0.35
 # Frontier length that a tag which was sighted but is not in the map stands for, m.
 SIGHTED_LENGTH = 1.0
@@ -59,14 +59,14 @@ SIGHTED_LENGTH = 1.0
 
 @message
 class FrontierPoints:
-    """Points kept in goals' frames, or all placed in one frame.
+    """Points kept in views' frames, or all placed in one frame.
 
-    goal: (f,) whose frame A. p: (f, 2) m. normal: (f, 2) unit vectors from the unknown back to where it was seen from;
+    view: (f,) whose frame A. p: (f, 2) m. normal: (f, 2) unit vectors from the unknown back to where it was seen from;
     for uninspected surface the surface's normal on its free side. length: (f,) m. on_surface: (f,) whether it stands
     for uninspected surface. id: (f,) of the tag sighted there, -1 for none.
     """
 
-    goal: IntArray
+    view: IntArray
     p: FloatArray
     normal: FloatArray
     length: FloatArray
@@ -81,18 +81,18 @@ def no_points() -> FrontierPoints:
 
 
 def points_of(
-    goal: int, p: FloatArray, normal: FloatArray, length: FloatArray, ids: IntArray | None = None
+    view: int, p: FloatArray, normal: FloatArray, length: FloatArray, ids: IntArray | None = None
 ) -> FrontierPoints:
-    """Points (f, 2), normals (f, 2) and lengths (f,) in the frame of one goal; ids (f,) of sighted tags."""
+    """Points (f, 2), normals (f, 2) and lengths (f,) in the frame of one view; ids (f,) of sighted tags."""
     if ids is None:
         ids = np.full(len(p), -1, dtype=np.int64)
-    return FrontierPoints(np.full(len(p), goal, dtype=np.int64), p, normal, length, np.zeros(len(p), dtype=bool), ids)
+    return FrontierPoints(np.full(len(p), view, dtype=np.int64), p, normal, length, np.zeros(len(p), dtype=bool), ids)
 
 
 def select(points: FrontierPoints, keep: BoolArray) -> FrontierPoints:
     """The points to keep (f,)."""
     return FrontierPoints(
-        points.goal[keep],
+        points.view[keep],
         points.p[keep],
         points.normal[keep],
         points.length[keep],
@@ -104,7 +104,7 @@ def select(points: FrontierPoints, keep: BoolArray) -> FrontierPoints:
 def join(*parts: FrontierPoints) -> FrontierPoints:
     """The points of all parts, one part after the other."""
     return FrontierPoints(
-        np.concatenate([part.goal for part in parts]),
+        np.concatenate([part.view for part in parts]),
         np.concatenate([part.p for part in parts]),
         np.concatenate([part.normal for part in parts]),
         np.concatenate([part.length for part in parts]),
@@ -114,15 +114,15 @@ def join(*parts: FrontierPoints) -> FrontierPoints:
 
 
 def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
-    """The points in the map frame, with the goals' poses X_MA (k, 3)."""
-    pose = X_MA[points.goal]
+    """The points in the map frame, with the views' poses X_MA (k, 3)."""
+    pose = X_MA[points.view]
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
 
     def turn(v: FloatArray) -> FloatArray:
         return np.stack([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]], axis=1)
 
     return FrontierPoints(
-        points.goal, pose[:, :2] + turn(points.p), turn(points.normal), points.length, points.on_surface, points.id
+        points.view, pose[:, :2] + turn(points.p), turn(points.normal), points.length, points.on_surface, points.id
     )
 
 
@@ -270,7 +270,7 @@ def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
     """Points on the longer stretches of uninspected surface, all in the frame of the points."""
     first, p, normal, length = _stretches(np.array(points.p), np.array(points.normal))
     on_surface, ids = np.ones(len(first), dtype=np.bool_), np.full(len(first), -1, dtype=np.int64)
-    return FrontierPoints(points.goal[first], p, normal, length, on_surface, ids)
+    return FrontierPoints(points.view[first], p, normal, length, on_surface, ids)
 
 
 @njit(cache=True)
@@ -287,7 +287,7 @@ def _stretches(p: FloatArray, normal: FloatArray) -> tuple[IntArray, FloatArray,
             same_face = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] > SAME_NORMAL
             if j < i and same_face and (p[j, 0] - x) ** 2 + (p[j, 1] - y) ** 2 <= gap * gap:
                 connect(face, i, j)
-    settle(face)
+    component_labels(face)
     row, mean_p, mean_normal = np.empty(n, dtype=np.int64), np.zeros((n, 2)), np.zeros((n, 2))
     lengths = np.empty(n)
     count = 0
@@ -298,7 +298,7 @@ def _stretches(p: FloatArray, normal: FloatArray) -> tuple[IntArray, FloatArray,
         mx, my = normal[members, 0].sum() / len(members), normal[members, 1].sum() / len(members)
         size = max(math.hypot(mx, my), 1e-9)
         along = np.dot(p[members], np.array([-my / size, mx / size]))
-        # By extent, not by count: two goals may have placed the same stretch a little differently.
+        # By extent, not by count: two views may have placed the same stretch a little differently.
         length = along.max() - along.min() + UNINSPECTED_SPACING
         if length < UNINSPECTED_LENGTH:
             continue

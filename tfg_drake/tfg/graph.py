@@ -1,8 +1,8 @@
-"""The topological feature graph: what every goal adds to it, and where the current map estimate puts it.
+"""The topological feature graph: how every view extends it, and where the current map estimate places it.
 
 Sections III and IV of Mu et al. (CDC 2016): landmarks are vertices, two landmarks are joined where an obstacle surface
 runs from one to the other. Beyond the paper, wall ends, surfaces without a landmark and free star polygons are kept,
-all anchored to landmarks or goals, so that they move with the map when a loop closes.
+all anchored to landmarks or views, so that they move with the map when a loop closes.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ from tfg_drake.tfg.frontier import (
     select,
     uninspected_frontiers,
 )
-from tfg_drake.tfg.overlap import MappedOtherwise, mapped_otherwise, nothing_otherwise, standing
+from tfg_drake.tfg.overlap import WeaklyTied, nothing_weakly_tied, standing, weakly_tied
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_passers
+from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
 from tfg_drake.tfg.polyline import segments_of, taken
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
 
-# Goals tried within this distance of each other count for the same frontier point, m.
+# Attempts from within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
 # From beyond this share of the sensor's range a small face may be missed though it is in view: no attempt at it.
 NEAR_SHARE = 0.5
@@ -67,7 +67,7 @@ BARE_TAG = 0.1
 
 
 @message
-class Sightings:
+class UnmappedSightings:
     """Tags seen on the way that are not in the map yet. ids: (s,). p_MU, p_MS: (s, 2) m, tag and where it was seen."""
 
     ids: IntArray
@@ -75,17 +75,17 @@ class Sightings:
     p_MS: FloatArray
 
 
-def no_sightings() -> Sightings:
+def no_sightings() -> UnmappedSightings:
     """No tag sighted."""
-    return Sightings(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+    return UnmappedSightings(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
 
 
-def note_sightings(sightings: Sightings, pose: PoseEstimate) -> Sightings:
+def note_sightings(sightings: UnmappedSightings, pose: PoseEstimate) -> UnmappedSightings:
     """The sightings with those tags of the robot's pose estimate that are new among them; itself if there are none."""
     new = (pose.new_ids[:, None] != sightings.ids).all(axis=1)
     if not new.any():
         return sightings
-    return Sightings(
+    return UnmappedSightings(
         np.concatenate([sightings.ids, pose.new_ids[new]]),
         np.concatenate([sightings.p_MU, pose.p_MU[new]]),
         np.concatenate([sightings.p_MS, np.tile(pose.X_MB[:2], (int(new.sum()), 1))]),
@@ -94,28 +94,27 @@ def note_sightings(sightings: Sightings, pose: PoseEstimate) -> Sightings:
 
 @message
 class TfgGraph:
-    """The graph in the coordinates of its landmarks and goals.
+    """The graph in the coordinates of its landmarks and views.
 
-    stage: number of goals in it. surfaces: obstacle surfaces. tag_ids: (n,) ascending, tag_goal: (n,) and tag_facing:
-    (n, 2): the side each landmark faces, a unit vector in that goal's frame; tag_range: (n,) m from where it was seen.
-    star_offsets: (k + 1,), star_vertices: (v, 2) in each goal's frame, m. shadows: frontier points of free space that
-    no star has covered yet. uninspected: points of surface on which a tag may have been missed.
-    unseen_backs: points on the far faces of thin walls that no goal has seen.
-    open_ends: points in front of other faces that none has seen. sighted: tags seen on the way and not mapped,
-    viewpoints: row for row the place of the robot then. tried: places where goals have tried a frontier in vain,
-    tried_count: (t,) how often. met: what may have been people, where they have not been seen past since, met_stamp:
-    (p,) when, s.
+    stage: number of views in it. surfaces: obstacle surfaces. tag_ids: (n,) ascending, tag_view: (n,) and tag_facing:
+    (n, 2): the side each landmark faces, a unit vector in that view's frame; tag_range: (n,) m from where it was seen.
+    star_offsets: (k + 1,), star_vertices: (v, 2) in each view's frame, m. free_space_frontiers: points where free space
+    ends at the unknown and no star has covered it yet. uninspected: points of surface on which a tag may have been
+    missed. unseen_backs: points on the far faces of thin walls that no view has seen. open_ends: points in front of
+    other faces that none has seen. sighted: tags seen on the way and not mapped, viewpoints: row for row the place of
+    the robot then. tried: places where views have tried a frontier in vain, tried_count: (t,) how often. met: points
+    of dynamic obstacles, until they are seen past, met_stamp: (p,) when they were met, s.
     """
 
     stage: int
     surfaces: Surfaces
     tag_ids: IntArray
-    tag_goal: IntArray
+    tag_view: IntArray
     tag_facing: FloatArray
     tag_range: FloatArray
     star_offsets: IntArray
     star_vertices: FloatArray
-    shadows: FrontierPoints
+    free_space_frontiers: FrontierPoints
     uninspected: FrontierPoints
     unseen_backs: FrontierPoints
     open_ends: FrontierPoints
@@ -128,7 +127,7 @@ class TfgGraph:
 
 
 def empty_graph() -> TfgGraph:
-    """The graph before the first goal."""
+    """The graph before the first view."""
     none, pairs, zero = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(1, dtype=np.int64)
     points = no_points()
     return TfgGraph(
@@ -157,30 +156,30 @@ def update(
     graph: TfgGraph,
     estimate: MapEstimate,
     panorama: Panorama,
-    sightings: Sightings,
+    sightings: UnmappedSightings,
     tags: TagSensorConfig,
     robot: RobotConfig,
     explorer: ExplorerConfig,
     *,
     glance: bool = False,
-    goals: IntArray | None = None,
+    views: IntArray | None = None,
     reach: float = math.inf,
 ) -> TfgGraph:
-    """The graph with the newest goal of the estimate added.
+    """The graph with the newest view of the estimate added.
 
-    estimate: the map at stage graph.stage + 1. panorama: what that goal's turn saw, in its arrival frame. sightings:
-    tags seen on the way to it. glance: the goal is a glance on the way, no attempt at what was open there. goals: (k,)
+    estimate: the map at stage graph.stage + 1. panorama: what that view's turn saw, in its arrival frame. sightings:
+    tags seen on the way to it. glance: the view is a glance on the way, no attempt at what was open there. views: (k,)
     those that the graph holds the stars of, one after the other, if it is a part of one. reach: m round the newest
-    goal, faces that no goal has seen are looked for there only.
+    view, faces that no view has seen are looked for there only.
 
     Raises ValueError where the estimate is of another stage.
     """
     if estimate.stage != graph.stage + 1:
-        raise ValueError(f"The graph holds {graph.stage} goals: it cannot take stage {estimate.stage} of the map next.")
-    goal = graph.stage
+        raise ValueError(f"The graph holds {graph.stage} views: it cannot take stage {estimate.stage} of the map next.")
+    view = graph.stage
     X_MA = estimate.X_MA
-    earlier = X_MA[:-1] if goals is None else X_MA[goals]
-    graph, panorama = _without_passers(graph, panorama, estimate, earlier)
+    earlier = X_MA[:-1] if views is None else X_MA[views]
+    graph, panorama = _without_dynamic(graph, panorama, estimate, earlier)
     links = panorama_links(panorama)
     components = segment(panorama, links)
 
@@ -189,27 +188,28 @@ def update(
     )
     placed = place(surfaces, estimate)
     segments, _ = segments_of(surfaces.offsets, placed)
-    tag_ids, tag_goal, tag_facing, tag_range = _update_facing(graph, estimate, seen_ids, seen_normal)
+    tag_ids, tag_view, tag_facing, tag_range = _update_facing(graph, estimate, seen_ids, seen_normal)
     star = star_polygon(panorama)
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
     star_vertices = np.concatenate([graph.star_vertices, star])
-    stars = _place_stars(star_offsets, star_vertices, X_MA if goals is None else X_MA[np.append(goals, goal)])
-    newest = _place_stars(np.array([0, len(star)]), star, X_MA[goal:])
-    # Where the map lies over itself, what was mapped another way round says nothing of what is here, nor this of that.
-    otherwise, seen = nothing_otherwise(surfaces, estimate), stars
-    if goals is not None and len(goals) < goal:
-        otherwise = mapped_otherwise(surfaces, tag_ids, tag_goal, estimate)
-        seen = _of_goals(stars, ~otherwise.goals[np.append(goals, goal)])
+    stars = _place_stars(star_offsets, star_vertices, X_MA if views is None else X_MA[np.append(views, view)])
+    newest = _place_stars(np.array([0, len(star)]), star, X_MA[view:])
+    # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
+    # nothing of theirs.
+    weak, seen = nothing_weakly_tied(surfaces, estimate), stars
+    if views is not None and len(views) < view:
+        weak = weakly_tied(surfaces, tag_ids, tag_view, estimate)
+        seen = _of_views(stars, ~weak.views[np.append(views, view)])
 
     def theirs(points: FrontierPoints) -> BoolArray:
-        return otherwise.goals[points.goal]
+        return weak.views[points.view]
 
     p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
-    shadows = _merge(
-        graph.shadows,
-        points_of(goal, p, normal, length),
+    free_space_frontiers = _merge(
+        graph.free_space_frontiers,
+        points_of(view, p, normal, length),
         X_MA,
-        lambda points: theirs(points) | ~(inside_any(points.p, *newest[:2]) | _settled(points, seen, estimate)),
+        lambda points: theirs(points) | ~(inside_any(points.p, *newest[:2]) | _explored(points, seen, estimate)),
         lambda points: ~inside_any(points.p, *seen[:2]),
         lambda old, new: far_from(new.p, old.p[~theirs(old)], SAME_FRONTIER),
     )
@@ -221,17 +221,17 @@ def update(
     p, normal = find_uninspected(components, tags.range, tags.max_incidence - SLANT_KNOWN)
     uninspected = _merge(
         graph.uninspected,
-        points_of(goal, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
+        points_of(view, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
         X_MA,
         lambda points: theirs(points) | unseen(newest, points),
         lambda points: unseen(seen, points),
         lambda old, new: far_from(_faces(new), _faces(old)[~theirs(old)], 0.9 * UNINSPECTED_SPACING),
     )
-    X_AM = inverse(X_MA[goal])
+    X_AM = inverse(X_MA[view])
 
     def unseen_faces(found: tuple[FloatArray, FloatArray], length: float) -> FrontierPoints:
         p, normal = transform(X_AM, found[0]), found[1] @ rotation(float(X_AM[2])).T
-        points = points_of(goal, p, normal, np.full(len(p), length))
+        points = points_of(view, p, normal, np.full(len(p), length))
         return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
     # Of a wall mapped from either side, both faces count, as far apart as they may have drifted.
@@ -242,14 +242,14 @@ def update(
     ends = unseen_faces(find_open_ends(surfaces.offsets, placed, stars[:2]), END_LENGTH)
 
     def near(points: FrontierPoints) -> BoolArray:
-        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[goal, :2]).T) <= reach)
+        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[view, :2]).T) <= reach)
 
     def known(points: FrontierPoints) -> BoolArray:
         # How far two faces may have drifted apart is known where the robot is.
         return near(points) & known_jointly(place_points(points, X_MA).p, estimate)
 
     def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
-        """What is found now, where that can be told; elsewhere what was found then stands."""
+        """The points found now among those that `which` selects; of the others those found then."""
         if math.isinf(reach) and estimate.is_joint:
             return now
         return join(select(then, ~which(then)), select(now, which(now)))
@@ -258,12 +258,12 @@ def update(
         estimate.stage,
         surfaces,
         tag_ids,
-        tag_goal,
+        tag_view,
         tag_facing,
         tag_range,
         star_offsets,
         star_vertices,
-        shadows,
+        free_space_frontiers,
         uninspected,
         here(graph.unseen_backs, backs, known),
         here(graph.open_ends, ends, near),
@@ -273,32 +273,33 @@ def update(
         graph.met,
         graph.met_stamp,
     )
-    return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer, goals)
+    return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer, views)
 
 
-def _without_passers(
+def _without_dynamic(
     graph: TfgGraph, panorama: Panorama, estimate: MapEstimate, earlier: FloatArray
 ) -> tuple[TfgGraph, Panorama]:
-    """The newest goal's panorama without those who pass by, and the graph before that goal, which remembers them.
+    """The graph before the newest view with the dynamic obstacles that this view met, and the view's panorama without
+    them.
 
-    earlier: (k, 3) poses in M of the goals that the graph holds the stars of.
+    earlier: (k, 3) poses in M of the views that the graph holds the stars of.
     """
     stars, X_MA = _place_stars(graph.star_offsets, graph.star_vertices, earlier), estimate.X_MA
     before = place_points(graph.met, X_MA).p
-    passers = without_passers(panorama, stars, estimate, before[graph.met_stamp <= estimate.stamp - STAYS])
-    if not (len(before) or len(passers.left_out)):
-        return graph, passers.panorama
-    stays = ~seen_past(transform(inverse(X_MA[-1]), before), passers.panorama)
-    # Whoever stands where he was is remembered since then.
-    new = passers.left_out[far_from(transform(X_MA[-1], passers.left_out), before[stays], SAME_PLACE)]
+    static = without_dynamic(panorama, stars, estimate, before[graph.met_stamp <= estimate.stamp - STAYS])
+    if not (len(before) or len(static.left_out)):
+        return graph, static.panorama
+    stays = ~seen_past(transform(inverse(X_MA[-1]), before), static.panorama)
+    # An obstacle that still stands where it was met keeps its stamp.
+    new = static.left_out[far_from(transform(X_MA[-1], static.left_out), before[stays], SAME_PLACE)]
     nothing = np.zeros(len(new))
     met = join(select(graph.met, stays), points_of(estimate.stage - 1, new, np.zeros_like(new), nothing))
     graph = replace(graph, met=met, met_stamp=np.append(graph.met_stamp[stays], nothing + estimate.stamp))
-    if passers.bodies:
-        bodies = [transform(X_MA[-1], body) for body in passers.bodies]
+    if static.bodies:
+        bodies = [transform(X_MA[-1], body) for body in static.bodies]
         offsets, vertices = without_bodies(graph.star_offsets, graph.star_vertices, earlier, bodies)
         graph = replace(graph, star_offsets=offsets, star_vertices=vertices)
-    return graph, passers.panorama
+    return graph, static.panorama
 
 
 def resolve(
@@ -307,32 +308,32 @@ def resolve(
     robot: RobotConfig,
     explorer: ExplorerConfig,
     *,
-    goals: IntArray | None = None,
+    views: IntArray | None = None,
 ) -> TfgMap:
-    """The graph in the map frame, with the estimate's landmarks and goals; the estimate's stage is the graph's.
+    """The graph in the map frame, with the estimate's landmarks and views; the estimate's stage is the graph's.
 
-    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`), and
-    landmarks that carry nothing else face nowhere: they are not in view where the map has them. In a part of a larger
-    map the same holds for surfaces, landmarks and frontiers that were mapped another way round, so that nobody can tell
-    where they lie seen from the robot: whoever looks for more than what is here asks the whole.
+    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
+    Landmarks that anchor no other surface get no facing, so they count as visible from nowhere. In a part of a larger
+    map the same holds for weakly tied surfaces, landmarks and frontiers; they are in the whole map only.
 
-    goals: (k,) those that the graph holds the stars of, if it is a part of one.
+    views: (k,) those that the graph holds the stars of, if it is a part of one.
     """
-    placed = _placed(graph, estimate, goals)
-    otherwise = placed.otherwise
+    placed = _placed(graph, estimate, views)
+    weak = placed.weakly_tied
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
-    bare &= ~otherwise.landmarks
+    bare &= ~weak.landmarks
     posts = estimate.ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
-    facing[otherwise.landmarks] = 0.0
+    facing[weak.landmarks] = 0.0
     if not placed.here.all():
         drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
         facing[np.isin(estimate.ids, drifted)] = 0.0
-    shadows = _open_shadows(graph, estimate, placed)
-    frontier = _live_frontiers(graph, estimate, placed, shadows, explorer)
-    given_up = _openings(select(shadows, _attempts(graph, shadows, estimate) >= explorer.frontier_attempts), robot)
+    free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
+    frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
+    in_vain = _attempts(graph, free_space_frontiers, estimate) >= explorer.frontier_attempts
+    given_up = _openings(select(free_space_frontiers, in_vain), robot)
     return TfgMap(
         stage=graph.stage,
         segments=np.vstack([placed.segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
@@ -353,7 +354,7 @@ def resolve(
 
 
 def empty_map() -> TfgMap:
-    """What the graph before the first goal resolves to."""
+    """The TfgMap of the empty graph."""
     none, points = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     return TfgMap(
         stage=0,
@@ -375,19 +376,20 @@ class _Placed:
     """The graph's surfaces and stars where the map estimate puts them.
 
     pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. stand: (m,) which have not
-    drifted into the free space of the stars. stars: in the map frame. otherwise: what says nothing of what is here.
+    drifted into the free space of the stars. stars: in the map frame. weakly_tied: what says nothing of the
+    surroundings of the robot.
     """
 
     pieces: FloatArray
     owner: IntArray
     stand: BoolArray
     stars: tuple[IntArray, FloatArray, FloatArray]
-    otherwise: MappedOtherwise
+    weakly_tied: WeaklyTied
 
     @functools.cached_property
     def here(self) -> BoolArray:
-        """Which pieces (m,) tell what is here."""
-        return self.stand & ~self.otherwise.surfaces[self.owner]
+        """Which pieces (m,) are believed to be where they are placed."""
+        return self.stand & ~self.weakly_tied.surfaces[self.owner]
 
     @functools.cached_property
     def segments(self) -> FloatArray:
@@ -395,62 +397,67 @@ class _Placed:
         return self.pieces[self.here]
 
 
-def _placed(graph: TfgGraph, estimate: MapEstimate, goals: IntArray | None) -> _Placed:
-    """The graph placed; goals: (k,) those that it holds the stars of, if it is a part of one."""
-    of_goal = np.arange(graph.stage) if goals is None else goals
-    stars = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_goal])
+def _placed(graph: TfgGraph, estimate: MapEstimate, views: IntArray | None) -> _Placed:
+    """The graph placed; views: (k,) those that it holds the stars of, if it is a part of one."""
+    of_view = np.arange(graph.stage) if views is None else views
+    stars = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_view])
     vertices = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, vertices)
-    stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_goal, stars, of_goal, estimate)
-    otherwise = nothing_otherwise(graph.surfaces, estimate)
-    if len(of_goal) < graph.stage:
-        otherwise = mapped_otherwise(graph.surfaces, graph.tag_ids, graph.tag_goal, estimate)
-    return _Placed(pieces, owner, stand[owner], stars, otherwise)
+    stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_view, stars, of_view, estimate)
+    weak = nothing_weakly_tied(graph.surfaces, estimate)
+    if len(of_view) < graph.stage:
+        weak = weakly_tied(graph.surfaces, graph.tag_ids, graph.tag_view, estimate)
+    return _Placed(pieces, owner, stand[owner], stars, weak)
 
 
 def _live_frontiers(
-    graph: TfgGraph, estimate: MapEstimate, placed: _Placed, shadows: FrontierPoints, explorer: ExplorerConfig
+    graph: TfgGraph,
+    estimate: MapEstimate,
+    placed: _Placed,
+    free_space_frontiers: FrontierPoints,
+    explorer: ExplorerConfig,
 ) -> FrontierPoints:
-    """The frontier points in the map frame that are still worth a visit, but for those mapped otherwise. shadows: those
-    of free space.
+    """The frontier points in the map frame that are worth another visit, without those of weakly tied views.
+    free_space_frontiers: the open ones, placed.
 
-    Those that explorer.frontier_attempts goals have tried in vain are left out. What fewer have tried counts for less:
+    Those that explorer.frontier_attempts views have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
     poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
-    points = join(shadows, poorly)
+    points = join(free_space_frontiers, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    here = ~placed.otherwise.goals[points.goal]
+    here = ~placed.weakly_tied.views[points.view]
     return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
-def _settled(
+def _explored(
     points: FrontierPoints, stars: tuple[IntArray, FloatArray, FloatArray], estimate: MapEstimate
 ) -> BoolArray:
-    """Which frontier points (f,) of one arm of a loop lie well inside what is seen from another: these, and what is
-    MOST_DRIFT behind them, where all is known jointly, as the loop has closed by then."""
-    settled = inside_any(points.p, *stars[:2])
-    inside = select(points, settled)
-    settled[settled] = inside_any(inside.p - MOST_DRIFT * inside.normal, *stars[:2]) & known_jointly(inside.p, estimate)
-    return np.asarray(settled)
+    """Which frontier points (f,) are explored, because another arm of a closed loop has seen free space there: the
+    point and the place MOST_DRIFT behind it lie inside the stars, and the landmarks there are known jointly."""
+    explored = inside_any(points.p, *stars[:2])
+    inside = select(points, explored)
+    behind = inside.p - MOST_DRIFT * inside.normal
+    explored[explored] = inside_any(behind, *stars[:2]) & known_jointly(inside.p, estimate)
+    return np.asarray(explored)
 
 
 @functools.lru_cache(maxsize=1)
 def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, estimate: MapEstimate) -> FrontierPoints:
-    """Points, in the map frame, on the stretches of surface that no turn has seen well or at all."""
+    """Frontier points, in the map frame, on the stretches of surface that no turn has seen well or at all."""
     return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
 
 
-def _open_shadows(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains, but for those mapped otherwise."""
-    shadows = place_points(graph.shadows, estimate.X_MA)
-    return select(shadows, open_frontiers(shadows, placed.segments) & ~placed.otherwise.goals[shadows.goal])
+def _open_free_space_frontiers(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
+    """Frontier points of free space, in the map frame, that no surface explains, without those of weakly tied views."""
+    points = place_points(graph.free_space_frontiers, estimate.X_MA)
+    return select(points, open_frontiers(points, placed.segments) & ~placed.weakly_tied.views[points.view])
 
 
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
-    """How many goals have tried each of the points (f,), in the map frame, in vain."""
+    """Number (f,) of views that have tried each of the points (f,), in the map frame, in vain."""
     tried = place_points(graph.tried, estimate.X_MA).p
     return np.asarray(most_within(points.p, tried, graph.tried_count, TRIED_DISTANCE))
 
@@ -467,7 +474,7 @@ def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
     """The side each of graph.tag_ids faces, in the map frame (n, 2)."""
-    theta = X_MA[graph.tag_goal, 2]
+    theta = X_MA[graph.tag_view, 2]
     c, s = np.cos(theta), np.sin(theta)
     x, y = graph.tag_facing[:, 0], graph.tag_facing[:, 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=1)
@@ -476,38 +483,38 @@ def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
 def _update_facing(
     graph: TfgGraph, estimate: MapEstimate, seen_ids: IntArray, seen_normal: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """tag_ids, tag_goal, tag_facing and tag_range with the newest goal's observation.
+    """tag_ids, tag_view, tag_facing and tag_range with the newest view's observation.
 
-    A tag faces along the normal of its surface as seen from nearest by; without a surface, towards that goal.
+    A tag faces along the normal of its surface as seen from nearest by; without a surface, towards that view.
     """
-    goal, observation = estimate.stage - 1, estimate.observation
-    p_AL = transform(inverse(estimate.X_MA[goal]), estimate.p_ML)
+    view, observation = estimate.stage - 1, estimate.observation
+    p_AL = transform(inverse(estimate.X_MA[view]), estimate.p_ML)
     ids = estimate.ids
     known = np.searchsorted(ids, graph.tag_ids)
-    tag_goal = np.full(len(ids), -1)
+    tag_view = np.full(len(ids), -1)
     facing, distance = np.zeros((len(ids), 2)), np.full(len(ids), np.inf)
-    tag_goal[known], facing[known], distance[known] = graph.tag_goal, graph.tag_facing, graph.tag_range
+    tag_view[known], facing[known], distance[known] = graph.tag_view, graph.tag_facing, graph.tag_range
 
     new_distance = np.hypot(p_AL[:, 0], p_AL[:, 1])
     on_surface = np.zeros(len(ids), dtype=bool)
     on_surface[np.searchsorted(ids, seen_ids)] = True
     seen = np.isin(ids, observation.ids)
-    bare = seen & ~on_surface & (tag_goal < 0)
+    bare = seen & ~on_surface & (tag_view < 0)
     better = on_surface & (new_distance < distance)
     normal = np.zeros((len(ids), 2))
     normal[np.searchsorted(ids, seen_ids)] = seen_normal
     facing[better] = normal[better]
     facing[bare] = -p_AL[bare] / np.maximum(new_distance[bare], 1e-9)[:, None]
-    tag_goal[better | bare] = goal
+    tag_view[better | bare] = view
     distance[better] = new_distance[better]
-    has = tag_goal >= 0
-    return ids[has], tag_goal[has], facing[has], distance[has]
+    has = tag_view >= 0
+    return ids[has], tag_view[has], facing[has], distance[has]
 
 
-def _of_goals(
+def _of_views(
     stars: tuple[IntArray, FloatArray, FloatArray], which: BoolArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The stars of some (k,) of the goals."""
+    """The stars of some (k,) of the views."""
     if which.all():
         return stars
     rows = np.flatnonzero(which)
@@ -549,11 +556,11 @@ def _faces(points: FrontierPoints) -> FloatArray:
 
 
 def _update_sighted(
-    sighted: FrontierPoints, viewpoints: FrontierPoints, sightings: Sightings, estimate: MapEstimate
+    sighted: FrontierPoints, viewpoints: FrontierPoints, sightings: UnmappedSightings, estimate: MapEstimate
 ) -> tuple[FrontierPoints, FrontierPoints]:
-    """The tags sighted so far that the map still lacks, and from where, in goals' frames; the first sighting counts."""
-    goal = estimate.stage - 1
-    X_AM = inverse(estimate.X_MA[goal])
+    """The tags sighted so far that the map still lacks, and from where, in views' frames; the first sighting counts."""
+    view = estimate.stage - 1
+    X_AM = inverse(estimate.X_MA[view])
     p, seen_from = transform(X_AM, sightings.p_MU), transform(X_AM, sightings.p_MS)
     normal = seen_from - p
     normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
@@ -561,8 +568,8 @@ def _update_sighted(
     front = p + UNINSPECTED_STANDOFF * normal
     length = np.full(len(p), SIGHTED_LENGTH)
     new = ~np.isin(sightings.ids, sighted.id)
-    points = join(sighted, select(points_of(goal, front, normal, length, sightings.ids), new))
-    places = join(viewpoints, select(points_of(goal, seen_from, normal, length, sightings.ids), new))
+    points = join(sighted, select(points_of(view, front, normal, length, sightings.ids), new))
+    places = join(viewpoints, select(points_of(view, seen_from, normal, length, sightings.ids), new))
     missing = ~np.isin(points.id, estimate.ids)
     return select(points, missing), select(places, missing)
 
@@ -574,16 +581,16 @@ def _count_attempts(
     panorama: Panorama,
     tags: TagSensorConfig,
     explorer: ExplorerConfig,
-    goals: IntArray | None,
+    views: IntArray | None,
 ) -> TfgGraph:
-    """Counts the newest goal as an attempt at every frontier point that it should have seen and that lives on.
+    """Counts the newest view as an attempt at every frontier point that it should have seen and that lives on.
 
-    goals: (k,) those that the graph before holds the stars of, if it is a part of one.
+    views: (k,) those that the graph before holds the stars of, if it is a part of one.
     """
     center = estimate.X_MA[-1, :2]
 
     def in_view_of(graph: TfgGraph, placed: _Placed) -> FloatArray:
-        points = _live_frontiers(graph, estimate, placed, _open_shadows(graph, estimate, placed), explorer)
+        points = _live_frontiers(graph, estimate, placed, _open_free_space_frontiers(graph, estimate, placed), explorer)
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
@@ -595,17 +602,17 @@ def _count_attempts(
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
         return np.asarray(points.p[(distance <= reach) & ~slant & clear & looked])
 
-    def in_view(graph: TfgGraph, goals: IntArray | None) -> FloatArray:
-        placed = _placed(graph, estimate, goals)
+    def in_view(graph: TfgGraph, views: IntArray | None) -> FloatArray:
+        placed = _placed(graph, estimate, views)
         here = in_view_of(graph, placed)
-        # The robot came for what was mapped otherwise, if it did not for what is here.
-        if len(here) or not placed.otherwise.landmarks.any():
+        # If no other frontier is in view, the robot came for a weakly tied one.
+        if len(here) or not placed.weakly_tied.landmarks.any():
             return here
-        all_of_it = nothing_otherwise(graph.surfaces, estimate)
-        return in_view_of(graph, dataclasses.replace(placed, otherwise=all_of_it))
+        all_of_it = nothing_weakly_tied(graph.surfaces, estimate)
+        return in_view_of(graph, dataclasses.replace(placed, weakly_tied=all_of_it))
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
-    then, failed = in_view(before, goals), in_view(after, None if goals is None else np.append(goals, after.stage - 1))
+    then, failed = in_view(before, views), in_view(after, None if views is None else np.append(views, after.stage - 1))
     failed = failed[~far_from(failed, then, TRIED_DISTANCE)]
 
     tried = place_points(after.tried, estimate.X_MA)

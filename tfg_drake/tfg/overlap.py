@@ -1,10 +1,11 @@
-"""What stands where the map lies over itself.
+"""Which surfaces are believed where the map overlaps itself before a loop closes.
 
-Two faces of a wall share no landmark. Until a loop closes, what was mapped from one side may lie in free space that was
-seen from the other: a room's walls in the passage outside. One of the two is in the way only by mistake: the one whose
-place relative to the robot is known less well, as the way to it along what ties the map together is longer. And where a
-room was mapped another way round, so that nobody can tell where it lies seen from the passage, it says nothing of what
-the passage is like, drifted into it or not.
+The two faces of a wall share no landmark. Until a loop closes, surfaces mapped from one side may therefore lie in free
+space seen from the other side, such as the walls of a room in the corridor outside. Then the surface is believed whose
+view is closer to the newest view along the ties of the map, as its place relative to the robot is known better.
+
+A room that was reached along another arm of the loop is tied to the robot so weakly that its place relative to the
+corridor is unknown. Its surfaces and its free space are not used for the surroundings of the robot at all.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_from_robot
 from tfg_drake.tfg.surfaces import Surfaces
 
-# A surface this deep in the free space of a goal this near, m, that did not look at its front has drifted into it.
+# A surface has drifted if it lies this deep, m, in the free space of a view at most this far away, m, that did not look
+# at its front.
 DEPTH = 0.2
 REACH = 5.0
-# What was mapped on the robot's own way is known within MOST_DRIFT, seen from it, and this a metre, as its heading is.
-# Little of it: a room must not be taken apart because its far end is asked for less.
+# Landmarks mapped on the robot's own way are known relative to it within MOST_DRIFT plus this much a metre of distance,
+# for the uncertain heading. It is small, so that the two ends of a room are treated alike.
 SWING = 0.01
 
 
@@ -33,71 +35,75 @@ def standing(
     surfaces: Surfaces,
     vertices: FloatArray,
     tag_ids: IntArray,
-    tag_goal: IntArray,
+    tag_view: IntArray,
     stars: tuple[IntArray, FloatArray, FloatArray],
-    star_goal: IntArray,
+    star_view: IntArray,
     estimate: MapEstimate,
 ) -> BoolArray:
-    """Which surfaces (s,) stand: no goal that is tied more closely to the newest than theirs has looked through them.
+    """Which surfaces (s,) are believed to be where they are mapped.
 
-    vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
-    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_goal: (k,) the goals they are of.
+    A surface is not believed where a view has looked through it that is closer to the newest view, along the ties of
+    the map, than the surface's own view (see `distance_along_map`).
+
+    vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_view: (n,) landmarks and a view that saw each.
+    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_view: (k,) the view of each.
     """
-    count, none = len(surfaces.goal), np.zeros(len(star_goal))
+    count, none = len(surfaces.view), np.zeros(len(star_view))
 
     def through(surface_rank: FloatArray, star_rank: FloatArray) -> BoolArray:
         return looked_through(surfaces.offsets, vertices, surface_rank, *stars, star_rank, DEPTH, REACH)
 
-    # As a rule there is nothing of the kind, and how the goals are tied does not matter.
+    # As a rule no view has looked through any surface; then the distances are not needed.
     if not through(np.ones(count), none).any():
         return np.ones(count, dtype=np.bool_)
-    rank = distance_along_map(*_saw(surfaces, tag_ids, tag_goal), star_goal, estimate)
-    return np.asarray(~through(rank[surfaces.goal], rank[star_goal]))
+    rank = distance_along_map(*_saw(surfaces, tag_ids, tag_view), star_view, estimate)
+    return np.asarray(~through(rank[surfaces.view], rank[star_view]))
 
 
 @dataclasses.dataclass(frozen=True)
-class MappedOtherwise:
-    """What was mapped another way round than the robot came: seen from it, nobody can tell where that lies.
+class WeaklyTied:
+    """Which parts of the map have an unknown place relative to the robot, as they were mapped along another arm of a
+    loop that has not closed.
 
-    landmarks: (n,) of the map, goals: (k,) of the map, surfaces: (s,).
+    landmarks: (n,) of the map, views: (k,) of the map, surfaces: (s,) of the graph.
     """
 
     landmarks: BoolArray
-    goals: BoolArray
+    views: BoolArray
     surfaces: BoolArray
 
 
-def mapped_otherwise(
-    surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray, estimate: MapEstimate
-) -> MappedOtherwise:
-    """What cannot be told from where the robot is: landmarks, those goals that saw no others of the landmarks known
-    jointly, and the surfaces of either.
+def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate) -> WeaklyTied:
+    """The weakly tied parts of the map: landmarks of unknown place relative to the robot, views that saw none but such
+    of the landmarks known jointly, and the surfaces of these views or landmarks.
 
-    tag_ids, tag_goal: (n,) landmarks and a goal that saw each.
+    tag_ids, tag_view: (n,) landmarks and a view that saw each.
     """
     landmarks = _known_badly(estimate)
     if not landmarks.any():
-        return nothing_otherwise(surfaces, estimate)
+        return nothing_weakly_tied(surfaces, estimate)
     known = estimate.is_local
-    goal, ids = _saw(surfaces, tag_ids, tag_goal)
+    view, ids = _saw(surfaces, tag_ids, tag_view)
     row = np.searchsorted(estimate.ids, ids)
     these, others = (
-        np.bincount(goal[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
+        np.bincount(view[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
     )
-    goals = (these > 0) & (others == 0)
-    carried = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
-    return MappedOtherwise(landmarks, goals, goals[surfaces.goal] | carried)
+    views = (these > 0) & (others == 0)
+    anchored = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
+    return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
 
 
-def nothing_otherwise(surfaces: Surfaces, estimate: MapEstimate) -> MappedOtherwise:
-    """Everything was mapped as the robot came."""
-    return MappedOtherwise(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.goal)))
+def nothing_weakly_tied(surfaces: Surfaces, estimate: MapEstimate) -> WeaklyTied:
+    """No part of the map is weakly tied."""
+    return WeaklyTied(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.view)))
 
 
 @functools.lru_cache(maxsize=1)
 def _known_badly(estimate: MapEstimate) -> BoolArray:
-    """Landmarks (n,) whose place, seen from the robot, is known worse than its own way can have made it: none of those
-    that the newest goal saw. What all of them are known worse by is the robot's own."""
+    """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains.
+
+    The least variance of all is the robot's own and is subtracted. Landmarks seen by the newest view are never among
+    them."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     known = estimate.is_local
     if known.any():
@@ -109,25 +115,26 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
     return badly
 
 
-def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_goal: IntArray) -> tuple[IntArray, IntArray]:
-    """Goals and landmarks (p,) that they saw, as far as surfaces tell and these landmarks with a goal each, (n,)."""
-    goal = np.concatenate([np.repeat(surfaces.goal, 2), tag_goal])
+def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs (p,) of a view and a landmark that it saw, from the surfaces and from tag_ids and tag_view (n,)."""
+    view = np.concatenate([np.repeat(surfaces.view, 2), tag_view])
     ids = np.concatenate([surfaces.ids.ravel(), tag_ids])
-    return goal[ids >= 0], ids[ids >= 0]
+    return view[ids >= 0], ids[ids >= 0]
 
 
-def distance_along_map(goal: IntArray, ids: IntArray, goals: IntArray, estimate: MapEstimate) -> FloatArray:
-    """How far (k,), m, each of the map's goals is from the last of `goals` along what ties them; inf where none does.
+def distance_along_map(view: IntArray, ids: IntArray, views: IntArray, estimate: MapEstimate) -> FloatArray:
+    """Length (k,), m, of the shortest way along the map's ties from the last of `views` to each view; inf without one.
 
-    What ties: a goal and a landmark that it saw, goal and ids (p,), and two of `goals` (g,), ascending, in succession.
+    A tie joins a view with a landmark that it saw, view and ids (p,), or two successive ones of `views` (g,).
+    views: ascending.
     """
     k, n = len(estimate.X_MA), len(estimate.ids)
     # Each pair once: a sparse matrix adds up what it is given twice.
-    pair = np.unique(goal * n + np.searchsorted(estimate.ids, ids))
+    pair = np.unique(view * n + np.searchsorted(estimate.ids, ids))
     saw, row = pair // n, pair % n
-    before = goals[:-1][np.diff(goals) == 1]
+    before = views[:-1][np.diff(views) == 1]
     to_landmark = np.hypot(*(estimate.p_ML[row] - estimate.X_MA[saw, :2]).T)
     to_next = np.hypot(*(estimate.X_MA[before + 1, :2] - estimate.X_MA[before, :2]).T)
     length = np.append(to_landmark, to_next)
     ties = csr_matrix((length, (np.append(saw, before), np.append(k + row, before + 1))), shape=(k + n, k + n))
-    return np.asarray(dijkstra(ties, directed=False, indices=goals[-1])[:k])
+    return np.asarray(dijkstra(ties, directed=False, indices=views[-1])[:k])

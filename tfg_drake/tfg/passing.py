@@ -1,9 +1,11 @@
-"""Who passes by: what stands where an earlier goal saw free ground has come there since, and is no part of a building.
+"""Dynamic obstacles: points of a panorama deep inside the free space of an earlier view are left out of the map.
 
-The robot's way past it is the scan's affair, see `tfg_drake.planning.path`. What was there when a place was first seen
-is mapped like a wall, until it is seen past (`tfg_drake.tfg.surfaces`). Who passes walks on: what is at the same place
-still when it is looked at later, and has not been seen past meanwhile, is a door that was shut, or furniture. It is
-mapped, and nobody believes any longer that the ground is free there.
+They are people, as a rule. Their body came there after the earlier view, so it is no part of the building. The path
+round them is planned by the scan alone, see `tfg_drake.planning.path`. A body that was there when a place was first
+seen is mapped as a surface, until it is seen past (`tfg_drake.tfg.surfaces`).
+
+A body that is still at the same place when it is seen later, and has not been seen past meanwhile, is static: a door
+that was shut, or furniture. It is mapped, and cut out of the free space of the earlier views.
 """
 
 from __future__ import annotations
@@ -22,38 +24,39 @@ from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import pack, taken
 
-# It stands this deep in what was seen to be free, m, where it is at least so wide, m: a post may have been missed. What
-# hangs together with that belongs to it as long as it is that deep.
+# A dynamic body has points this deep in free space, m, over at least this width, m: a post may have been missed. Points
+# next to them belong to it while they are SHALLOW deep, m.
 DEPTH = 0.2
 LEAST_WIDTH = 0.15
-# ... and this wide seen from where that was seen from, m.
+# ... and over this width across the line of sight of the earlier view, m.
 LEAST_VIEW = 0.1
 SHALLOW = 0.06
-# Goals farther away than this, m, are not asked.
+# Earlier views farther away than this, m, are not compared with.
 REACH = 8.0
 # A landmark is well known whose place seen from the robot has no larger standard deviation than this, m.
 WELL_KNOWN = 0.05
-# Every so many bins are looked at first: two metres away somebody covers 28 of them.
+# Only every so many bins are tested first: a person two metres away covers 28 of them.
 STRIDE = 4
-# Neighbouring points farther apart than this, m, or with more bins between them that met nothing, are not of one body.
+# Neighbouring points belong to one body within this distance, m, and with at most so many bins without a point between.
 SAME_BODY = 0.3
 GAP = 2
-# It stays where at least so much of it is this near, m, to what was left out so long before, s: people who stand and
-# talk are seen past sooner or later.
+# A body is static where at least this share of it is this near, m, to points that were left out so long before, s:
+# people who stand and talk are seen past sooner or later.
 STAYS = 20.0
 SAME_PLACE = 0.1
 SAME_SHARE = 0.5
-# What stays is taken to be as deep as it is wide, but no deeper than this, m; who stood nearer saw this far, m.
+# A static body is taken to be as deep as it is wide, but no deeper than this, m. In front of it the
+# star reaches at least this far, m.
 MOST_DEPTH = 0.5
 LEAST_REACH = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
-class Passers:
-    """What came where free ground was seen before.
+class StaticPanorama:
+    """A panorama without dynamic bodies.
 
-    panorama: as good as not having looked where somebody stood. left_out: (n, 2) m in A, what it was taken from.
-    bodies: (k, 2) m in A each, what stays in it, as it has not passed on.
+    panorama: nan where a dynamic body stood, as if the turn had not looked there. left_out: (n, 2) m in A, the points
+    of those bodies. bodies: (k, 2) m in A each, those that have become static and stay in the panorama.
     """
 
     panorama: Panorama
@@ -61,29 +64,30 @@ class Passers:
     bodies: list[FloatArray]
 
 
-def without_passers(
+def without_dynamic(
     panorama: Panorama,
     stars: tuple[IntArray, FloatArray, FloatArray],
     estimate: MapEstimate,
     before: FloatArray,
-) -> Passers:
-    """The newest goal's panorama without those who pass by.
+) -> StaticPanorama:
+    """The newest view's panorama without dynamic bodies.
 
-    Those earlier goals are asked round which all landmarks are well known seen from the robot. stars: theirs, in the
-    map frame, as in `tfg_drake.geometry.star`. before: (n, 2) m in M, what was left out at least STAYS ago.
+    It is compared with those earlier views round which all landmarks are well known relative to the robot. stars: of
+    the earlier views, in the map frame, as in `tfg_drake.geometry.star`. before: (n, 2) m in M, the points that were
+    left out at least STAYS ago.
     """
-    nobody = Passers(panorama, np.zeros((0, 2)), [])
+    unchanged = StaticPanorama(panorama, np.zeros((0, 2)), [])
     here = estimate.X_MA[-1]
     rows = np.flatnonzero(np.hypot(*(stars[2] - here[:2]).T) <= REACH)
     rows = rows[_well_known(stars[2][rows], estimate)]
     if not len(rows):
-        return nobody
+        return unchanged
     offsets, vertices = taken(rows, stars[0], stars[1])
     met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
     points = met.points
     passing = _passing(transform(here, points), offsets, vertices, stars[2][rows])
     if not passing.any():
-        return nobody
+        return unchanged
     bodies = []
     if len(before):
         tree = cKDTree(transform(inverse(here), before))
@@ -91,7 +95,7 @@ def without_passers(
             if np.mean(tree.query(points[body])[0] <= SAME_PLACE) >= SAME_SHARE:
                 passing[body] = False
                 bodies.append(points[body])
-    return Passers(
+    return StaticPanorama(
         replace(panorama, ranges=np.where(passing, np.nan, panorama.ranges)),
         points[passing & np.isfinite(points[:, 0])],
         bodies,
@@ -99,7 +103,7 @@ def without_passers(
 
 
 def _bodies(bins: IntArray, points: FloatArray) -> list[IntArray]:
-    """Those of some of the bins of a panorama's points (b, 2) that hang together, and have met something."""
+    """The bins split into bodies: runs of neighbouring points, of a panorama's points (b, 2), within SAME_BODY."""
     bins = bins[np.isfinite(points[bins, 0])]
     apart = np.hypot(*np.diff(points[bins], axis=0).T) > SAME_BODY
     return np.split(bins, np.flatnonzero(apart) + 1)
@@ -118,7 +122,7 @@ def seen_past(p_AP: FloatArray, panorama: Panorama) -> BoolArray:
 def without_bodies(
     star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray, p_MP: list[FloatArray]
 ) -> tuple[IntArray, FloatArray]:
-    """The stars, offsets (k + 1,) and vertices (v, 2) in the frames of their goals X_MA (k, 3), without what bodies
+    """The stars, offsets (k + 1,) and vertices (v, 2) in the frames of their views X_MA (k, 3), without what bodies
     (n, 2), m in M, stand in and hide."""
     stars = np.split(star_vertices.copy(), star_offsets[1:-1])
     for body in p_MP:
@@ -143,7 +147,7 @@ def _without(star: FloatArray, body: FloatArray) -> FloatArray:
 
 
 def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
-    """Round which of places (n, 2), m in M, there are landmarks, all of them well known seen from the robot, (n,)."""
+    """Which places (n, 2), m in M, have landmarks near, all of them well known relative to the robot, (n,)."""
     (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
     badly = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) > WELL_KNOWN**2
     offset = places[:, None] - estimate.local_p_ML
@@ -155,8 +159,7 @@ def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
 def _passing(
     points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray
 ) -> BoolArray:
-    """Which of a panorama's points (b, 2), nan where there is none, are of bodies that stand in the free ground of a
-    star."""
+    """Which points (b, 2) of a panorama, nan where there is none, belong to bodies inside the free space of a star."""
     bins = len(points)
     result, asked = np.zeros(bins, dtype=np.bool_), np.empty(bins, dtype=np.bool_)
     ends, deepest = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)

@@ -42,7 +42,7 @@ def arc_length(polyline: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def cut(polyline: FloatArray, start: float, stop: float) -> FloatArray:
+def sub_polyline(polyline: FloatArray, start: float, stop: float) -> FloatArray:
     """The part of a polyline (v, 2) between two arc lengths start < stop, m."""
     s = np.zeros(len(polyline))
     for i in range(1, len(polyline)):

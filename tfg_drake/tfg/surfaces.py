@@ -2,8 +2,8 @@
 
 Three kinds of polylines (Sec. III of the paper knows only the first):
 EDGE: between two landmarks; vertices in similarity coordinates of the two, (0, 0) the first and (1, 0) the second.
-END: a wall end, anchored to one landmark; vertices as offsets from it along the axes of the goal that saw it, m.
-LOOSE: a surface without a landmark; vertices in the frame A of the goal that saw it, m.
+END: a wall end, anchored to one landmark; vertices as offsets from it along the axes of the view that saw it, m.
+LOOSE: a surface without a landmark; vertices in the frame A of the view that saw it, m.
 A surface was seen from the left of its polyline.
 """
 
@@ -22,7 +22,17 @@ from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import arc_length, covered, cut, nearest, pack, sample, segments_of, taken, uncovered_runs
+from tfg_drake.tfg.polyline import (
+    arc_length,
+    covered,
+    nearest,
+    pack,
+    sample,
+    segments_of,
+    sub_polyline,
+    taken,
+    uncovered_runs,
+)
 from tfg_drake.tfg.segmentation import Components
 
 EDGE, END, LOOSE = 0, 1, 2
@@ -56,33 +66,33 @@ REFUTED_INCIDENCE = np.deg2rad(75.0)
 class Surfaces:
     """All surfaces, edges first.
 
-    kind: (s,). ids: (s, 2) the landmarks it is anchored to, counter-clockwise seen from the goal that saw it, -1 for
-    none. goal: (s,) index of that goal. range: (s,) m, its farthest vertex from there. offsets: (s + 1,) and vertices:
+    kind: (s,). ids: (s, 2) the landmarks it is anchored to, counter-clockwise seen from the view that saw it, -1 for
+    none. view: (s,) index of that view. range: (s,) m, its farthest vertex from there. offsets: (s + 1,) and vertices:
     (v, 2), see the module.
     """
 
     kind: IntArray
     ids: IntArray
-    goal: IntArray
+    view: IntArray
     range: FloatArray
     offsets: IntArray
     vertices: FloatArray
 
 
 class _Surface(NamedTuple):
-    """One surface that is new or has changed; the polyline (v, 2) is in the newest goal's frame, m."""
+    """One surface that is new or has changed; the polyline (v, 2) is in the newest view's frame, m."""
 
     kind: int
     first: int
     second: int
-    goal: int
+    view: int
     range: float
     polyline: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
 class _Draft:
-    """The surfaces while the graph is being updated, by row: the old ones, with vertices in the newest goal's frame A,
+    """The surfaces while the graph is being updated, by row: the old ones, with vertices in the newest view's frame A,
     m, and behind them those made since. Most of the old ones stay as they are."""
 
     old: Surfaces
@@ -99,7 +109,7 @@ class _Draft:
             return self.made[row - count]
         first, second = old.ids[row].tolist()
         polyline = old.vertices[old.offsets[row] : old.offsets[row + 1]]
-        return _Surface(int(old.kind[row]), first, second, int(old.goal[row]), float(old.range[row]), polyline)
+        return _Surface(int(old.kind[row]), first, second, int(old.view[row]), float(old.range[row]), polyline)
 
     def packed(self, rows: Sequence[int]) -> tuple[IntArray, FloatArray]:
         """offsets (n + 1,) and vertices (v, 2) of the polylines of some rows (n,), in this order."""
@@ -109,10 +119,10 @@ class _Draft:
         return taken(np.array(rows, dtype=np.int64), offsets, np.concatenate([old.vertices, vertices]))
 
     def numbers(self, rows: Sequence[int]) -> IntArray:
-        """kind, first, second and goal (n, 4) of some rows (n,), in this order."""
+        """kind, first, second and view (n, 4) of some rows (n,), in this order."""
         old = self.old
-        made = np.array([(s.kind, s.first, s.second, s.goal) for s in self.made], dtype=np.int64).reshape(-1, 4)
-        return np.concatenate([np.column_stack([old.kind, old.ids, old.goal]), made])[np.array(rows, dtype=np.int64)]
+        made = np.array([(s.kind, s.first, s.second, s.view) for s in self.made], dtype=np.int64).reshape(-1, 4)
+        return np.concatenate([np.column_stack([old.kind, old.ids, old.view]), made])[np.array(rows, dtype=np.int64)]
 
     def surfaces(self, rows: Sequence[int]) -> Surfaces:
         """Some of the surfaces, by kind and else in this order, with vertices in A."""
@@ -141,12 +151,12 @@ def no_surfaces() -> Surfaces:
 
 
 def place(surfaces: Surfaces, estimate: MapEstimate) -> FloatArray:
-    """The vertices (v, 2) of all surfaces in the map frame, m, with the estimate's landmarks and goals."""
+    """The vertices (v, 2) of all surfaces in the map frame, m, with the estimate's landmarks and views."""
     count = np.diff(surfaces.offsets)
     kind = np.repeat(surfaces.kind, count)
-    theta = np.repeat(estimate.X_MA[surfaces.goal, 2], count)
+    theta = np.repeat(estimate.X_MA[surfaces.view, 2], count)
     origin = np.repeat(_anchors(surfaces, estimate), count, axis=0)
-    # Edges are scaled and turned by the vector between their landmarks, the others turned by their goal's heading.
+    # Edges are scaled and turned by the vector between their landmarks, the others turned by their view's heading.
     span = np.repeat(_positions(surfaces.ids[:, 1], estimate), count, axis=0) - origin
     x = np.where(kind == EDGE, span[:, 0], np.cos(theta))
     y = np.where(kind == EDGE, span[:, 1], np.sin(theta))
@@ -162,8 +172,8 @@ def _positions(ids: IntArray, estimate: MapEstimate) -> FloatArray:
 
 
 def _anchors(surfaces: Surfaces, estimate: MapEstimate) -> FloatArray:
-    on_goal = (surfaces.kind == LOOSE)[:, None]
-    return np.where(on_goal, estimate.X_MA[surfaces.goal, :2], _positions(surfaces.ids[:, 0], estimate))
+    on_view = (surfaces.kind == LOOSE)[:, None]
+    return np.where(on_view, estimate.X_MA[surfaces.view, :2], _positions(surfaces.ids[:, 0], estimate))
 
 
 def add_observation(
@@ -174,17 +184,17 @@ def add_observation(
     known_ids: IntArray,
     known_facing: FloatArray,
 ) -> tuple[Surfaces, IntArray, FloatArray]:
-    """The surfaces with those of the newest goal added.
+    """The surfaces with those of the newest view added.
 
-    estimate: the map with that goal. components, panorama: seen from it. known_ids: (n,) ascending, landmarks seen
+    estimate: the map with that view. components, panorama: seen from it. known_ids: (n,) ascending, landmarks seen
     before, known_facing: (n, 2) unit vectors in M of the side they face.
     Returns the surfaces, and which tags of this turn lie on one, ids (t,), and its normals there in A (t, 2).
     """
-    goal = estimate.stage - 1
-    X_MA = estimate.X_MA[goal]
+    view = estimate.stage - 1
+    X_MA = estimate.X_MA[view]
     X_AM = inverse(X_MA)
     tags = _find_tags(estimate, X_AM, components, panorama.range_max, known_ids, known_facing)
-    edges, pieces = _from_components(components, tags, goal)
+    edges, pieces = _from_components(components, tags, view)
 
     draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, estimate))), [])
     all_edges, ends = _break_refuted(draft, panorama, estimate)
@@ -228,7 +238,7 @@ def _find_tags(
 
 
 def _from_components(
-    components: Components, tags: _SeenTags, goal: int
+    components: Components, tags: _SeenTags, view: int
 ) -> tuple[dict[tuple[int, int], _Surface], list[_Surface]]:
     """Edges between neighbouring tags of each component by their sorted ids, then wall ends and loose surfaces."""
     edges: dict[tuple[int, int], _Surface] = {}
@@ -239,49 +249,57 @@ def _from_components(
         mine = mine[np.argsort(tags.along[mine], kind="stable")]
         polyline, along = components.vertices[begin:end], tags.along[mine]
         if not len(mine):
-            loose.append(_Surface(LOOSE, -1, -1, goal, _farthest(polyline), polyline))
+            loose.append(_Surface(LOOSE, -1, -1, view, _farthest(polyline), polyline))
             continue
         total = float(arc_length(polyline)[-1])
         if components.closed:
             # Begin and end at the first tag, so that the last edge leads back to it.
             first = along[0]
             if 0.0 < first < total:
-                polyline = np.concatenate([cut(polyline, first, total), cut(polyline, 0.0, first)[1:]])
+                polyline = np.concatenate(
+                    [sub_polyline(polyline, first, total), sub_polyline(polyline, 0.0, first)[1:]]
+                )
             mine = np.append(mine, mine[0])
             along = np.append(along - first, total)
         else:
-            ends += _end(tags, int(mine[0]), cut(polyline, 0.0, along[0]) if along[0] > 0.0 else polyline[:1], -1, goal)
             ends += _end(
-                tags, int(mine[-1]), cut(polyline, along[-1], total) if along[-1] < total else polyline[-1:], 0, goal
+                tags, int(mine[0]), sub_polyline(polyline, 0.0, along[0]) if along[0] > 0.0 else polyline[:1], -1, view
+            )
+            ends += _end(
+                tags,
+                int(mine[-1]),
+                sub_polyline(polyline, along[-1], total) if along[-1] < total else polyline[-1:],
+                0,
+                view,
             )
         for i, j, start, stop in zip(mine[:-1], mine[1:], along[:-1], along[1:], strict=True):
             if stop <= start:
                 continue
-            part = cut(polyline, start, stop)
-            edge = _edge(tags, int(i), int(j), part, goal)
+            part = sub_polyline(polyline, start, stop)
+            edge = _edge(tags, int(i), int(j), part, view)
             key = (min(edge.first, edge.second), max(edge.first, edge.second))
             if _detour(edge.polyline) <= LONGEST_DETOUR and (key not in edges or edge.range < edges[key].range):
                 edges[key] = edge
             else:
                 middle = 0.5 * (stop - start)
-                ends += _end(tags, int(i), cut(part, 0.0, middle), 0, goal)
-                ends += _end(tags, int(j), cut(part, middle, stop - start), -1, goal)
+                ends += _end(tags, int(i), sub_polyline(part, 0.0, middle), 0, view)
+                ends += _end(tags, int(j), sub_polyline(part, middle, stop - start), -1, view)
     return edges, ends + loose
 
 
-def _edge(tags: _SeenTags, i: int, j: int, part: FloatArray, goal: int) -> _Surface:
+def _edge(tags: _SeenTags, i: int, j: int, part: FloatArray, view: int) -> _Surface:
     polyline = part.copy()
     polyline[0], polyline[-1] = tags.p_AL[i], tags.p_AL[j]
-    return _Surface(EDGE, int(tags.ids[i]), int(tags.ids[j]), goal, _farthest(polyline), polyline)
+    return _Surface(EDGE, int(tags.ids[i]), int(tags.ids[j]), view, _farthest(polyline), polyline)
 
 
-def _end(tags: _SeenTags, i: int, polyline: FloatArray, at: int, goal: int) -> list[_Surface]:
+def _end(tags: _SeenTags, i: int, polyline: FloatArray, at: int, view: int) -> list[_Surface]:
     """The wall end from tag i, at the polyline's start (at = 0) or end (at = -1); none where it has no length."""
     if len(polyline) < 2:
         return []
     polyline = polyline.copy()
     polyline[at] = tags.p_AL[i]
-    return [_Surface(END, int(tags.ids[i]), -1, goal, _farthest(polyline), polyline)]
+    return [_Surface(END, int(tags.ids[i]), -1, view, _farthest(polyline), polyline)]
 
 
 def _farthest(polyline: FloatArray) -> float:
@@ -319,7 +337,7 @@ def _split_edges(edges: dict[tuple[int, int], int], draft: _Draft, tags: _SeenTa
             key = (min(ids[i], ids[i + 1]), max(ids[i], ids[i + 1]))
             if s[i + 1] - s[i] <= 1e-6 or key in edges:
                 continue
-            polyline = cut(old.polyline, s[i], s[i + 1])
+            polyline = sub_polyline(old.polyline, s[i], s[i + 1])
             polyline[0], polyline[-1] = places[i], places[i + 1]
             if _detour(polyline) <= LONGEST_DETOUR:
                 edges[key] = draft.add(old._replace(first=ids[i], second=ids[i + 1], polyline=polyline))
@@ -343,7 +361,7 @@ def _break_refuted(
         _, begin, end_at = uncovered_runs(owner[own], refuted[own], start[own], stop[own], LEAST_LENGTH)
         for a, b in zip(begin.tolist(), end_at.tolist(), strict=True):
             anchor = edge.first if a + b <= 2.0 * middle else edge.second
-            end = edge._replace(kind=END, first=anchor, second=-1, polyline=cut(edge.polyline, a, b))
+            end = edge._replace(kind=END, first=anchor, second=-1, polyline=sub_polyline(edge.polyline, a, b))
             ends.append(draft.add(end))
     return edges, ends
 
@@ -380,7 +398,7 @@ def _trim(
             continue
         piece = draft[row]
         for r in range(runs[i], runs[i + 1]):
-            trimmed.append(draft.add(piece._replace(polyline=cut(piece.polyline, begin[r], end[r]))))
+            trimmed.append(draft.add(piece._replace(polyline=sub_polyline(piece.polyline, begin[r], end[r]))))
     return trimmed
 
 
@@ -440,10 +458,10 @@ def _segments(draft: _Draft, rows: list[int]) -> FloatArray:
 
 
 def _packed(surfaces: Surfaces, estimate: MapEstimate, X_MA: FloatArray) -> Surfaces:
-    """The surfaces, from the newest goal's frame back in the coordinates of each kind: the inverse of place."""
+    """The surfaces, from the newest view's frame back in the coordinates of each kind: the inverse of place."""
     count = np.diff(surfaces.offsets)
     kinds = np.repeat(surfaces.kind, count)
-    theta = np.repeat(estimate.X_MA[surfaces.goal, 2], count)
+    theta = np.repeat(estimate.X_MA[surfaces.view, 2], count)
     origin = np.repeat(_anchors(surfaces, estimate), count, axis=0)
     span = np.repeat(_positions(surfaces.ids[:, 1], estimate), count, axis=0) - origin
     x = np.where(kinds == EDGE, span[:, 0], np.cos(theta))

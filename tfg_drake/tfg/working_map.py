@@ -1,7 +1,7 @@
-"""The part of a large map that planning works on: it takes a new goal up as the whole would.
+"""The working map: the active part of a large map, which takes up a new view as the whole map would.
 
-A goal sees as far as its scan reaches. So whatever there is within some distance of the newest goal was seen by goals
-no farther away than that and the scan's reach; on a map too large to be known jointly all others rest.
+A view sees as far as its scan reaches. So everything within some distance of the newest view was seen by views no
+farther away than that distance and the scan's reach. On a map too large to be known jointly all others are inactive.
 """
 
 from __future__ import annotations
@@ -17,58 +17,60 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, WorkingMap, replace
 from tfg_drake.tfg import graph as tfg_graph
 from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
-from tfg_drake.tfg.graph import Sightings, TfgGraph, empty_graph, empty_map
+from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, empty_graph, empty_map
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import taken
-from tfg_drake.tfg.resting import Parted, awake, extended, rearranged, undivided, whole
+from tfg_drake.tfg.submaps import Submaps, extended, rearranged, to_activate, undivided, whole
 from tfg_drake.tfg.surfaces import Surfaces
 
 # How far two places that were once next to each other may have been torn apart by a loop that closed, m.
 TORN = 1.0
-# What is worked on lacks nothing within so many times the scan's reach of the newest goal: more than that goal saw, and
-# as far as it matters for the order in which what is open is best looked at.
+# The working map is complete within so many times the scan's reach of the newest view: that is more than the view saw,
+# and as far as the order in which the frontiers are best visited depends on the map.
 COMPLETE = 2.5
-# Rules that look for the next goal in all of the map at every stage: nothing rests.
+# Rules that look for the next goal in the whole map at every stage: with them all submaps stay active.
 FAR_SIGHTED = ("argmax", "random")
-_POINTS = ("shadows", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried", "met")
+_POINTS = ("free_space_frontiers", "uninspected", "unseen_backs", "open_ends", "sighted", "viewpoints", "tried", "met")
 
 
-def empty_graphs() -> Parted[TfgGraph]:
-    """The graph before the first goal."""
+def empty_graphs() -> Submaps[TfgGraph]:
+    """The graph before the first view."""
     return undivided(empty_graph())
 
 
-def may_rest(explorer: ExplorerConfig) -> bool:
-    """Whether the next goal can be chosen without all of the map: not by every rule, and not where the robot must know
-    how long the way home is."""
+def may_deactivate(explorer: ExplorerConfig) -> bool:
+    """Whether submaps may be inactive: not with rules that choose the next goal from the whole map, nor where the robot
+    must know the length of its way home."""
     return explorer.goal not in FAR_SIGHTED and not explorer.return_home
 
 
 def update(
-    graphs: Parted[TfgGraph],
+    graphs: Submaps[TfgGraph],
     estimate: MapEstimate,
     panorama: Panorama,
-    sightings: Sightings,
+    sightings: UnmappedSightings,
     tags: TagSensorConfig,
     robot: RobotConfig,
     explorer: ExplorerConfig,
     *,
     glance: bool = False,
-) -> Parted[TfgGraph]:
-    """As `tfg_drake.tfg.graph.update`, by what is near the newest goal, and nothing but that changes.
+) -> Submaps[TfgGraph]:
+    """As `tfg_drake.tfg.graph.update`, of the active submap alone; the inactive ones do not change.
 
     Raises ValueError where the estimate is of another stage than the next.
     """
     seen = reach_of(panorama)
-    is_large = bool(graphs.resting) or not estimate.is_joint
-    if is_large and may_rest(explorer):
-        if not graphs.resting:
-            # While all was known jointly, the newest goal looked for unseen faces everywhere.
-            backs, ends = (anchored(of, estimate.X_MA[:-1]) for of in (graphs.near.unseen_backs, graphs.near.open_ends))
-            graphs = replace(graphs, near=replace(graphs.near, unseen_backs=backs, open_ends=ends))
-        graphs = rearranged(graphs, awake(graphs.part, estimate.X_MA, (COMPLETE + 1.0) * seen), cut, joined)
+    is_large = bool(graphs.inactive) or not estimate.is_joint
+    if is_large and may_deactivate(explorer):
+        if not graphs.inactive:
+            # While all was known jointly, the newest view looked for unseen faces everywhere.
+            backs, ends = (
+                anchored(of, estimate.X_MA[:-1]) for of in (graphs.active.unseen_backs, graphs.active.open_ends)
+            )
+            graphs = replace(graphs, active=replace(graphs.active, unseen_backs=backs, open_ends=ends))
+        graphs = rearranged(graphs, to_activate(graphs.submap, estimate.X_MA, (COMPLETE + 1.0) * seen), split, merged)
     near = tfg_graph.update(
-        graphs.near,
+        graphs.active,
         estimate_near(graphs, estimate, seen),
         panorama,
         sightings,
@@ -76,10 +78,10 @@ def update(
         robot,
         explorer,
         glance=glance,
-        goals=graphs.goals,
+        views=graphs.views,
         reach=seen if is_large else math.inf,
     )
-    if graphs.resting:
+    if graphs.inactive:
         missing = estimate.ids[np.searchsorted(estimate.ids, near.sighted.id).clip(max=len(estimate.ids) - 1)]
         missing = missing != near.sighted.id
         near = replace(near, sighted=select(near.sighted, missing), viewpoints=select(near.viewpoints, missing))
@@ -87,19 +89,19 @@ def update(
 
 
 def reach_of(panorama: Panorama) -> float:
-    """How far away a goal may have seen what the panorama saw, m, as mapped now."""
+    """Distance, m, within which a view may have seen the same places as the panorama, as mapped now."""
     return panorama.range_max + TORN
 
 
 def working_map(
-    graphs: Parted[TfgGraph], estimate: MapEstimate, panorama: Panorama, robot: RobotConfig, explorer: ExplorerConfig
+    graphs: Submaps[TfgGraph], estimate: MapEstimate, panorama: Panorama, robot: RobotConfig, explorer: ExplorerConfig
 ) -> WorkingMap:
-    """What is near, resolved; the estimate and the panorama are of the graph's stage."""
+    """The active submap, resolved; the estimate and the panorama are of the graph's stage."""
     seen = reach_of(panorama)
     part = estimate_near(graphs, estimate, seen)
-    tfg = tfg_graph.resolve(graphs.near, part, robot, explorer, goals=graphs.goals)
-    if not graphs.resting:
-        return WorkingMap(part, tfg, graphs.part < 0)
+    tfg = tfg_graph.resolve(graphs.active, part, robot, explorer, views=graphs.views)
+    if not graphs.inactive:
+        return WorkingMap(part, tfg, graphs.submap < 0)
     # Farther away a wall may be missing through which a frontier would be seen.
     reach = COMPLETE * seen
     whole_there = np.hypot(*(tfg.frontiers - estimate.X_MA[-1, :2]).T) <= reach
@@ -109,37 +111,37 @@ def working_map(
         frontier_length=tfg.frontier_length[whole_there],
         frontier_normal=tfg.frontier_normal[whole_there],
     )
-    return WorkingMap(part, tfg, graphs.part < 0, reach)
+    return WorkingMap(part, tfg, graphs.submap < 0, reach)
 
 
 def empty_working_map(estimate: MapEstimate) -> WorkingMap:
-    """Before the first goal, with the estimate of then."""
+    """The working map before the first view, with the estimate of then."""
     return WorkingMap(estimate, empty_map(), np.zeros(0, dtype=np.bool_))
 
 
-def whole_graph(graphs: Parted[TfgGraph]) -> TfgGraph:
-    """The graph of all goals."""
-    return replace(whole(graphs, joined), stage=len(graphs.part))
+def whole_graph(graphs: Submaps[TfgGraph]) -> TfgGraph:
+    """The graph of all views."""
+    return replace(whole(graphs, merged), stage=len(graphs.submap))
 
 
-def estimate_near(graphs: Parted[TfgGraph], estimate: MapEstimate, reach: float) -> MapEstimate:
-    """The map with those landmarks that what is near is anchored to, and those within reach (m) of the newest goal."""
-    if not graphs.resting:
+def estimate_near(graphs: Submaps[TfgGraph], estimate: MapEstimate, reach: float) -> MapEstimate:
+    """The map with the landmarks that anchor the active submap and those within reach (m) of the newest view only."""
+    if not graphs.inactive:
         return estimate
-    ids = np.concatenate([graphs.near.tag_ids, graphs.near.surfaces.ids.ravel()])
+    ids = np.concatenate([graphs.active.tag_ids, graphs.active.surfaces.ids.ravel()])
     keep = np.hypot(*(estimate.p_ML - estimate.X_MA[-1, :2]).T) <= reach
     keep[np.searchsorted(estimate.ids, ids[ids >= 0])] = True
     return of_landmarks(estimate, keep)
 
 
 def anchored(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
-    """The points, each in the frame of the goal nearest to it; X_MA: (k, 3)."""
+    """The points, each in the frame of the view nearest to it; X_MA: (k, 3)."""
     if not len(points.p):
         return points
     placed = place_points(points, X_MA)
-    _, goal = cKDTree(X_MA[:, :2]).query(placed.p)
-    d, theta = placed.p - X_MA[goal, :2], X_MA[goal, 2]
-    return replace(points, goal=np.asarray(goal), p=_turned(d, -theta), normal=_turned(placed.normal, -theta))
+    _, view = cKDTree(X_MA[:, :2]).query(placed.p)
+    d, theta = placed.p - X_MA[view, :2], X_MA[view, 2]
+    return replace(points, view=np.asarray(view), p=_turned(d, -theta), normal=_turned(placed.normal, -theta))
 
 
 def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
@@ -149,7 +151,7 @@ def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
-    """The map with some of its landmarks (n,) only, and with all its goals."""
+    """The map with some of its landmarks (n,) only, and with all its views."""
     local = keep[estimate.is_local]
     rows = np.append(np.repeat(local, 2), np.ones(3, dtype=np.bool_))
     return replace(
@@ -162,28 +164,28 @@ def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
     )
 
 
-def cut(graph: TfgGraph, goals: IntArray, stays: BoolArray) -> tuple[TfgGraph, TfgGraph]:
-    """What some (k,) of the graph's goals (k,) saw, and what the others did."""
-    return _of_goals(graph, goals, stays), _of_goals(graph, goals, ~stays)
+def split(graph: TfgGraph, views: IntArray, stays: BoolArray) -> tuple[TfgGraph, TfgGraph]:
+    """The graph split in two: what the views (k,) saw that stay (k,), and what the others saw."""
+    return _of_views(graph, views, stays), _of_views(graph, views, ~stays)
 
 
-def joined(graphs: Sequence[TfgGraph], goals: Sequence[IntArray]) -> TfgGraph:
-    """The graph of several parts, each with the stars of its goals; the first is the newest."""
+def merged(graphs: Sequence[TfgGraph], views: Sequence[IntArray]) -> TfgGraph:
+    """The graph of several submaps, each with the stars of its views (k,); the first is the active one."""
     tag = np.argsort(np.concatenate([graph.tag_ids for graph in graphs]))
-    star = np.argsort(np.concatenate(goals))
+    star = np.argsort(np.concatenate(views))
     surfaces = _chained([graph.surfaces for graph in graphs])
     star_offsets, star_vertices = taken(
         star,
         _chained_offsets([graph.star_offsets for graph in graphs]),
         np.concatenate([graph.star_vertices for graph in graphs]),
     )
-    tags = ("tag_ids", "tag_goal", "tag_facing", "tag_range")
+    tags = ("tag_ids", "tag_view", "tag_facing", "tag_range")
     rows: dict[str, Any] = {name: np.concatenate([getattr(graph, name) for graph in graphs])[tag] for name in tags}
     points: dict[str, Any] = {name: join(*(getattr(graph, name) for graph in graphs)) for name in _POINTS}
     return replace(
         graphs[0],
-        # As they were found: where two overlap, the first is believed.
-        surfaces=_surfaces(surfaces, np.lexsort([surfaces.goal, surfaces.kind])),
+        # In the order in which they were found: where two overlap, the first is believed.
+        surfaces=_surfaces(surfaces, np.lexsort([surfaces.view, surfaces.kind])),
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         tried_count=np.concatenate([graph.tried_count for graph in graphs]),
@@ -193,24 +195,24 @@ def joined(graphs: Sequence[TfgGraph], goals: Sequence[IntArray]) -> TfgGraph:
     )
 
 
-def _of_goals(graph: TfgGraph, goals: IntArray, which: BoolArray) -> TfgGraph:
-    """What some (k,) of the graph's goals (k,) saw."""
-    theirs = np.zeros(int(goals.max(initial=-1)) + 1, dtype=np.bool_)
-    theirs[goals[which]] = True
-    tags = theirs[graph.tag_goal]
+def _of_views(graph: TfgGraph, views: IntArray, which: BoolArray) -> TfgGraph:
+    """The graph of some (k,) of the graph's views (k,) only."""
+    theirs = np.zeros(int(views.max(initial=-1)) + 1, dtype=np.bool_)
+    theirs[views[which]] = True
+    tags = theirs[graph.tag_view]
     star_offsets, star_vertices = taken(np.flatnonzero(which), graph.star_offsets, graph.star_vertices)
-    points: dict[str, Any] = {name: select(of, theirs[of.goal]) for name in _POINTS for of in (getattr(graph, name),)}
+    points: dict[str, Any] = {name: select(of, theirs[of.view]) for name in _POINTS for of in (getattr(graph, name),)}
     return replace(
         graph,
-        surfaces=_surfaces(graph.surfaces, np.flatnonzero(theirs[graph.surfaces.goal])),
+        surfaces=_surfaces(graph.surfaces, np.flatnonzero(theirs[graph.surfaces.view])),
         tag_ids=graph.tag_ids[tags],
-        tag_goal=graph.tag_goal[tags],
+        tag_view=graph.tag_view[tags],
         tag_facing=graph.tag_facing[tags],
         tag_range=graph.tag_range[tags],
         star_offsets=star_offsets,
         star_vertices=star_vertices,
-        tried_count=graph.tried_count[theirs[graph.tried.goal]],
-        met_stamp=graph.met_stamp[theirs[graph.met.goal]],
+        tried_count=graph.tried_count[theirs[graph.tried.view]],
+        met_stamp=graph.met_stamp[theirs[graph.met.view]],
         **points,
     )
 
@@ -218,17 +220,17 @@ def _of_goals(graph: TfgGraph, goals: IntArray, which: BoolArray) -> TfgGraph:
 def _chained(parts: Sequence[Surfaces]) -> Surfaces:
     """All surfaces, part by part."""
     offsets = _chained_offsets([part.offsets for part in parts])
-    kind, ids, goal, farthest, vertices = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("kind", "ids", "goal", "range", "vertices")
+    kind, ids, view, farthest, vertices = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("kind", "ids", "view", "range", "vertices")
     )
-    return Surfaces(kind, ids, goal, farthest, offsets, vertices)
+    return Surfaces(kind, ids, view, farthest, offsets, vertices)
 
 
 def _surfaces(surfaces: Surfaces, rows: IntArray) -> Surfaces:
     """Some of the surfaces, in this order."""
     offsets, vertices = taken(rows, surfaces.offsets, surfaces.vertices)
     return Surfaces(
-        surfaces.kind[rows], surfaces.ids[rows], surfaces.goal[rows], surfaces.range[rows], offsets, vertices
+        surfaces.kind[rows], surfaces.ids[rows], surfaces.view[rows], surfaces.range[rows], offsets, vertices
     )
 
 

@@ -33,7 +33,7 @@ def test_emulate_prints_device_and_address_and_ends_with_the_truth(how):
         assert not Path(device).is_symlink()
         process.stdin.close()
         process.send_signal(how)
-        process.wait(timeout=10.0)
+        process.wait(timeout=60.0)
         at_the_end = json.loads(process.stdout.readline())
         assert (process.returncode, process.stdout.read()) == (0, "")
         complaint = "no order 'stop'; docs/kobuki_emulator.md lists those that there are"

@@ -14,7 +14,7 @@ from tfg_drake.mapfile.saved_map import save_map
 
 INFO = """\
 world frame  origin of the map at x 5.000 m, y 3.000 m, heading 1.5708 rad
-goals        2 goals and glances, the last at 20.2 s
+views        2 turns and glances, the last at 20.2 s
 landmarks    4 landmarks
 deviation    1\u03c3 of a landmark {median} m median, {worst} m worst (tag 13)
 entropy      {entropy} nats

@@ -32,7 +32,7 @@ def test_emulate_prints_its_topics_and_the_truth_at_its_end():
         process.stdin.flush()
         assert json.loads(process.stdout.readline())["distance"] == 0.0
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20.0)
+        out, err = process.communicate(timeout=60.0)
         truth = json.loads(out.splitlines()[-1])
         assert (process.returncode, err) == (0, "")
         assert (truth["contacts"], truth["distance"]) == (0, 0.0)

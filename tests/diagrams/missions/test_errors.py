@@ -47,5 +47,5 @@ def test_an_uncertain_yaw_turns_the_map():
     np.testing.assert_allclose(turned["landmark_anees"], 0.125, rtol=1e-3)
 
 
-def test_before_the_first_goal_there_is_nothing():
+def test_before_the_first_view_there_is_nothing():
     assert _landmarks(WORLD, np.ones(3, dtype=bool), None, True, np.zeros(3), 0.0)["landmarks_mapped"] == 0

@@ -122,13 +122,13 @@ def test_an_interrupt_ends_all_at_once(tmp_path):
     threading.Timer(1.0, interrupted.set).start()
     begun = time.monotonic()
     assert list(run_local(tasks(), tmp_path, 1, interrupted)) == []
-    assert time.monotonic() - begun < 10.0
+    assert time.monotonic() - begun < 30.0
     assert not multiprocessing.active_children()
 
 
 def test_methods_are_named():
     assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == {"tfg": "", "grid-nearest": ""}
-    example = Path(__file__).parents[2] / "docs" / "example_method.py"
+    example = Path(__file__).parents[3] / "docs" / "example_method.py"
     assert parse_methods(f"{example}", LoadScenario(data=ROOM)) == {"example_method": str(example)}
     with pytest.raises(SweepError, match="--methods tfg,tfg: names tfg twice; name each once"):
         parse_methods("tfg,tfg", LoadScenario(data=ROOM))

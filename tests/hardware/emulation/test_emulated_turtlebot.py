@@ -12,7 +12,7 @@ from tfg_drake.hardware.emulation.sensor_faults import sensor_fault
 
 @pytest.fixture(scope="module")
 def robot():
-    return runpy.run_path(str(Path(__file__).parent / "emulated.py"))["make_robot"]()
+    return runpy.run_path(str(Path(__file__).parents[1] / "ros" / "emulated.py"))["make_robot"]()
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import numpy as np
 
 from tfg_drake.messages import (
     GoalChoice,
-    GoalObservation,
     GridMap,
     MapEstimate,
+    Observation,
     Odometry,
     Path,
     PoseEstimate,
@@ -27,7 +27,7 @@ def estimate():
         covariance=1e-4 * np.eye(7),
         landmark_covariance=np.array([np.diag([4e-4, 1e-4]), np.diag([1e-4, 1e-4])]),
         X_MA=np.zeros((1, 3)),
-        observation=GoalObservation(
+        observation=Observation(
             ids=np.zeros(0, dtype=int),
             p_AL=np.zeros((0, 2)),
             X_AD=np.zeros(3),

@@ -75,17 +75,17 @@ def test_a_late_listener_of_ros_2(ros2, room):
     messages = publish(ros2, room, 0.5)
     ours, theirs = Pipe()
     listener = Path(__file__).with_name("listener.py")
-    process = subprocess.Popen([sys.executable, str(listener), str(theirs.fileno()), "20"], pass_fds=[theirs.fileno()])
+    process = subprocess.Popen([sys.executable, str(listener), str(theirs.fileno()), "60"], pass_fds=[theirs.fileno()])
     while not ours.poll(0.1):
         # The map is not said again.
         ros2.source.publish("pose", map_messages.pose(messages["pose"], ros2.preset.frames))
     heard = ours.recv()
-    assert process.wait(20.0) == 0
+    assert process.wait(60.0) == 0
     assert set(heard) == PUBLISHED | {"/odom"}
     check(heard, room)
     # The estimate's stamp is the odometry's, of the robot's clock.
     now = time.time()
-    assert 0.0 < now - seconds(heard["/tfg/pose"]["header"]) < 10.0
+    assert 0.0 < now - seconds(heard["/tfg/pose"]["header"]) < 120.0
     offset = time.time() - time.monotonic()
     assert seconds(heard["/tfg/pose"]["header"]) == pytest.approx(messages["pose"].stamp + offset, abs=0.1)
 

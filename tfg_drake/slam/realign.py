@@ -1,8 +1,8 @@
-"""What was mapped after the robot had been carried, put in its place once tags from before are seen with it.
+"""Realigns the part of the map made since a kidnapping, once tags of both parts are seen together.
 
-Nothing ties such a part of the map to the rest; its place and heading are a guess. A goal that sees tags of both parts
-says how they lie to each other, but by more than a linearisation about the guess can follow: its covariance is that of
-small turns. So the newer part is moved first, as a whole; the goal then joins as any other.
+Nothing ties such a part of the map to the rest; its place and heading are a guess. An observation of tags of both parts
+measures their relative pose, but the guess may be wrong by more than a linearisation allows. So the newer part is first
+moved as a whole; then the observation is added like any other.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ import numpy as np
 
 from tfg_drake.comparison.metrics import align
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, GoalObservation, MapEstimate, replace
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Observation, replace
 from tfg_drake.slam.keyframe_graph import WITNESSES, Keyframe, KeyframeGraph, rows_of
 from tfg_drake.slam.map_solver import solve
 
-# A way that leaves the heading as open as this, rad, ties nothing.
+# A keyframe of the way whose heading deviates this much or more, rad, ties nothing.
 OPEN_HEADING = 1.0
-# Tags of either part that a goal must see, and how well they must fit, m: an id may have been misread.
+# Tags of either part that a view must see, and how well they must fit, m: an id may have been misread.
 LEAST_TAGS = 3
 FIT = 0.3
 
 
-def rejoined(
-    graph: KeyframeGraph, estimate: MapEstimate, observation: GoalObservation
+def realigned(
+    graph: KeyframeGraph, estimate: MapEstimate, observation: Observation
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """The graph, and its estimate, with what was mapped since the robot was carried moved to where an observation, not
-    yet in it, says; as they were where nothing is adrift or the observation does not say."""
+    """Graph and estimate with the part mapped since the last kidnapping moved to fit an observation that is not yet in
+    them. They are returned as they were where no part is adrift or the observation does not tell its place."""
     keyframes = graph.keyframes
     loose = [j for j, one in enumerate(keyframes) if not len(one.ids) and one.information[2, 2] <= OPEN_HEADING**-2]
     if not loose:
@@ -45,7 +45,7 @@ def rejoined(
     X_MN, p_ML = graph.X_MN.copy(), estimate.p_ML.copy()
     X_MN[j + 1 :] = se2.compose(move, X_MN[j + 1 :])
     p_ML[since & ~before] = se2.transform(move, p_ML[since & ~before])
-    # The way that is not known seems to have led there.
+    # The unknown way is given the motion that leads there.
     way = replace(keyframes[j], X_AD=se2.between(X_MN[j], X_MN[j + 1]))
     graph = replace(graph, keyframes=(*keyframes[:j], way, *keyframes[j + 1 :]), X_MN=X_MN, p_ML=p_ML)
     return solve(graph, estimate.stamp, estimate.observation)

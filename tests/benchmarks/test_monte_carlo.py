@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from benchmarks.monte_carlo import collisions, draw
 from tfg_drake.config import OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
-from tfg_drake.planning.monte_carlo import collisions, draw
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.breezyslam import METRES_PER_COUNT, SCANNER_AHEAD, load_breezyslam
+from benchmarks.carmen import load_carmen
 from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.breezyslam import METRES_PER_COUNT, SCANNER_AHEAD, load_breezyslam
-from tfg_drake.datasets.carmen import load_carmen
 from tfg_drake.datasets.recording import DatasetError
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

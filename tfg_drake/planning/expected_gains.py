@@ -1,4 +1,4 @@
-"""What candidates are expected to bring, judged only as far as it takes to find the best of them."""
+"""The expected gains of candidates, computed only as far as it takes to find the best of them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from tfg_drake.planning.information_gain import Gains
 AT_ONCE = 12
 
 
-class Promises:
-    """The gains of candidates, judged when they are asked for: until then, what they can be at the most.
+class ExpectedGains:
+    """The gains of candidates. Each is an upper bound until it is asked for, then exact.
 
-    gains: (c,) of all of them.
+    gains: (c,) of all of them, nats.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class Promises:
 
     @property
     def paid(self) -> FloatArray:
-        """What goals are preferred by, (c,), nats: the gain, or as if the pose cost nothing."""
+        """The gain (c,), nats, by which goals are preferred: with the pose's price, or without it."""
         return self.gains.gain if self._pay else self.gains.gain + self.gains.pose_price
 
     def ask(self, rows: IntArray) -> None:

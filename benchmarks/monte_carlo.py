@@ -20,7 +20,7 @@ from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
 from tfg_drake.planning.exact_gain import whitened
-from tfg_drake.planning.expected_view import expected_tags, local_view
+from tfg_drake.planning.expected_view import expected_tags, local_visibility
 
 # Surfaces farther from a point of the path than this are not looked at, m.
 REACH = 1.2
@@ -82,7 +82,7 @@ def _pose_errors(
     ahead = np.diff(path, axis=0)
     heading = np.arctan2(*np.vstack([ahead, ahead[-1:]]).T[::-1])
     step = np.append(0.0, np.hypot(*ahead.T))
-    views = local_view(expected_tags(path, estimate, tfg, sensor), estimate)
+    visible = local_visibility(expected_tags(path, estimate, tfg, sensor), estimate)
     p_ML = estimate.local_p_ML
     S = estimate.covariance
     n = 2 * len(p_ML)
@@ -113,7 +113,7 @@ def _pose_errors(
         e[:, 1] += s * slip
         e[:, 2] += bias * dt + rng.normal(0.0, odometry.gyro_noise * math.sqrt(dt), count)
 
-        rows = views.index[views.offsets[i] : views.offsets[i + 1]]
+        rows = visible.index[visible.offsets[i] : visible.offsets[i + 1]]
         d = p_ML[rows] - path[i]
         in_view = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - heading[i])) < 0.5 * sensor.field_of_view
         rows, d = rows[in_view], d[in_view]

@@ -1,4 +1,4 @@
-"""A robot that was carried away maps on, and later sees what it had mapped before beside what it has mapped since."""
+"""A robot that was kidnapped maps on, and later sees what it had mapped before beside what it has mapped since."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,11 @@ from tfg_drake.slam.estimator_state import unknown_way
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, without_tags
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
-from tfg_drake.slam.rejoin import rejoined
+from tfg_drake.slam.realign import realigned
 
 SEEN, X_AD = 5.5, np.array([0.01, -0.02, 0.1])
 PLACES = np.array([[0.0, 0.0, 0.3], [3.0, 0.0, -0.4], [14.0, 0.0, 1.0], [17.0, 0.0, 2.0], [8.5, 0.0, 0.5]])
-# What the robot believes of where it was carried to, against where it is.
+# What the robot believes of where it was put, against where it is.
 GUESS = np.array([2.0, -1.0, 0.6])
 
 
@@ -24,8 +24,8 @@ def observation(rng, points, X):
 
 
 @pytest.fixture
-def carried():
-    """Graph and map after two goals, a lift by 11 m, and two more goals; the goal that sees both parts; the tags."""
+def kidnapped():
+    """Graph and map after two views, a lift by 11 m, and two more views; the view that sees both parts; the tags."""
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.uniform(-4, 21, 60), rng.uniform(-4, 4, 60)])
     graph, estimate = empty_graph(), empty_map()
@@ -48,10 +48,10 @@ def joined(graph, estimate, seen):
     return *solve(graph, 9.0, seen), rejected
 
 
-def test_what_was_mapped_since_moves_to_its_place_and_no_tag_is_left_out(carried):
-    graph, estimate, seen, p_ML = carried
+def test_what_was_mapped_since_moves_to_its_place_and_no_tag_is_left_out(kidnapped):
+    graph, estimate, seen, p_ML = kidnapped
     assert np.hypot(*(graph.p_ML - p_ML[graph.ids - 100]).T).max() > 2.0
-    whole, _, rejected = joined(*rejoined(graph, estimate, seen), seen)
+    whole, _, rejected = joined(*realigned(graph, estimate, seen), seen)
     assert len(rejected) == 0
     assert np.hypot(*(whole.p_ML - p_ML[whole.ids - 100]).T).max() < 0.2
     # Without the move, a linearisation about the guess takes the old tags for moved ones.
@@ -59,20 +59,20 @@ def test_what_was_mapped_since_moves_to_its_place_and_no_tag_is_left_out(carried
     assert len(rejected) > 0
 
 
-def test_nothing_moves_where_the_goal_does_not_say_where_to(carried):
-    graph, estimate, seen, _ = carried
+def test_nothing_moves_where_the_view_does_not_say_where_to(kidnapped):
+    graph, estimate, seen, _ = kidnapped
     since = np.concatenate([one.ids for one in graph.keyframes[4:]])
     only_new = without_tags(seen, np.setdiff1d(graph.ids, since))
-    assert rejoined(graph, estimate, only_new)[0] is graph
-    assert rejoined(empty_graph(), estimate, seen)[1] is estimate
-    whole, after, _ = joined(*rejoined(graph, estimate, seen), seen)
-    assert rejoined(whole, after, seen)[0] is whole
+    assert realigned(graph, estimate, only_new)[0] is graph
+    assert realigned(empty_graph(), estimate, seen)[1] is estimate
+    whole, after, _ = joined(*realigned(graph, estimate, seen), seen)
+    assert realigned(whole, after, seen)[0] is whole
 
 
-def test_a_misread_id_moves_nothing(carried):
-    graph, estimate, seen, _ = carried
+def test_a_misread_id_moves_nothing(kidnapped):
+    graph, estimate, seen, _ = kidnapped
     first = np.concatenate([one.ids for one in graph.keyframes[:3]])
     row = int(np.flatnonzero(np.isin(seen.ids, first))[0])
     p_AL = seen.p_AL.copy()
     p_AL[row] += 3.0
-    assert rejoined(graph, estimate, type(seen)(**{**vars(seen), "p_AL": p_AL}))[0] is graph
+    assert realigned(graph, estimate, type(seen)(**{**vars(seen), "p_AL": p_AL}))[0] is graph

@@ -1,0 +1,65 @@
+"""A run's folder is read as plain arrays."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tfg_drake
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
+from tfg_drake.storage.run import RunError
+from tfg_drake.storage.trajectory import write_tum
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Three frames with 2, 0 and 1 tags."""
+    (tmp_path / "summary.json").write_text(json.dumps({"outcome": "complete"}))
+    (tmp_path / "stages.jsonl").write_text('{"stage": 1, "landmarks": 3}\n{"stage": 2, "landmarks": 4}\n')
+    write_tum(tmp_path / "trajectory.tum", np.array([0.0, 0.5]), np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]]))
+    with PortWriter(tmp_path / FILE_NAME, "sim") as writer:
+        for k, ids in enumerate(([3, 5], [], [5])):
+            stamp, n = 0.1 * k, len(ids)
+            numbers = np.arange(n) + 0.5 + k
+            writer.write("base.odometry", stamp, Odometry(stamp, np.array([k, 0.0, 0.0]), np.zeros(2)))
+            writer.write("base.hazards", stamp, Hazards(stamp, 0, 0, 0))
+            tags = TagDetections(stamp, np.array(ids, dtype=np.int64), numbers, numbers, numbers, numbers)
+            writer.write("tags.detections", stamp, tags)
+            writer.write("scan.ranges", stamp, LaserScan(stamp, np.array([0.0, 0.1]), np.array([1.0, k]), 8.0, 0.01))
+    return tmp_path
+
+
+def test_everything_is_an_array(folder):
+    run = tfg_drake.load_run(folder)
+    assert run.summary["outcome"] == "complete"
+    assert [row["landmarks"] for row in run.stages] == [3, 4]
+    np.testing.assert_allclose(run.X_WB, [[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]], atol=1e-8)
+    assert run.X_WB_true.shape == (0, 3)
+    assert run.map is None
+    odometry = run.port("base.odometry")
+    np.testing.assert_array_equal(odometry["X_OB"][:, 0], [0.0, 1.0, 2.0])
+    np.testing.assert_allclose(odometry["time"], [0.0, 0.1, 0.2])
+    assert run.port("scan.ranges")["ranges"].shape == (3, 2)
+
+
+def test_lists_of_differing_length_name_their_messages(folder):
+    tags = tfg_drake.load_run(folder).port("tags.detections")
+    np.testing.assert_array_equal(tags["ids"], [3, 5, 5])
+    np.testing.assert_array_equal(tags["message"], [0, 0, 2])
+    np.testing.assert_allclose(tags["range"], [0.5, 1.5, 2.5])
+    assert tags["stamp"].shape == (3,)
+
+
+def test_a_frame_has_a_row_an_entry(folder):
+    pytest.importorskip("pandas")
+    frame = tfg_drake.load_run(folder).frame("tags.detections")
+    assert list(frame["ids"]) == [3, 5, 5]
+    np.testing.assert_allclose(frame["stamp"], [0.0, 0.0, 0.2])
+
+
+def test_a_folder_without_a_run_is_told_in_a_line(folder):
+    with pytest.raises(RunError, match="holds no run"):
+        tfg_drake.load_run(folder / "nothing")
+    with pytest.raises(KeyError, match=r"no port base; the run has base\.odometry"):
+        tfg_drake.load_run(folder).port("base")

@@ -1,0 +1,113 @@
+"""A finished mission's folder as plain arrays, to compute with.
+
+import tfg_drake
+run = tfg_drake.load_run("runs/...")
+run.summary["landmark_rmse_m"], run.map.p_ML, run.X_WB[-1], run.port("tags.detections")["range"]
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.mapfile.saved_map import SavedMap, load_map
+from tfg_drake.messages import FloatArray, TagDetections
+from tfg_drake.storage.port_recording import PortRecording, read_recording
+from tfg_drake.storage.trajectory import read_tum
+
+# The row of a port's arrays that says which message an entry of a list is from.
+MESSAGE = "message"
+
+
+class RunError(ValueError):
+    """A folder that is no run's; the message is one line."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What a mission left. summary: summary.json; stages: stages.jsonl, a row a stage. stamps: (n,) s and X_WB: (n, 3)
+    the estimated poses as they were at the time, m and rad; true_stamps (m,) and X_WB_true (m, 3): empty where they are
+    not known. map: None of a method that keeps none."""
+
+    folder: Path
+    summary: Mapping[str, Any]
+    stages: list[dict[str, Any]]
+    stamps: FloatArray
+    X_WB: FloatArray
+    true_stamps: FloatArray
+    X_WB_true: FloatArray
+    map: SavedMap | None
+
+    @functools.cached_property
+    def recording(self) -> PortRecording:
+        """What the station's ports carried. Raises RecordingError where that was not recorded."""
+        return read_recording(self.folder)
+
+    def port(self, name: str) -> dict[str, NDArray[Any]]:
+        """The messages of a station's port as arrays by their fields' names, a row a message, and `time`: (n,) s, when
+        the port carried each.
+
+        Of the tags of frames, now many and now few, all entries stand one behind the other, and `message` says which
+        message each is from; where a scan has no rays yet, its row is nan. Raises KeyError with the ports' names.
+        """
+        recording = self.recording
+        if name not in recording.messages:
+            raise KeyError(f"no port {name}; the run has {', '.join(recording.messages)}")
+        messages = recording.messages[name]
+        columns: dict[str, NDArray[Any]] = {"time": recording.log_times[name] * 1e-9}
+        for field in dataclasses.fields(messages[0]) if messages else ():
+            values = [np.asarray(getattr(message, field.name)) for message in messages]
+            if isinstance(messages[0], TagDetections) and values[0].ndim:
+                columns[field.name] = np.concatenate(values)
+                columns[MESSAGE] = np.repeat(np.arange(len(values)), [len(value) for value in values])
+            else:
+                width = max(value.size for value in values)
+                columns[field.name] = np.array([value if value.size else np.full(width, np.nan) for value in values])
+        return columns
+
+    def frame(self, name: str) -> Any:
+        """The same as a pandas DataFrame: a row a message or, of lists, an entry of one. Raises ImportError without
+        pandas."""
+        import pandas
+
+        columns = self.port(name)
+        if MESSAGE not in columns:
+            return pandas.DataFrame({key: list(value) if value.ndim > 1 else value for key, value in columns.items()})
+        rows, count = columns[MESSAGE], len(columns["time"])
+        spread = {key: value[rows] if len(value) == count else value for key, value in columns.items()}
+        return pandas.DataFrame(spread)
+
+
+def load_run(folder: str | Path) -> Run:
+    """Read a run's folder. Raises RunError where it holds no summary.json; see `load_map` for what a map may raise."""
+    folder = Path(folder)
+    try:
+        summary = json.loads((folder / "summary.json").read_text())
+        lines = (folder / "stages.jsonl").read_text().splitlines() if (folder / "stages.jsonl").exists() else []
+    except OSError as error:
+        raise RunError(
+            f"{folder}: holds no run: {error.strerror}; name the folder of a mission that has ended"
+        ) from None
+    except ValueError as error:
+        raise RunError(f"{folder / 'summary.json'}: is damaged: {error}") from None
+    true_stamps, X_WB_true = _trajectory(folder / "truth.tum")
+    return Run(
+        folder,
+        summary,
+        [json.loads(line) for line in lines],
+        *_trajectory(folder / "trajectory.tum"),
+        true_stamps,
+        X_WB_true,
+        load_map(folder / "map.npz") if (folder / "map.npz").exists() else None,
+    )
+
+
+def _trajectory(path: Path) -> tuple[FloatArray, FloatArray]:
+    return read_tum(path) if path.exists() else (np.zeros(0), np.zeros((0, 3)))
