@@ -55,11 +55,13 @@ def check(
     margin: Annotated[float, typer.Option(metavar="G", help="Decision margin below which no tag is believed.")] = 30.0,
     decimation: Annotated[float, typer.Option(metavar="N", help="1 sees smaller tags, in four times the time.")] = 2.0,
     threads: Annotated[int, typer.Option(metavar="N", help="Of the detector.")] = 1,
-    frames: Annotated[int | None, typer.Option(metavar="N", help="Stop after so many.")] = None,
+    frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after so many.")] = None,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="The picture of the newest frame; a folder: one picture a frame.")
     ] = Path("camera.png"),
-    as_json: Annotated[bool, typer.Option("--json", help="One line of JSON a frame, and nothing else.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One line of JSON a frame on standard output, nothing else.")
+    ] = False,
 ) -> None:
     """Say which tags a camera sees, where and how exactly, and what is wrong."""
     _need_packages()
