@@ -59,7 +59,7 @@ def test_what_shares_no_landmarks_or_is_full_stays(monkeypatch):
     assert fused(graph) is graph
 
 
-def test_ways_that_only_odometry_speaks_for_are_loosened():
+def test_ways_that_only_odometry_speaks_for_are_decoupled():
     observations, _, _ = ring(6, views=24)
     # Two turns at the end that have nothing in common with those before, the second nothing with the first but one tag.
     first, second = (replace(observations[k], ids=observations[k].ids + 1000) for k in (4, 6))
