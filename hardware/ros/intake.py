@@ -15,6 +15,7 @@ from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.stamps import SENSOR_SILENCE, ClockJump, StampClock
 from tfg_drake.messages import FloatArray, Hazards, Odometry, replace
+from tfg_drake.vision.calibration import CameraCalibration
 
 # No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset.
 FASTEST, LEAP = 1.5, 0.5
@@ -47,7 +48,7 @@ class Intake:
         self._odometry_told: Odometry | None = None
         self._X_OR = (0.0, 0.0, 0.0)
         self._hazards = Hazards(-math.inf, 0, 0, 0)
-        self._camera: conversions.Calibration | None = None
+        self._camera: CameraCalibration | None = None
         self._fault: str | None = None
         self.alarm: str | None = None
         self._remarks: list[str] = []
