@@ -30,6 +30,8 @@ from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.missions import run_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.scenario import Scenario
 
@@ -338,6 +340,7 @@ def slam(
 
         progress = slam_command.Progress(show, _interrupted)
         try:
+            load: Callable[[Path], Any]
             if calibration is not None and tag_size is not None:
                 load = video_loader(calibration, tag_size, mount, odometry, progress.say)
             else:

@@ -139,4 +139,4 @@ def _poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
 def _heading(quaternion: FloatArray) -> FloatArray:
     """(n,) rad of the x axis in the horizontal plane, of quaternions (n, 4) x, y, z, w."""
     x, y, z, w = quaternion.T
-    return np.arctan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))
+    return np.asarray(np.arctan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))

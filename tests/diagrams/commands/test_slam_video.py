@@ -112,7 +112,7 @@ def test_odometry_is_used_where_there_is_any(call, video, tmp_path, kind):
 
 def test_odometry_of_another_clock_is_refused(video):
     write_tum(video / "late.tum", 1000.0 + np.arange(3.0), np.zeros((3, 3)))
-    with pytest.raises(DatasetError, match="reaches from 1000.0 to 1002.0 s, the frames from 0.0 to 5.9 s"):
+    with pytest.raises(DatasetError, match=r"reaches from 1000.0 to 1002.0 s, the frames from 0.0 to 5.9 s"):
         load_video(str(video / "images"), CALIBRATION, SIZE, CameraMount(), video / "late.tum")
 
 
