@@ -23,7 +23,7 @@ from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEst
 MAP, BASE = "map", "base"
 # Topics, and the names of their schemas.
 POSE, PATH, SURFACES = "display.pose", "display.path", "display.map"
-TOPICS = {POSE: FrameTransform, PATH: SceneUpdate, SURFACES: SceneUpdate}
+TOPICS: dict[str, Any] = {POSE: FrameTransform, PATH: SceneUpdate, SURFACES: SceneUpdate}
 # Our fields of a scan have numbers from here on, but for the ranges, which are Foxglove's; and what is only Foxglove's.
 FIRST_OWN = 1000
 RANGES = FoxgloveScan.DESCRIPTOR.fields_by_name["ranges"].number
@@ -140,7 +140,7 @@ def _colour(field: Any, colour: tuple[float, float, float, float]) -> None:
     field.r, field.g, field.b, field.a = colour
 
 
-def _lines(points: FloatArray, kind: int, thickness: float, colour: tuple[float, float, float, float]) -> bytes:
+def _lines(points: FloatArray, kind: Any, thickness: float, colour: tuple[float, float, float, float]) -> bytes:
     """A line through points (n, 2), kind 0, or the lines between each two of them, kind 2."""
     line = LinePrimitive(type=kind, thickness=thickness)
     line.pose.orientation.w = 1.0

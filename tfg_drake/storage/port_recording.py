@@ -396,7 +396,7 @@ def _read_message(kind: type, proto: Any, before: Any) -> Any:
 
 def _numbered(kind: type) -> list[tuple[int, Any]]:
     """The fields of a message with their numbers in protobuf."""
-    fields = enumerate(dataclasses.fields(kind), start=1)  # type: ignore[arg-type]
+    fields = enumerate(dataclasses.fields(kind), start=1)
     if kind is not LaserScan:
         return list(fields)
     return [(foxglove.RANGES if one.name == "ranges" else foxglove.FIRST_OWN + n, one) for n, one in fields]
