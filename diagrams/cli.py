@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import math
 import os
@@ -18,7 +19,7 @@ import typer
 
 from tfg_drake import __version__, kernels
 from tfg_drake.diagrams.commands import explore as explore_command
-from tfg_drake.diagrams.commands.camera import camera_app
+from tfg_drake.diagrams.commands.camera import camera_app, video_loader
 from tfg_drake.diagrams.commands.command_line import BadInput, compile_kernels, wait_for_enter, wait_for_kernels
 from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.kobuki import kobuki_app
@@ -29,6 +30,8 @@ from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.missions import run_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.scenario import Scenario
 
@@ -292,14 +295,37 @@ def compare(
 
 @app.command()
 def slam(
-    dataset: Annotated[Path, typer.Argument(help="An MR.CLAM or TagSLAM folder, or a .g2o file.")],
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            help="An MR.CLAM or TagSLAM folder, a .g2o file or, with --calibration, a video or folder of images."
+        ),
+    ],
     robot: Annotated[int | None, typer.Option(metavar="N", help="Whose run, where there are several robots.")] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Of the camera of a video, OpenCV's YAML or ROS's camera_info.")
+    ] = None,
+    tag_size: Annotated[float | None, typer.Option(metavar="M", help="Side of the tags' black square.")] = None,
+    mount: Annotated[
+        str, typer.Option(metavar="X,Y,YAW,PITCH", help="The camera on what moves, m and rad; pitch is downward.")
+    ] = "0,0,0,0",
+    odometry: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Of a video: a TUM trajectory, or a CSV of time, x, y, heading.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<data set>].")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Run the estimator alone on a recorded data set."""
+    """Run the estimator alone on a recorded data set, or on the tags in a video."""
+    is_video = calibration is not None or tag_size is not None
+    if is_video and (calibration is None or tag_size is None):
+        _bad_input("slam: a video needs both --calibration FILE and --tag-size M")
+    if odometry is not None and not is_video:
+        _bad_input(f"--odometry {odometry}: goes with a video; give --calibration FILE and --tag-size M, too")
+    if robot is not None and is_video:
+        _bad_input(f"--robot {robot}: is for MR.CLAM; a video has one camera")
+    _check_positive("--tag-size", tag_size, "m")
     if out is not None:
         explore_command.check_kept(out)
         _make_writable(out)
@@ -308,11 +334,18 @@ def slam(
         if dataset.exists():
             wait_for_kernels(show, _interrupted)
 
+        from tfg_drake.datasets.load import load_dataset
         from tfg_drake.datasets.recording import DatasetError
         from tfg_drake.diagrams.commands import slam as slam_command
 
+        progress = slam_command.Progress(show, _interrupted)
         try:
-            result = slam_command.run_slam(dataset, robot, out, slam_command.Progress(show, _interrupted))
+            load: Callable[[Path], Any]
+            if calibration is not None and tag_size is not None:
+                load = video_loader(calibration, tag_size, mount, odometry, progress.say)
+            else:
+                load = functools.partial(load_dataset, robot=robot)
+            result = slam_command.run_slam(dataset, out, progress, load)
         except DatasetError as error:
             _bad_input(str(error))
         except slam_command.Interrupted:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
+from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
 from tfg_drake.storage.port_recording import COMMAND, ENABLED, MESSAGES, PortWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
 # The explorer's: it sees no message that is not recorded.
 PERIOD = 1.0 / 16.0
+# What an explorer says that is recorded to be shown.
+SHOWN = {"pose": PoseEstimate, "path": Path, "map": MapEstimate, "tfg": TfgMap}
 
 
 class PortRecorder(LeafSystem):
@@ -24,9 +29,14 @@ class PortRecorder(LeafSystem):
         - scan.ranges
         - base.velocity_commanded
         - base.enabled
+        - pose
+        - path
+        - map
+        - tfg
 
-    It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it
-    records at an instant is what updates at that instant see, since both come before the instant's changes.
+    The last four are the explorer's, as far as it has them: they are recorded to be shown, not to be played. It changes
+    nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it records at an
+    instant is what updates at that instant see, since both come before the instant's changes.
     """
 
     def __init__(self, writer: PortWriter) -> None:
@@ -36,6 +46,7 @@ class PortRecorder(LeafSystem):
         self._messages = {name: (declare_message_input(self, name), kind) for name, kind in MESSAGES.items()}
         self._command = self.DeclareVectorInputPort(COMMAND, 2)
         self._enabled = self.DeclareVectorInputPort(ENABLED, 1)
+        self._shown = {name: (declare_message_input(self, name), kind) for name, kind in SHOWN.items()}
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
 
     @staticmethod
@@ -46,6 +57,9 @@ class PortRecorder(LeafSystem):
         for name in (*MESSAGES, ENABLED):
             builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(name))
         builder.Connect(explorer.GetOutputPort(COMMAND), recorder.GetInputPort(COMMAND))
+        for name in SHOWN:
+            if explorer.HasOutputPort(name):
+                builder.Connect(explorer.GetOutputPort(name), recorder.GetInputPort(name))
         return recorder
 
     def _Write(self, context: Context) -> EventStatus:
@@ -54,4 +68,19 @@ class PortRecorder(LeafSystem):
             self._writer.write(name, now, eval_message(port, context, kind))
         self._writer.write_command(now, self._command.Eval(context))
         self._writer.write_enabled(now, float(self._enabled.Eval(context)[0]))
+        pose, path = self._Look("pose", context), self._Look("path", context)
+        if pose is not None:
+            self._writer.write_pose(now, pose)
+        if path is not None:
+            self._writer.write_path(now, path)
+        if pose is not None and self._writer.wants_map(pose.stage):
+            estimate, tfg = self._Look("map", context), self._Look("tfg", context)
+            # Surfaces come into the TFG a moment after the landmarks.
+            if tfg is not None and tfg.stage == estimate.stage:
+                self._writer.write_map(now, estimate, tfg)
         return EventStatus.Succeeded()
+
+    def _Look(self, name: str, context: Context) -> Any:
+        """What the explorer says, None where it has no such port."""
+        port, kind = self._shown[name]
+        return eval_message(port, context, kind) if port.HasValue(context) else None

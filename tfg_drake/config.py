@@ -52,6 +52,9 @@ class OdometryConfig:
     gyro_bias: float = 0.001
     # Standard deviation of the constant relative scale error of the gyro, drawn once a run.
     gyro_scale: float = 0.01
+    # Random walk of the position whatever the motion, m per root second: wheels slip a little when turning on the spot,
+    # and no covariance becomes singular.
+    position_noise: float = 5e-4
 
 
 @dataclasses.dataclass

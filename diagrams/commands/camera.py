@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +18,7 @@ import typer
 from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
+    from tfg_drake.datasets.recording import Recording
     from tfg_drake.messages import FloatArray, TagDetections
     from tfg_drake.vision.frames import Frame
     from tfg_drake.vision.image import Image
@@ -150,6 +151,24 @@ def json_line(detections: TagDetections) -> str:
     return json.dumps({"stamp": detections.stamp, **{name: getattr(detections, name).tolist() for name in names}})
 
 
+def video_loader(
+    calibration: Path, tag_size: float, mount: str, odometry: Path | None, show: Callable[[str], object]
+) -> Callable[[Path], Recording]:
+    """What reads a video or a folder of images as a recording, for `tfg-drake slam`; the options are as given there."""
+    _need_packages(interrupts=False)
+    from tfg_drake.datasets.video import load_video
+    from tfg_drake.vision.calibration import CalibrationError, load_calibration
+
+    where = _mount(mount)
+    try:
+        known = load_calibration(calibration)
+    except CalibrationError as error:
+        bad_input(f"--calibration {error}")
+    return lambda source: load_video(
+        str(source), known, tag_size, where, odometry, lambda count: show(f"looking for tags: {count} frames")
+    )
+
+
 def _row(detections: TagDetections) -> str:
     columns = (detections.ids, detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing)
     tags = [
@@ -159,8 +178,8 @@ def _row(detections: TagDetections) -> str:
     return "; ".join(tags) or "no tag"
 
 
-def _need_packages() -> None:
-    """Ends the command where they are not there; Ctrl-C raises KeyboardInterrupt from now on."""
+def _need_packages(*, interrupts: bool = True) -> None:
+    """Ends the command where they are not there; with interrupts Ctrl-C raises KeyboardInterrupt from now on."""
     # OpenCV would tell in many lines what is told in one.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
@@ -168,7 +187,8 @@ def _need_packages() -> None:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if interrupts:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _frames(source: str, most: int | None = None) -> Iterator[Frame]:

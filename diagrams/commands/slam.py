@@ -25,9 +25,15 @@ from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
 from tfg_drake.diagrams.missions.run_folder import open_run_folder
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.mapfile.landmark_table import landmark_csv
+from tfg_drake.mapfile.saved_map import save_map, saved_map
+from tfg_drake.messages import TfgMap
 from tfg_drake.slam.batch_smoother import smooth
+from tfg_drake.slam.estimator import finished_map
+from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import write_tum
+from tfg_drake.tfg.graph import empty_graph
 
 _log = logging.getLogger("tfg_drake.slam_command")
 
@@ -61,16 +67,30 @@ class Progress:
         self._show, self._interrupted = show, interrupted
 
     def __call__(self, part: str, share: float) -> None:
+        self.say(f"{part} {100.0 * share:3.0f} %")
+
+    def say(self, text: str) -> None:
+        """Shows something else of the work. Raises Interrupted, likewise."""
         if self._interrupted.is_set():
             raise Interrupted
-        self._show(f"{part} {100.0 * share:3.0f} %")
+        self._show(text)
 
 
 def run_slam(
-    dataset: Path, robot: int | None = None, out: Path | None = None, on_progress: OnProgress | None = None
+    dataset: Path,
+    out: Path | None = None,
+    on_progress: OnProgress | None = None,
+    load: Callable[[Path], Recording | PoseGraph] = load_dataset,
 ) -> SlamResult:
     """Run the estimator on a data set, online and then smoothed over all data, and write DIR/summary.json, figure.png,
-    log.txt and trajectories; of a g2o graph, which is only solved, solved.g2o.
+    log.txt, trajectories and the map with its covariances, map.npz and landmarks.csv; of a g2o graph, which is only
+    solved, solved.g2o.
+
+    Args:
+        dataset: its path.
+        out: the folder, made if missing; runs/<time>-<data set> by default.
+        on_progress: told how far the work is.
+        load: reads the data set.
 
     Raises:
         DatasetError: the data set cannot be used; nothing is written.
@@ -78,7 +98,7 @@ def run_slam(
     """
     report = on_progress or (lambda _part, _share: None)
     cpu, wall = time.process_time(), time.monotonic()
-    loaded = load_dataset(dataset, robot)
+    loaded = load(dataset)
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
@@ -143,13 +163,14 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
 
     write_tum(folder / "trajectory.tum", smoothed.stamps, smoothed.X_MB)
     write_tum(folder / "online.tum", online.stamps, online.X_MB)
+    _keep_map(folder, online.state)
     # Without a truth for one of the two the other's alignment serves both.
     X_landmarks = landmarks.X_WM if len(landmarks.ids) else robot.X_WM
     X_robot = robot.X_WM if robot.compared else landmarks.X_WM
     X_online = online_robot.X_WM if online_robot.compared else X_robot
     draw_slam(
         folder / "figure.png",
-        f"{recording.name}: each aligned to the truth",
+        f"{recording.name}: each aligned to the truth" if recording.truth is not None else recording.name,
         {"smoothed": transform(X_robot, smoothed.X_MB[:, :2]), "online": transform(X_online, online.X_MB[:, :2])},
         truth.X_WB[:, :2],
         smoothed.ids,
@@ -177,6 +198,32 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
         "batch_cpu_s": end - middle,
         "notes": [*recording.notes, *landmarks.notes],
     }
+
+
+def _keep_map(folder: Path, state: EstimatorState) -> None:
+    """Write the online estimator's map, if it has one, without walls: no scan told of any."""
+    state = finished_map(state)
+    estimate = state.map
+    if estimate is None:
+        return
+    none, stars = np.zeros(0), np.zeros(estimate.stage + 1, dtype=np.int64)
+    tfg = TfgMap(
+        stage=estimate.stage,
+        segments=np.zeros((0, 4)),
+        segment_kind=np.zeros(0, dtype=np.int64),
+        segment_ids=np.zeros((0, 2), dtype=np.int64),
+        facing=np.zeros((len(estimate.ids), 2)),
+        frontiers=np.zeros((0, 2)),
+        frontier_length=none,
+        frontier_normal=np.zeros((0, 2)),
+        star_offsets=stars,
+        star_vertices=np.zeros((0, 2)),
+        star_centers=estimate.X_MA[:, :2],
+    )
+    graph = dataclasses.replace(empty_graph(), stage=estimate.stage, star_offsets=stars)
+    saved = saved_map(np.zeros(3), state, graph, tfg)
+    save_map(folder / "map.npz", saved)
+    write_atomic(folder / "landmarks.csv", landmark_csv(saved))
 
 
 def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, report: OnProgress) -> dict[str, Any]:

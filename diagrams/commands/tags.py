@@ -1,13 +1,23 @@
-"""`tfg-drake tags`: tags to print. Needs no Drake."""
+"""`tfg-drake tags`: tags to print, and where to hang them."""
 
 from __future__ import annotations
 
+import math
+import threading
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_kernels
+from tfg_drake.diagrams.commands.screen import Screen
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tfg_drake.diagrams.scenario import Scenario
+    from tfg_drake.messages import BoolArray, FloatArray
+    from tfg_drake.world.tag_advice import Advice
 
 tags_app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -41,3 +51,142 @@ def print_tags(
     print(
         f"{len(numbers)} tags of {1000.0 * size:g} mm on {pages} pages: {out}; print at 100 %, not fitted to the page"
     )
+
+
+@tags_app.command()
+def advise(
+    run: Annotated[
+        Path | None, typer.Argument(metavar="RUN", help="The folder of a mission: tags to add to those that it mapped.")
+    ] = None,
+    world: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The walls: a scenario, a map_server .yaml or a *.vectormap.txt."),
+    ] = None,
+    start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where the robot will start, m and rad.")] = None,
+    count: Annotated[int, typer.Option(metavar="N", help="How many tags to hang.")] = 40,
+    fresh: Annotated[bool, typer.Option("--fresh", help="As if none of FILE's tags hung.")] = False,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The world with the tags, for explore --world.")] = Path(
+        "advised.yaml"
+    ),
+) -> None:
+    """Say where to hang tags so that the robot knows best where it is, the most useful first."""
+    from tfg_drake.storage.files import write_atomic
+
+    if (run is None) == (world is None):
+        bad_input("tags advise: name either the folder of a mission or --world FILE")
+    if run is not None and (start is not None or fresh):
+        bad_input(f"{'--start' if start is not None else '--fresh'}: goes with --world; of a mission both are known")
+    if count < 1:
+        bad_input(f"--count {count}: must be 1 or more")
+    with Screen() as show:
+        show("loading")
+        wait_for_kernels(show, threading.Event())
+        scenario, floor = _of_run(run) if run is not None else _of_file(world, start, fresh)
+        if world is not None and out.exists() and world.exists() and out.samefile(world):
+            bad_input(f"--out {out}: is the world that is read; name another file")
+        advice = _advice(run or world, scenario, count, floor, lambda n: show(f"{n} of {count} tags"))
+    hanging = {tag.id for tag in scenario.world.tags}
+    ids = [i for i in range(len(hanging) + len(advice.facing)) if i not in hanging][: len(advice.facing)]
+    try:
+        write_atomic(out, _world_yaml(scenario, ids, advice))
+    except OSError as error:
+        bad_input(f"--out {out}: cannot be written: {error.strerror or error}")
+    mean, worst = advice.deviation.mean(axis=1), advice.deviation.max(axis=1)
+    print("  id     x m     y m  faces deg   position known to, m: mean   worst")
+    print(f"{len(hanging):>4} tags that hang{'':>31}{mean[0]:>9.3f}{worst[0]:>8.3f}")
+    for k, tag in enumerate(ids):
+        (x, y), faces = advice.p_WT[k], round(math.degrees(advice.facing[k])) % 360
+        print(f"{tag:>4}{x:>8.2f}{y:>8.2f}{faces:>11}{'':>21}{mean[k + 1]:>9.3f}{worst[k + 1]:>8.3f}")
+    if len(ids) < count:
+        print(f"There is room for {len(ids)} tags")
+    print(f"{out}: the world with these tags; tfg-drake explore --world {out}")
+
+
+def _of_file(
+    world: Path | None, start: str | None, fresh: bool
+) -> tuple[Scenario, Callable[[FloatArray], BoolArray] | None]:
+    """The scenario in a world's file; of a map the shipped one with its walls."""
+    from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario, ScenarioError
+
+    try:
+        place = None if start is None else [float(part) for part in start.split(",")]
+    except ValueError:
+        bad_input(f"--start {start}: must be X,Y,YAW in metres and radians, such as 1.5,2,0")
+    try:
+        scenario = ApplyWorldFile(LoadScenario("paper"), world, None, place)
+    except ScenarioError as error:
+        bad_input(str(error))
+    if fresh:
+        scenario.world.tags = []
+    return scenario, None
+
+
+def _of_run(folder: Path) -> tuple[Scenario, Callable[[FloatArray], BoolArray]]:
+    """The scenario of a mission with the world as the robot mapped it, and what of it is floor."""
+    import numpy as np
+
+    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorldConfig, ScenarioError
+    from tfg_drake.geometry.se2 import inverse, transform
+    from tfg_drake.geometry.star import inside_any
+    from tfg_drake.mapfile.saved_map import MapFileError, load_map
+    from tfg_drake.world.world import World
+
+    try:
+        scenario, saved = LoadScenario(folder / "scenario.yaml"), load_map(folder / "map.npz")
+    except (ScenarioError, MapFileError) as error:
+        bad_input(str(error))
+    X_WM, tfg = saved.X_WM, saved.tfg
+    ends = transform(X_WM, tfg.segments.reshape(-1, 2)).reshape(-1, 4)
+    facing = np.arctan2(saved.facing[:, 1], saved.facing[:, 0]) + X_WM[2]
+    mapped = World(
+        walls=ends[np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) > 0.0],
+        tag_ids=saved.ids,
+        p_WT=transform(X_WM, saved.p_ML),
+        tag_facing=facing,
+        start=X_WM,
+    )
+    scenario.world = MakeWorldConfig(mapped)
+
+    def floor(points: FloatArray) -> BoolArray:
+        return inside_any(transform(inverse(X_WM), points), tfg.star_offsets, tfg.star_vertices)
+
+    return scenario, floor
+
+
+def _advice(
+    source: Path | None,
+    scenario: Scenario,
+    count: int,
+    floor: Callable[[FloatArray], BoolArray] | None,
+    on_tag: Callable[[int], object],
+) -> Advice:
+    from tfg_drake.diagrams.scenario import MakeWorld
+    from tfg_drake.world.tag_advice import advise_tags
+    from tfg_drake.world.world import WorldError
+
+    try:
+        return advise_tags(
+            MakeWorld(scenario.world),
+            count,
+            scenario.robot,
+            scenario.tags,
+            scenario.odometry,
+            scenario.explorer,
+            floor=floor,
+            on_tag=on_tag,
+        )
+    except WorldError as error:
+        bad_input(f"{source}: {error}")
+
+
+def _world_yaml(scenario: Scenario, ids: list[int], advice: Advice) -> str:
+    """The world with the advised tags, as a scenario file."""
+    world = scenario.world
+    tags = [(tag.id, *tag.position, tag.facing) for tag in world.tags]
+    tags += [(i, *p, heading) for i, p, heading in zip(ids, advice.p_WT, advice.facing, strict=True)]
+    lines = ["# Tags as tfg-drake tags advise says, the last ones new. Metres and radians.", "world:"]
+    lines += [f"  start: [{', '.join(f'{value:.6f}' for value in world.start)}]", "  walls:"]
+    lines += [f"    - [{', '.join(f'{value:.6f}' for value in wall)}]" for wall in world.walls]
+    lines += ["  tags:"]
+    lines += [f"    - {{id: {i}, position: [{x:.4f}, {y:.4f}], facing: {heading:.4f}}}" for i, x, y, heading in tags]
+    return "\n".join([*lines, ""])

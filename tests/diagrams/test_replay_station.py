@@ -1,6 +1,10 @@
 """A recorded run, explored once more."""
 
+import collections
+
+import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run
@@ -50,6 +54,30 @@ def test_the_same_explorer_comes_to_the_same_map(recorded, tmp_path):
     assert again.summary["position_error_m"]["mean"] is None
     for name in EXACT:
         assert (again.folder / name).read_bytes() == (recorded.folder / name).read_bytes(), name
+
+
+def test_foxglove_shows_poses_scans_map_and_path(recorded):
+    with (recorded.folder / "ports.mcap").open("rb") as file:
+        found = [
+            (schema.name, channel.topic) for schema, channel, _ in make_reader(file, validate_crcs=True).iter_messages()
+        ]
+    counts = collections.Counter(found)
+    seconds = recorded.summary["sim_time_s"]
+    assert counts["foxglove.FrameTransform", "display.pose"] > 10 * seconds
+    assert counts["foxglove.LaserScan", "scan.ranges"] > 9 * seconds
+    assert counts["foxglove.SceneUpdate", "display.map"] > 0.5 * recorded.summary["stages"]
+    assert counts["foxglove.SceneUpdate", "display.path"] > 1
+
+
+def test_trajectory_tools_find_the_error_of_the_summary(recorded):
+    """By evo's definition of the absolute trajectory error, poses paired by their stamps, nothing aligned."""
+    estimated, true = (np.loadtxt(recorded.folder / name) for name in ("trajectory.tum", "truth.tum"))
+    _, rows, true_rows = np.intersect1d(estimated[:, 0], true[:, 0], return_indices=True)
+    assert len(rows) == len(estimated)
+    error = np.linalg.norm(estimated[rows, 1:4] - true[true_rows, 1:4], axis=1)
+    told = recorded.summary["position_error_m"]
+    assert error.mean() == pytest.approx(told["mean"], abs=1e-6)
+    assert error.max() == pytest.approx(told["max"], abs=1e-6)
 
 
 def test_a_run_that_was_ended_ends_there_again(tmp_path):

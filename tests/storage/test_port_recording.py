@@ -135,13 +135,17 @@ def test_other_programs_can_read_it(tmp_path):
         found = {channel.topic: (schema, channel, one) for schema, channel, one in make_reader(file).iter_messages()}
     assert list(found) == list(PORTS)
     schema, channel, one = found["scan.ranges"]
-    assert (schema.name, schema.encoding, channel.message_encoding) == ("tfg_drake.LaserScan", "protobuf", "protobuf")
+    assert (schema.name, schema.encoding, channel.message_encoding) == ("foxglove.LaserScan", "protobuf", "protobuf")
     assert one.log_time == one.publish_time == 2_500_000_000
     pool = descriptor_pool.DescriptorPool()
-    pool.Add(descriptor_pb2.FileDescriptorSet.FromString(schema.data).file[0])
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
     proto = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(one.data)
     assert list(proto.ranges) == AWKWARD.tolist()
     assert (proto.stamp, proto.range_max, proto.sigma) == (2.5, 10.0, 0.015)
+    # What Foxglove's 3D panel goes by.
+    assert (proto.frame_id, proto.start_angle, proto.end_angle) == ("base", -1.0, 1.0)
+    assert (proto.timestamp.seconds, proto.timestamp.nanos) == (2, 500_000_000)
 
 
 def test_long_arrays_have_long_lengths(tmp_path):

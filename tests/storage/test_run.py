@@ -1,6 +1,7 @@
 """A run's folder is read as plain arrays."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -51,9 +52,15 @@ def test_lists_of_differing_length_name_their_messages(folder):
     assert tags["stamp"].shape == (3,)
 
 
-def test_a_frame_has_a_row_an_entry(folder):
-    pytest.importorskip("pandas")
-    frame = tfg_drake.load_run(folder).frame("tags.detections")
+@pytest.mark.parametrize("library", ["pandas", "polars"])
+def test_a_frame_has_a_row_an_entry(folder, library, monkeypatch):
+    pytest.importorskip(library, reason=f"{library} is not installed: pip install {library}")
+    if library == "polars":
+        monkeypatch.setitem(sys.modules, "pandas", None)
+    run = tfg_drake.load_run(folder)
+    assert len(run.frame("scan.ranges")) == 3
+    frame = run.frame("tags.detections")
+    assert type(frame).__module__.startswith(library)
     assert list(frame["ids"]) == [3, 5, 5]
     np.testing.assert_allclose(frame["stamp"], [0.0, 0.0, 0.2])
 

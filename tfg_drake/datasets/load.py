@@ -10,6 +10,9 @@ from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.tagslam import load_tagslam
 
+# What a user may have meant.
+_VIDEO = "of a video give --calibration and --tag-size"
+
 
 def load_dataset(path: Path, robot: int | None = None) -> Recording | PoseGraph:
     """An MR.CLAM folder (robot 1 unless another is named), a TagSLAM folder or a g2o file.
@@ -27,9 +30,9 @@ def load_dataset(path: Path, robot: int | None = None) -> Recording | PoseGraph:
         return load_tagslam(path)
     if path.is_dir():
         kinds = "neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM)"
-        raise DatasetError(f"{path}: holds {kinds}; name a folder with one of them")
+        raise DatasetError(f"{path}: holds {kinds}; name a folder with one of them, or {_VIDEO}")
     if not path.name.endswith((".g2o", ".g2o.gz")):
-        raise DatasetError(f"{path}: not a data set; name a .g2o file, or an MR.CLAM or TagSLAM folder")
+        raise DatasetError(f"{path}: not a data set; name a .g2o file, an MR.CLAM or TagSLAM folder, or {_VIDEO}")
     return read_g2o(path)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from tfg_drake.datasets.recording import Recording
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Odometry, message
 from tfg_drake.slam import estimator
-from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 
 # A piece of the way ends after this length, m, once something has been seen.
 PIECE_LENGTH = 1.0
@@ -26,14 +26,19 @@ class OnlineRun:
     """stamps: (f,) s and X_MB: (f, 3), the pose after every frame, and now and then between frames, as it was estimated
     then; M is the odometry's origin.
 
-    seen: (f,) whether landmarks had just been seen; elsewhere the robot reckons blindly. map: the map at the end, None
-    where nothing was seen.
+    seen: (f,) whether landmarks had just been seen; elsewhere the robot reckons blindly. state: the estimator's at
+    the end.
     """
 
     stamps: FloatArray
     X_MB: FloatArray
     seen: BoolArray
-    map: MapEstimate | None
+    state: EstimatorState
+
+    @property
+    def map(self) -> MapEstimate | None:
+        """The map at the end, None where nothing was seen."""
+        return self.state.map
 
 
 def run_online(
@@ -49,6 +54,7 @@ def run_online(
     frames = iter(recording.detections)
     frame = next(frames, None)
     length, unnoted, seen = 0.0, 0.0, False
+    opened = recording.odometry[0].stamp if recording.odometry else 0.0
     last: Odometry | None = None
     total = max(len(recording.odometry), 1)
     for number, odometry in enumerate(recording.odometry):
@@ -70,9 +76,9 @@ def run_online(
             stamps.append(pose.stamp)
             X_MB.append(pose.X_MB)
             noted_seen.append(sighted)
-        if seen and length >= piece_length:
+        if seen and (length >= piece_length or odometry.stamp - opened >= recording.piece_time):
             state = estimator.close_piece(state, odometry.stamp)
-            length, seen = 0.0, False
+            length, seen, opened = 0.0, False, odometry.stamp
         if number % 100 == 0:
             report(number / total)
     if seen and last is not None:
@@ -82,5 +88,5 @@ def run_online(
         np.array(stamps),
         np.array(X_MB).reshape(-1, 3),
         np.array(noted_seen, dtype=bool),
-        estimator.map_estimate(state),
+        state,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
@@ -31,7 +33,8 @@ class Recording:
 
     name. odometry, detections: each in the order of their stamps, all detections within the odometry's span. model:
     what the estimator believes of the odometry. truth: None where nothing is known. notes: what a user should know
-    of the data, a sentence each.
+    of the data, a sentence each. piece_time: s, after which a piece of the way is mapped, however short it is by the
+    odometry: for one that does not tell.
     """
 
     name: str
@@ -40,6 +43,7 @@ class Recording:
     model: OdometryConfig
     truth: GroundTruth | None
     notes: tuple[str, ...] = ()
+    piece_time: float = math.inf
 
 
 @message

@@ -131,15 +131,17 @@ class Rows:
         return not self._ended and _CUT_NUMBER.fullmatch(words[-1]) is not None and not _is_number(words[-1])
 
 
-def read_table(path: Path, columns: tuple[str, ...], timed: bool = True) -> tuple[FloatArray, tuple[str, ...]]:
-    """Finite numbers (n, len(columns)) separated by white space, and what was mended, a line or none.
+def read_table(
+    path: Path, columns: tuple[str, ...], timed: bool = True, separator: str | None = None
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Finite numbers (n, len(columns)) and what was mended, a line or none.
 
-    timed: the first column is time, s, and sorts the rows.
+    timed: the first column is time, s, and sorts the rows. separator: of the numbers; None: white space.
 
     Raises:
         DatasetError: the file cannot be read, or a line of it is broken.
     """
-    rows = Rows(path)
+    rows = Rows(path, separator)
     read, heading = False, 0
 
     def parse(number: int, words: list[str]) -> tuple[float, ...] | None:

@@ -16,9 +16,6 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, Odometry, message, replace
 
-# Random walk of the position whatever the motion, m per root second: wheels slip a little when turning on the spot,
-# and no covariance becomes singular.
-POSITION_NOISE = 5e-4
 # A robot whose wheels stand may have turned by less than an encoder tells: errors accrue at this share of their rate in
 # motion, which makes 0.3 mrad in half a minute; a tick of one wheel of a Kobuki is 0.4 mrad.
 REST_SHARE = 0.0001
@@ -48,7 +45,7 @@ def odometry_model(config: OdometryConfig) -> OdometryModel:
     sigma = np.array([config.distance_scale, config.gyro_bias, config.gyro_scale])
     sigma = np.maximum(sigma, LEAST_CALIBRATION_SIGMA)
     return OdometryModel(
-        noise=np.array([config.distance_noise, max(config.gyro_noise, 1e-6), POSITION_NOISE]),
+        noise=np.array([config.distance_noise, max(config.gyro_noise, 1e-6), config.position_noise]),
         calibration_sigma=sigma,
         calibration=np.zeros(3),
         calibration_covariance=np.diag(sigma**2),

@@ -2,7 +2,8 @@
 
 A channel a port, named like it, of protobuf messages: the fields of the messages in `tfg_drake.messages` by their
 names, float64 to the bit, with their schema in the file. log_time is when the port carried the message first (ns since
-the run began), publish_time the message's own stamp. The metadata "run" names the robot.
+the run began), publish_time the message's own stamp. The metadata "run" names the robot. A scan is one of Foxglove's,
+too, and beside the ports stands what its 3D panel shows of the explorer (`tfg_drake.storage.foxglove`).
 
 The file grows by compressed chunks: of a program that is killed all is there but the last second.
 """
@@ -28,11 +29,26 @@ from mcap.stream_reader import MAGIC_SIZE, StreamReader
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, TagDetections, message
+from tfg_drake.messages import (
+    FloatArray,
+    Hazards,
+    IntArray,
+    LaserScan,
+    MapEstimate,
+    Odometry,
+    PoseEstimate,
+    TagDetections,
+    TfgMap,
+    message,
+)
+from tfg_drake.messages import Path as PathMessage
+from tfg_drake.storage import foxglove
 
 FILE_NAME = "ports.mcap"
 # Of a killed program no more than so much is lost, s.
 FLUSH_PERIOD = 1.0
+# Maps to show may take so much of a file, as a share of the ports' messages, before they are compressed.
+MAP_SHARE = 0.1
 
 _NS = 1e9
 _Field = descriptor_pb2.FieldDescriptorProto
@@ -102,16 +118,25 @@ class PortWriter:
         self._writer.add_metadata("run", {"robot": robot})
         self._channels: dict[str, int] = {}
         for port, kind in PORTS.items():
-            file = _proto_file(kind)
-            schemas = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
-            schema = self._writer.register_schema(f"{file.package}.{kind.__name__}", "protobuf", schemas)
-            self._channels[port] = self._writer.register_channel(port, "protobuf", schema)
-        self._encoders = {port: _encoder(kind) for port, kind in PORTS.items()}
+            self._register(port, *_schema(kind))
+        for topic, shown in foxglove.TOPICS.items():
+            self._register(topic, shown.DESCRIPTOR.full_name, foxglove.file_set(shown))
+        self._encoders: dict[str, Callable[[Any], bytes]] = {port: _encoder(kind) for port, kind in PORTS.items()}
+        self._encoders[foxglove.POSE] = foxglove.pose_message
+        self._encoders |= {foxglove.PATH: foxglove.path_message, foxglove.SURFACES: foxglove.map_message}
+        # Of the ports since a map was shown; the newest map that might have been.
+        self._bytes, self._stage = 0, 0
+        self._shown_path: PathMessage | None = None
         self._newest: dict[str, object] = {}
         self._told: dict[str, list[float]] = {}
         self._last_data: dict[str, bytes] = {}
         self._waiting: list[tuple[str, float, Any]] = []
         self._flushed = -math.inf
+
+    def _register(self, topic: str, name: str, files: Any) -> None:
+        assert self._writer is not None
+        schema = self._writer.register_schema(name, "protobuf", files.SerializeToString())
+        self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
 
     def __enter__(self) -> PortWriter:
         return self
@@ -140,6 +165,28 @@ class PortWriter:
         """Records at a time, s, whether the base may move, where that has changed."""
         self._write_changed(ENABLED, time, Enabled, [enabled])
 
+    def write_pose(self, time: float, pose: PoseEstimate) -> None:
+        """Records at a time, s, where the robot thinks to be, to be shown."""
+        self.write(foxglove.POSE, time, pose)
+
+    def write_path(self, time: float, path: PathMessage) -> None:
+        """Records the path that the robot takes from a time, s, on, to be shown."""
+        if path is not self._shown_path:
+            self._shown_path = path
+            self.write(foxglove.PATH, time, foxglove.ShownPath(time, path))
+
+    def wants_map(self, stage: int) -> bool:
+        """Whether the map of a stage would be a new one."""
+        return stage > self._stage
+
+    def write_map(self, time: float, estimate: MapEstimate, tfg: TfgMap) -> None:
+        """Records the map at a time, s, to be shown, unless maps would take too much of the file."""
+        size = foxglove.map_size(estimate, tfg)
+        if not self._stage or size <= MAP_SHARE * self._bytes:
+            self._bytes = 0
+            self.write(foxglove.SURFACES, time, foxglove.ShownMap(time, estimate, tfg))
+        self._stage = tfg.stage
+
     def _write_changed(self, port: str, time: float, kind: type, told: list[float]) -> None:
         if self._told.get(port) != told:
             self._told[port] = told
@@ -167,6 +214,7 @@ class PortWriter:
                 if data == self._last_data.get(port):
                     continue
                 self._last_data[port] = data
+                self._bytes += len(data) if port in PORTS else 0
                 now, stamp = nanoseconds(time), getattr(value, "stamp", time)
                 published = nanoseconds(stamp) if 0.0 <= stamp < math.inf else now
                 self._writer.add_message(self._channels[port], now, data, published)
@@ -286,7 +334,7 @@ def _encoder(kind: type) -> Callable[[Any], bytes]:
     magnitude quicker than by protobuf itself."""
     hints = typing.get_type_hints(kind)
     parts: list[tuple[str, bytes, Any]] = []
-    for number, field in enumerate(dataclasses.fields(kind), start=1):
+    for number, field in _numbered(kind):
         hint = hints[field.name]
         entry = _entry(hint)
         wire = _BLOCK if entry is not None else _BYTE if hint is bool else _EIGHT_BYTES
@@ -295,24 +343,19 @@ def _encoder(kind: type) -> Callable[[Any], bytes]:
             write = functools.partial(_block, np.dtype(entry).newbyteorder("<"))
         else:
             write = struct.Struct({float: "<d", int: "<q", bool: "<?"}[hint]).pack
-        parts.append((field.name, bytes([number << 3 | wire]), write))
+        parts.append((field.name, foxglove.length(number << 3 | wire), write))
 
     def encode(value: Any) -> bytes:
         fields = value.__dict__
         return b"".join([piece for name, tag, write in parts for piece in (tag, write(fields[name]))])
 
-    return encode
+    return encode if kind is not LaserScan else lambda scan: foxglove.scan_header(scan) + encode(scan)
 
 
 def _block(entries: np.dtype[Any], array: NDArray[Any]) -> bytes:
-    """An array's bytes after their number, seven bits a byte, the lowest first."""
+    """An array's bytes after their number."""
     data = array.astype(entries, copy=False).tobytes()
-    size, length = len(data), bytearray()
-    while size > 0x7F:
-        length.append(size & 0x7F | 0x80)
-        size >>= 7
-    length.append(size)
-    return bytes(length) + data
+    return foxglove.length(len(data)) + data
 
 
 def _entry(hint: Any) -> Any:
@@ -322,13 +365,13 @@ def _entry(hint: Any) -> Any:
 
 def _decoder(path: Path, port: str, schema: Schema) -> Any:
     """The protobuf class of a channel's messages. Raises RecordingError where they are not as this version's are."""
-    file = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file[0]
     pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
     decoder = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    there = [field.name for field in decoder.DESCRIPTOR.fields]
+    there = [field.name for field in decoder.DESCRIPTOR.fields if field.name not in foxglove.ONLY_ITS]
     wanted = [field.name for field in dataclasses.fields(PORTS[port])]
-    if there != wanted:
+    if sorted(there) != sorted(wanted):
         different = f"{port} has {', '.join(there)} and not {', '.join(wanted)}"
         raise RecordingError(f"{path}: is of another version: {different}; record the run again")
     return decoder
@@ -337,7 +380,8 @@ def _decoder(path: Path, port: str, schema: Schema) -> Any:
 def _read_message(kind: type, proto: Any, before: Any) -> Any:
     """A message of a kind; an array that is that of the message before is shared with it, as a scan's angles are."""
     fields: dict[str, Any] = {}
-    for descriptor in proto.DESCRIPTOR.fields:
+    for field in dataclasses.fields(kind):
+        descriptor = proto.DESCRIPTOR.fields_by_name[field.name]
         value = getattr(proto, descriptor.name)
         if isinstance(value, (float, int)):
             fields[descriptor.name] = value
@@ -350,13 +394,24 @@ def _read_message(kind: type, proto: Any, before: Any) -> Any:
     return kind(**fields)
 
 
-def _proto_file(kind: type) -> Any:
-    """A protobuf file that declares one message: a dataclass of numbers, truth values and arrays (n,) of them."""
+def _numbered(kind: type) -> list[tuple[int, Any]]:
+    """The fields of a message with their numbers in protobuf."""
+    fields = enumerate(dataclasses.fields(kind), start=1)
+    if kind is not LaserScan:
+        return list(fields)
+    return [(foxglove.RANGES if one.name == "ranges" else foxglove.FIRST_OWN + n, one) for n, one in fields]
+
+
+def _schema(kind: type) -> tuple[str, Any]:
+    """The name of a message's declaration and the files with it: a dataclass of numbers, truth values and arrays (n,)
+    of them."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{kind.__name__}.proto", package="tfg_drake", syntax="proto3")
     declared = file.message_type.add(name=kind.__name__)
     hints = typing.get_type_hints(kind)
-    for number, field in enumerate(dataclasses.fields(kind), start=1):
+    for number, field in _numbered(kind):
         entry = _entry(hints[field.name])
         label = _Field.LABEL_OPTIONAL if entry is None else _Field.LABEL_REPEATED
         declared.field.add(name=field.name, number=number, label=label, type=_TYPES[entry or hints[field.name]])
-    return file
+    if kind is LaserScan:
+        return foxglove.scan_files([field for field in declared.field if field.number >= foxglove.FIRST_OWN])
+    return f"{file.package}.{kind.__name__}", descriptor_pb2.FileDescriptorSet(file=[file])

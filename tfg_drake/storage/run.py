@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import importlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -73,16 +74,18 @@ class Run:
         return columns
 
     def frame(self, name: str) -> Any:
-        """The same as a pandas DataFrame: a row a message or, of lists, an entry of one. Raises ImportError without
-        pandas."""
-        import pandas
-
+        """The same as a DataFrame of pandas or else of polars: a row a message or, of lists, an
+        entry of one. Raises ImportError without either."""
+        try:
+            frames = importlib.import_module("pandas")
+        except ImportError:
+            frames = importlib.import_module("polars")
         columns = self.port(name)
         if MESSAGE not in columns:
-            return pandas.DataFrame({key: list(value) if value.ndim > 1 else value for key, value in columns.items()})
-        rows, count = columns[MESSAGE], len(columns["time"])
-        spread = {key: value[rows] if len(value) == count else value for key, value in columns.items()}
-        return pandas.DataFrame(spread)
+            return frames.DataFrame({key: list(value) if value.ndim > 1 else value for key, value in columns.items()})
+        rows = columns[MESSAGE]
+        of_messages = {"time", "stamp"}
+        return frames.DataFrame({key: value[rows] if key in of_messages else value for key, value in columns.items()})
 
 
 def load_run(folder: str | Path) -> Run:

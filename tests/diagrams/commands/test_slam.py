@@ -101,13 +101,14 @@ def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
     empty.mkdir()
     graph = tmp_path / "a.g2o"
     graph.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    video = "of a video give --calibration and --tag-size"
     for arguments, expected in [
         ([str(tmp_path / "none")], f"{tmp_path / 'none'}: no such file or folder; name a data set"),
-        ([str(text)], f"{text}: not a data set; name a .g2o file, or an MR.CLAM or TagSLAM folder"),
+        ([str(text)], f"{text}: not a data set; name a .g2o file, an MR.CLAM or TagSLAM folder, or {video}"),
         (
             [str(empty)],
             f"{empty}: holds neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM);"
-            " name a folder with one of them",
+            f" name a folder with one of them, or {video}",
         ),
         ([str(mrclam), "--robot", "9"], "--robot 9: MR.CLAM has robots 1 to 5"),
         (
@@ -128,5 +129,5 @@ def test_ctrl_c_ends_it(mrclam, tmp_path):
     event = threading.Event()
     event.set()
     with pytest.raises(Interrupted):
-        run_slam(mrclam, None, tmp_path / "run", Progress(lambda _text: None, event))
+        run_slam(mrclam, tmp_path / "run", Progress(lambda _text: None, event))
     assert not (tmp_path / "run" / "summary.json").exists()

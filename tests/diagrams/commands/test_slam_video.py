@@ -1,0 +1,138 @@
+"""Maps of rendered image sequences, against where the tags were rendered."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from tests.vision.rendering import cv2, render
+from tfg_drake.comparison.metrics import align
+from tfg_drake.datasets.recording import DatasetError
+from tfg_drake.datasets.video import load_video
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.mapfile.saved_map import load_map
+from tfg_drake.storage.trajectory import read_tum, write_tum
+from tfg_drake.vision.calibration import CameraCalibration, save_calibration
+from tfg_drake.vision.mount import CameraMount
+
+SIZE = 0.16
+MATRIX = np.array([[300.0, 0.0, 160.0], [0.0, 300.0, 120.0], [0.0, 0.0, 1.0]])
+CALIBRATION = CameraCalibration(320, 240, MATRIX, "plumb_bob", np.zeros(0))
+# Where tags hang in W, m, and the headings of their normals, rad: on three walls round the camera, all at its height.
+TAGS = {
+    3: ((3.0, 0.8), math.pi),
+    4: ((3.0, 0.0), math.pi),
+    5: ((3.0, -0.8), math.pi),
+    6: ((2.2, 1.5), -0.5 * math.pi),
+    7: ((1.0, 1.5), -0.5 * math.pi),
+    8: ((2.2, -1.5), 0.5 * math.pi),
+    9: ((1.0, -1.5), 0.5 * math.pi),
+}
+FRAMES = 60
+
+
+def pose(k):
+    """X_WB of frame k: forward and back on a curve while the camera looks left and right."""
+    share = 2.0 * math.pi * k / FRAMES
+    return np.array([0.4 - 0.4 * math.cos(share), 0.15 * math.sin(share), 0.75 * math.sin(2.0 * share)])
+
+
+def in_view(p, X_WB):
+    d = np.array(p) - X_WB[:2]
+    c, s = math.cos(X_WB[2]), math.sin(X_WB[2])
+    ahead, left = c * d[0] + s * d[1], -s * d[0] + c * d[1]
+    return ahead > 0.4 and abs(left) < 0.5 * ahead, ahead, left
+
+
+def frame(k):
+    X_WB, tags = pose(k), []
+    for tag, (p, facing) in TAGS.items():
+        seen, ahead, left = in_view(p, X_WB)
+        turned = facing - math.pi - X_WB[2]  # 0: it faces the camera
+        if seen and abs(math.atan2(math.sin(turned), math.cos(turned))) < 1.2:
+            c, s = math.cos(turned), math.sin(turned)
+            # T is x right, y down, z away; turned to the left, as is counter-clockwise from above.
+            R_CT = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+            tags.append((tag, R_CT, np.array([-left, 0.0, ahead]), SIZE))
+    return render(tags, CALIBRATION, seed=k)
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    """A folder with the images, ten a second, the file of the calibration and the true way as TUM and CSV."""
+    folder = tmp_path_factory.mktemp("video")
+    (folder / "images").mkdir()
+    for k in range(FRAMES):
+        cv2.imwrite(str(folder / "images" / f"{0.1 * k:.1f}.png"), frame(k))
+    save_calibration(folder / "camera.yaml", CALIBRATION)
+    stamps, X_WB = 0.1 * np.arange(FRAMES), np.array([pose(k) for k in range(FRAMES)])
+    write_tum(folder / "odometry.tum", stamps, X_WB)
+    rows = "".join(f"{t:.3f},{x:.6f},{y:.6f},{a:.6f}\n" for t, (x, y, a) in zip(stamps, X_WB, strict=True))
+    (folder / "odometry.csv").write_text("time,x,y,heading\n" + rows)
+    return folder
+
+
+def slam(call, video, out, *more):
+    code, printed, complaint = call(
+        "slam", video / "images", "--calibration", video / "camera.yaml", "--tag-size", SIZE, "--out", out, *more
+    )
+    assert (code, complaint) == (0, ""), complaint
+    return printed
+
+
+def errors(saved):
+    """Distances, m, of the landmarks from where they were rendered, after alignment."""
+    p_WT = np.array([TAGS[int(tag)][0] for tag in saved.ids])
+    return np.hypot(*(transform(align(p_WT, saved.p_ML), saved.p_ML) - p_WT).T)
+
+
+def test_a_video_alone_gives_the_map_the_covariances_and_the_way(call, video, tmp_path):
+    out = tmp_path / "run"
+    slam(call, video, out)
+    saved = load_map(out / "map.npz")
+    assert saved.ids.tolist() == list(TAGS)
+    assert errors(saved).max() < 0.03
+    deviation = np.sqrt(np.trace(saved.landmark_covariance, axis1=1, axis2=2))
+    assert ((deviation > 1e-3) & (deviation < 0.2)).all()
+    stamps, X_MB = read_tum(out / "trajectory.tum")
+    true = np.array([pose(round(10.0 * t)) for t in stamps])
+    off = transform(align(true[:, :2], X_MB[:, :2]), X_MB[:, :2]) - true[:, :2]
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.05  # where one tag alone is in view it is known to no better
+    assert (out / "figure.png").stat().st_size > 10_000
+    assert (out / "landmarks.csv").read_text().count("\n") == len(TAGS) + 1
+    assert json.loads((out / "summary.json").read_text())["landmarks_mapped"] == len(TAGS)
+
+
+@pytest.mark.parametrize("kind", ["tum", "csv"])
+def test_odometry_is_used_where_there_is_any(call, video, tmp_path, kind):
+    slam(call, video, tmp_path / "run", "--odometry", video / f"odometry.{kind}")
+    assert errors(load_map(tmp_path / "run" / "map.npz")).max() < 0.03
+
+
+def test_odometry_of_another_clock_is_refused(video):
+    write_tum(video / "late.tum", 1000.0 + np.arange(3.0), np.zeros((3, 3)))
+    with pytest.raises(DatasetError, match=r"reaches from 1000.0 to 1002.0 s, the frames from 0.0 to 5.9 s"):
+        load_video(str(video / "images"), CALIBRATION, SIZE, CameraMount(), video / "late.tum")
+
+
+def test_images_without_a_tag_are_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "0.png"), np.full((240, 320), 128, dtype=np.uint8))
+    with pytest.raises(DatasetError, match="no tag in 1 frames; is it of the family tag36h11, and sharp"):
+        load_video(str(tmp_path), CALIBRATION, SIZE, CameraMount())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--tag-size", "0.16"], "slam: a video needs both --calibration FILE and --tag-size M"),
+        (["--odometry", "a.tum"], "--odometry a.tum: goes with a video; give --calibration FILE and --tag-size M, too"),
+        (["--calibration", "none.yaml", "--tag-size", "0.16"], "--calibration none.yaml: cannot be read"),
+        (["--calibration", "none.yaml", "--tag-size", "0"], "--tag-size 0: must be greater than 0 m"),
+    ],
+)
+def test_bad_input_is_one_line(call, video, arguments, complaint):
+    code, _, said = call("slam", video / "images", *arguments)
+    assert code == 2
+    assert complaint in said
+    assert said.count("\n") == 1

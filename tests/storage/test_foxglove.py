@@ -1,0 +1,72 @@
+"""What is written by hand is what protobuf reads."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+from tfg_drake.messages import Path, PoseEstimate
+from tfg_drake.storage import foxglove
+from tfg_drake.storage.port_recording import MAP_SHARE, PortWriter, read_recording
+
+
+def pose(stamp, theta=0.5):
+    none = np.zeros(0, dtype=np.int64)
+    return PoseEstimate(stamp, np.array([1.0, -2.0, theta]), np.eye(3), np.zeros(2), 1, none, np.zeros((0, 2)))
+
+
+def test_a_pose_ties_base_to_map():
+    read = FrameTransform.FromString(foxglove.pose_message(pose(12.5)))
+    assert (read.parent_frame_id, read.child_frame_id) == ("map", "base")
+    assert (read.translation.x, read.translation.y, read.translation.z) == (1.0, -2.0, 0.0)
+    assert 2.0 * np.arctan2(read.rotation.z, read.rotation.w) == pytest.approx(0.5)
+    assert (read.timestamp.seconds, read.timestamp.nanos) == (12, 500_000_000)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 1000])
+def test_a_path_is_a_strip_of_its_points(count):
+    points = np.random.default_rng(count).normal(size=(count, 2))
+    (entity,) = SceneUpdate.FromString(foxglove.path_message(foxglove.ShownPath(3.0, Path(1, 1, points)))).entities
+    assert (entity.id, entity.frame_id, entity.lines[0].type) == ("path", "map", 0)
+    assert [(p.x, p.y, p.z) for p in entity.lines[0].points] == [(x, y, 0.0) for x, y in points]
+
+
+def test_a_map_is_its_surfaces_and_landmarks(small_map):
+    estimate = dataclasses.make_dataclass("Estimate", ["ids", "p_ML"])(small_map.ids, small_map.p_ML)
+    data = foxglove.map_message(foxglove.ShownMap(2.0, estimate, small_map.tfg))
+    surfaces, landmarks = SceneUpdate.FromString(data).entities
+    assert (surfaces.id, surfaces.lines[0].type, landmarks.id) == ("surfaces", 2, "landmarks")
+    ends = np.array([(p.x, p.y) for p in surfaces.lines[0].points])
+    np.testing.assert_array_equal(ends.reshape(-1, 4), small_map.tfg.segments)
+    np.testing.assert_array_equal([(c.pose.position.x, c.pose.position.y) for c in landmarks.cubes], small_map.p_ML)
+    assert [int(one.key) for one in landmarks.metadata] == small_map.ids.tolist()
+    assert foxglove.map_size(estimate, small_map.tfg) == pytest.approx(len(data), rel=0.5)
+
+
+def test_maps_take_a_share_of_the_file(tmp_path, small_map):
+    """A large map is shown seldom."""
+    estimate = dataclasses.make_dataclass("Estimate", ["ids", "p_ML", "stamp"])(small_map.ids, small_map.p_ML, 0.0)
+    size = foxglove.map_size(estimate, small_map.tfg)
+    with PortWriter(tmp_path / "ports.mcap", "sim") as writer:
+        shown = 0
+        for stage in range(1, 400):
+            assert writer.wants_map(stage)
+            writer._bytes += 100
+            before = writer._bytes
+            writer.write_map(float(stage), estimate, dataclasses.replace(small_map.tfg, stage=stage))
+            shown += writer._bytes < before
+            assert not writer.wants_map(stage)
+    assert shown == pytest.approx(400 * 100 * MAP_SHARE / size, abs=1.0)
+
+
+def test_what_is_shown_is_not_played(tmp_path):
+    from tests.storage.test_port_recording import messages
+
+    with PortWriter(tmp_path / "ports.mcap", "sim") as writer:
+        for port, one in messages(0.0).items():
+            writer.write(port, 0.0, one)
+        writer.write_pose(0.5, pose(0.5))
+        writer.write_path(0.5, Path(1, 1, np.zeros((2, 2))))
+    assert read_recording(tmp_path).end_time == 0.0

@@ -1,0 +1,142 @@
+"""A video or a folder of images as a recording: tags seen by one camera, and odometry if somebody kept it.
+
+Without odometry nothing tells how the camera moves but the tags themselves: its pose is taken to wander at random, as
+far as a person walks or turns in the time between two images. Where the odometry is known, it is a TUM trajectory or a
+CSV file with the columns time (s), x, y (m) and heading (rad).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.recording import DatasetError, Recording
+from tfg_drake.datasets.rows import read_table
+from tfg_drake.messages import FloatArray, Odometry, TagDetections
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.frames import FrameError, frames
+from tfg_drake.vision.mount import CameraMount
+from tfg_drake.vision.sighting import TagSizes, sighted
+from tfg_drake.vision.tag_detector import TagDetector
+
+# How a camera wanders of which no odometry tells: m and rad per root second.
+WANDER_POSITION = 0.5
+WANDER_HEADING = 1.0
+# The online estimator then closes a piece of the way after this time, s.
+PIECE_TIME = 2.0
+# The map begins so long before the first frame, s: the estimator takes a frame when odometry lies to both sides of it.
+MOMENT = 1e-5
+
+_TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def wandering() -> OdometryConfig:
+    """The model of a camera without odometry."""
+    return OdometryConfig(
+        distance_noise=0.0,
+        distance_scale=0.0,
+        gyro_noise=WANDER_HEADING,
+        gyro_bias=0.0,
+        gyro_scale=0.0,
+        position_noise=WANDER_POSITION,
+    )
+
+
+def odometry_model() -> OdometryConfig:
+    """What is believed of odometry of which only the poses are known: an ordinary wheeled base or better."""
+    return OdometryConfig(distance_noise=0.05, distance_scale=0.03, gyro_noise=0.02, gyro_bias=0.002, gyro_scale=0.02)
+
+
+def load_video(
+    source: str,
+    calibration: CameraCalibration,
+    tag_size: float,
+    mount: CameraMount,
+    odometry: Path | None = None,
+    on_frame: Callable[[int], object] = lambda _count: None,
+) -> Recording:
+    """The tags in a video or a folder of images.
+
+    Args:
+        source: as `tfg_drake.vision.frames.frames` opens it; its stamps are those of the frames.
+        calibration: of the camera.
+        tag_size: side of the black square, m.
+        mount: of the camera on the body, which moves in a plane.
+        odometry: a TUM or CSV file with the body's poses, by the clock of the frames; None: there is none.
+        on_frame: called with the number of frames read.
+
+    Raises:
+        DatasetError: there is no image, no tag in any, or the odometry cannot be used.
+    """
+    detector, sizes = TagDetector(), TagSizes(tag_size)
+    seen: list[TagDetections] = []
+    remarks: dict[str, int] = {}
+    try:
+        for count, frame in enumerate(frames(source), start=1):
+            if seen and frame.stamp <= seen[-1].stamp:
+                raise DatasetError(f"{source}: frame {frame.name} is not later than the one before; number them anew")
+            sighting = sighted(detector.detect(frame.image), frame.stamp, calibration, sizes, mount)
+            seen.append(sighting.detections)
+            for remark in sighting.remarks:
+                remarks[remark] = remarks.get(remark, 0) + 1
+            on_frame(count)
+    except FrameError as error:
+        raise DatasetError(str(error)) from None
+    notes = [f"{remark} ({number} frames)" for remark, number in sorted(remarks.items())]
+    if not any(len(one.ids) for one in seen):
+        why = f": {notes[0]}" if notes else "; is it of the family tag36h11, and sharp?"
+        raise DatasetError(f"{source}: no tag in {len(seen)} frames{why}")
+    name = Path(source).resolve().name.partition(".")[0]
+    if odometry is None:
+        while not len(seen[0].ids):
+            del seen[0]
+        messages = _standing(seen)
+        return Recording(name, messages, tuple(seen), wandering(), None, tuple(notes), PIECE_TIME)
+    stamps, X_OB, mended = _poses(odometry)
+    notes += mended
+    inside = [one for one in seen if stamps[0] <= one.stamp <= stamps[-1]]
+    if not any(len(one.ids) for one in inside):
+        span = f"{stamps[0]:.1f} to {stamps[-1]:.1f} s, the frames from {seen[0].stamp:.1f} to {seen[-1].stamp:.1f} s"
+        raise DatasetError(f"{odometry}: reaches from {span}: they need one clock")
+    if len(inside) < len(seen):
+        notes.append(f"{len(seen) - len(inside)} frames outside the odometry were left out")
+    return Recording(name, _moving(stamps, X_OB), tuple(inside), odometry_model(), None, tuple(notes))
+
+
+def _standing(seen: list[TagDetections]) -> tuple[Odometry, ...]:
+    """Odometry that says nothing, at every frame, and a moment before the first and after the last."""
+    stamps = [seen[0].stamp - MOMENT, *(one.stamp for one in seen), seen[-1].stamp + MOMENT]
+    return tuple(Odometry(stamp, np.zeros(3), np.zeros(2)) for stamp in stamps)
+
+
+def _moving(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
+    d, dt = np.diff(X_OB, axis=0), np.diff(stamps)
+    c, s = np.cos(X_OB[:-1, 2]), np.sin(X_OB[:-1, 2])
+    turn = np.pi - np.mod(np.pi - d[:, 2], 2.0 * np.pi)
+    V_B = np.vstack([np.zeros((1, 2)), np.column_stack([c * d[:, 0] + s * d[:, 1], turn]) / dt[:, None]])
+    return tuple(Odometry(float(t), X, V) for t, X, V in zip(stamps, X_OB, V_B, strict=True))
+
+
+def _poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+    """Stamps (n,), s, poses (n, 3), and what was mended in the file."""
+    if path.suffix.lower() == ".csv":
+        table, mended = read_table(path, ("time", "x", "y", "heading"), separator=",")
+        X_OB = table[:, 1:]
+    else:
+        table, mended = read_table(path, _TUM)
+        X_OB = np.column_stack([table[:, 1:3], _heading(table[:, 4:])])
+    if len(table) < 2:
+        raise DatasetError(f"{path}: fewer than two poses in it; name a TUM trajectory or a CSV file")
+    same = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    if len(same):
+        raise DatasetError(f"{path}: two poses at {table[same[0], 0]:.3f} s; leave one of them out")
+    return table[:, 0], X_OB, mended
+
+
+def _heading(quaternion: FloatArray) -> FloatArray:
+    """(n,) rad of the x axis in the horizontal plane, of quaternions (n, 4) x, y, z, w."""
+    x, y, z, w = quaternion.T
+    return np.asarray(np.arctan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))
