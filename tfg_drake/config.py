@@ -119,6 +119,44 @@ class SafetyConfig:
 
 
 @dataclasses.dataclass
+class CameraConfig:
+    """The camera of `--tags camera:`, where it sits on the robot, and the tags that it looks for."""
+
+    # The calibration's file, OpenCV's YAML or ROS's camera_info.
+    calibration: str = ""
+    # Side of the tags' black square, m, and their family.
+    tag_size: float = 0.16
+    family: str = "tag36h11"
+    # Where it sits in the body frame, m and rad; pitch is downward, roll clockwise as it looks.
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    # How old an image is when it arrives, s, where neither camera nor stream says when it was taken.
+    latency: float = 0.0
+    # Tags are looked for in an image so many times smaller; 1 sees smaller ones in four times the time.
+    decimation: float = 2.0
+    # Threads of the detector.
+    threads: int = 1
+
+
+@dataclasses.dataclass
+class ScannerConfig:
+    """The scanner of `--scan rplidar:` or the depth camera of `--scan realsense:`."""
+
+    # Where it sits in the body frame, m and rad: x ahead, z above the floor; pitch is downward.
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.3
+    yaw: float = 0.0
+    pitch: float = 0.0
+    # A depth camera's scan is of what stands in this band of heights above the floor, m.
+    low: float = 0.05
+    high: float = 0.5
+
+
+@dataclasses.dataclass
 class HardwareConfig:
     """The real robot, where the station is one."""
 
@@ -134,9 +172,13 @@ class HardwareConfig:
     # rosbridge: HOST:PORT of the server.
     bridge: str = "localhost:9090"
     # Where tags and scans come from: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, or empty for the topics
-    # of the preset; a kobuki has none of its own.
+    # of the preset; a kobuki has none of its own. Tags also from camera:SOURCE, scans from rplidar:DEVICE or
+    # realsense:[SERIAL].
     tags: str = ""
     scan: str = ""
+    # What a preset says of sensors on ROS, of those of our own.
+    camera: CameraConfig = dataclasses.field(default_factory=CameraConfig)
+    scanner: ScannerConfig = dataclasses.field(default_factory=ScannerConfig)
 
 
 @dataclasses.dataclass
