@@ -54,9 +54,6 @@ class CameraDriver(SensorReader):
         name = f"camera:{source}"
         super().__init__(name, {TagDetections: f"tags of {name}"})
         self._calibration = known_calibration(self.name, camera)
-        # What OpenCV and FFmpeg would say in their own words is said here in ours.
-        os.environ.update(OPENCV_LOG_LEVEL="SILENT", OPENCV_FFMPEG_LOGLEVEL="-8")
-
         from tfg_drake.hardware.frame_reader import FrameReader
         from tfg_drake.vision.mount import CameraMount
         from tfg_drake.vision.sighting import TagSizes
@@ -138,6 +135,8 @@ class CameraDriver(SensorReader):
 
 def known_calibration(name: str, camera: CameraConfig) -> CameraCalibration:
     """The calibration of the camera that is called `name`; raises DeviceError."""
+    # What OpenCV and FFmpeg would say in their own words is said here in ours.
+    os.environ.update(OPENCV_LOG_LEVEL="SILENT", OPENCV_FFMPEG_LOGLEVEL="-8")
     try:
         import cv2  # noqa: F401
         import robotpy_apriltag  # noqa: F401
