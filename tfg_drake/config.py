@@ -18,6 +18,8 @@ GAINS = ("exact", "limit", "paper", "authors")
 GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier", "random")
 # The real robots, by what their base speaks.
 ROBOTS = ("kobuki", "ros2", "rosbridge")
+# What a simulated robot sees tags and walls with: sensors as the paper's, or a camera whose images are rendered.
+EYES = ("ideal", "camera")
 # What a planned path's collision probability is bounded of.
 RISKS = ("point", "path")
 
@@ -99,6 +101,33 @@ class ScanConfig:
     rate: float = 10.0
     # Range noise, m.
     noise: float = 0.015
+
+
+@dataclasses.dataclass
+class StationConfig:
+    """What the simulated station is made of."""
+
+    # What it sees with, one of EYES. Saying `camera` also sets in the sections tags and scan what such a camera's data
+    # sheet says; what is set after that holds.
+    eyes: str = "ideal"
+
+
+@dataclasses.dataclass
+class CameraConfig:
+    """The camera that sees colour and depth, where `station.eyes` is one, and the building that it looks at.
+
+    How much of the surroundings it sees, how far and how often, say the sections tags (colour) and scan (depth).
+    """
+
+    # Pixels.
+    width: int = 640
+    height: int = 480
+    # The lens above the floor, m.
+    mount_height: float = 0.3
+    # Sides of the tags' black squares, their centres above the floor, and the walls' height, m.
+    tag_size: float = 0.16
+    tag_height: float = 0.4
+    wall_height: float = 2.5
 
 
 @dataclasses.dataclass
@@ -296,6 +325,18 @@ class ScanRealityConfig:
 
 
 @dataclasses.dataclass
+class CameraRealityConfig:
+    """What a rendered camera does besides showing what is there."""
+
+    # How long a frame is exposed, s: meanwhile the robot turns, and the image is blurred by so much.
+    exposure_time: float = 0.0
+    # Grey levels are so many times those of a good exposure: below 1 it is dark, above 1 there is glare.
+    brightness: float = 1.0
+    # Standard deviation of a pixel's white noise, grey levels.
+    noise: float = 2.0
+
+
+@dataclasses.dataclass
 class RealityConfig:
     """What the simulated world does otherwise than the sections `tags`, `odometry` and `scan` say, which are what the
     explorer believes. None of it is told."""
@@ -303,6 +344,7 @@ class RealityConfig:
     tags: TagRealityConfig = dataclasses.field(default_factory=TagRealityConfig)
     odometry: OdometryRealityConfig = dataclasses.field(default_factory=OdometryRealityConfig)
     scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
+    camera: CameraRealityConfig = dataclasses.field(default_factory=CameraRealityConfig)
     # How many people walk about in the building.
     people: int = 0
     # How long it takes, s, to choose a goal, and to plan a path, until they are known to the others.
