@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tfg_drake.config import CameraConfig
+from tfg_drake.config import RobotCameraConfig
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.remarks import Remark, Spells, begun
 from tfg_drake.hardware.sensor_reader import SensorReader
@@ -35,7 +35,7 @@ class CameraSensorConfig:
     """What the process is told. source: as tfg_drake.vision.frames.frames has it."""
 
     source: str
-    camera: CameraConfig
+    camera: RobotCameraConfig
 
     def open(self) -> CameraDriver:
         """The driver; raises DeviceError."""
@@ -49,7 +49,7 @@ class CameraDriver(SensorReader):
     refusals: of tags that were left out, and why.
     """
 
-    def __init__(self, source: str, camera: CameraConfig) -> None:
+    def __init__(self, source: str, camera: RobotCameraConfig) -> None:
         """Waits for an image of the calibration's size; raises DeviceError."""
         name = f"camera:{source}"
         super().__init__(name, {TagDetections: f"tags of {name}"})
@@ -133,7 +133,7 @@ class CameraDriver(SensorReader):
         self._reader.close()
 
 
-def known_calibration(name: str, camera: CameraConfig) -> CameraCalibration:
+def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration:
     """The calibration of the camera that is called `name`; raises DeviceError."""
     # What OpenCV and FFmpeg would say in their own words is said here in ours.
     os.environ.update(OPENCV_LOG_LEVEL="SILENT", OPENCV_FFMPEG_LOGLEVEL="-8")
@@ -155,7 +155,7 @@ def known_calibration(name: str, camera: CameraConfig) -> CameraCalibration:
         raise DeviceError(f"{name}: {error}") from None
 
 
-def known_view(name: str, camera: CameraConfig) -> CameraView:
+def known_view(name: str, camera: RobotCameraConfig) -> CameraView:
     """What the camera sees; raises DeviceError."""
     calibration = known_calibration(name, camera)
     from tfg_drake.vision.camera_view import camera_view

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.config import ScannerConfig
+from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.messages import LaserScan
@@ -33,7 +33,7 @@ class RealsenseConfig:
     """What the process is told. device: serial number of the camera, path of a recording, or empty for any camera."""
 
     device: str
-    mount: ScannerConfig
+    mount: RobotScannerConfig
 
     def open(self) -> RealsenseDriver:
         """The driver; raises DeviceError."""
@@ -44,7 +44,7 @@ class RealsenseDriver(SensorReader):
     """Makes a scan of each depth image; see tfg_drake.hardware.device.Driver. A camera that was unplugged is opened
     again."""
 
-    def __init__(self, device: str, mount: ScannerConfig) -> None:
+    def __init__(self, device: str, mount: RobotScannerConfig) -> None:
         """Waits for the first image; raises DeviceError."""
         name = f"realsense:{device}"
         super().__init__(name, {LaserScan: f"scan of {name}"})
@@ -77,6 +77,8 @@ class RealsenseDriver(SensorReader):
             profile = pipeline.start(self._wanted(pipeline))
             stream = profile.get_stream(rs.stream.depth).as_video_stream_profile()
             self._unit = profile.get_device().first_depth_sensor().get_depth_scale()
+        except DeviceError:
+            raise
         except RuntimeError as error:
             raise DeviceError(f"{self.name}: {' '.join(str(error).split())}; is the camera there, and free?") from None
         sees = stream.get_intrinsics()

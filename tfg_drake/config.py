@@ -148,7 +148,7 @@ class SafetyConfig:
 
 
 @dataclasses.dataclass
-class CameraConfig:
+class RobotCameraConfig:
     """The camera of `--tags camera:`, where it sits on the robot, and the tags that it looks for."""
 
     # The calibration's file, OpenCV's YAML or ROS's camera_info.
@@ -171,7 +171,7 @@ class CameraConfig:
 
 
 @dataclasses.dataclass
-class ScannerConfig:
+class RobotScannerConfig:
     """The scanner of `--scan rplidar:` or the depth camera of `--scan realsense:`."""
 
     # Where it sits in the body frame, m and rad: x ahead, z above the floor; pitch is downward.
@@ -206,8 +206,8 @@ class HardwareConfig:
     tags: str = ""
     scan: str = ""
     # What a preset says of sensors on ROS, of those of our own.
-    camera: CameraConfig = dataclasses.field(default_factory=CameraConfig)
-    scanner: ScannerConfig = dataclasses.field(default_factory=ScannerConfig)
+    camera: RobotCameraConfig = dataclasses.field(default_factory=RobotCameraConfig)
+    scanner: RobotScannerConfig = dataclasses.field(default_factory=RobotScannerConfig)
 
 
 @dataclasses.dataclass

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tfg_drake.config import ScannerConfig
+from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import Node, NodeDecoder
@@ -44,7 +44,7 @@ class RplidarConfig:
     """What the process is told. port: path of the serial port. mount: of the scanner."""
 
     port: str
-    mount: ScannerConfig
+    mount: RobotScannerConfig
 
     def open(self) -> RplidarDriver:
         """The driver; raises DeviceError."""
@@ -58,7 +58,7 @@ class RplidarDriver(SensorReader):
     refusals: what was wrong with its bytes.
     """
 
-    def __init__(self, path: str, mount: ScannerConfig) -> None:
+    def __init__(self, path: str, mount: RobotScannerConfig) -> None:
         """Waits for a whole revolution; raises DeviceError."""
         name = f"rplidar:{path}"
         super().__init__(name, {Sweep: f"scan of {name}"})

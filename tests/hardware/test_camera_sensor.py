@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.vision.rendering import cv2, render
-from tfg_drake.config import CameraConfig
+from tfg_drake.config import RobotCameraConfig
 from tfg_drake.hardware import camera_sensor, frame_reader
 from tfg_drake.hardware.camera_sensor import CameraDriver, known_view
 from tfg_drake.hardware.device import DeviceError
@@ -34,7 +34,7 @@ RANGES, BEARINGS = np.hypot([0.3, 0.3], [1.5, 1.2]), np.arctan2([0.3, -0.3], [1.
 def camera(tmp_path):
     """The configuration of a calibrated camera."""
     save_calibration(tmp_path / "camera.yaml", CAMERA)
-    return CameraConfig(calibration=str(tmp_path / "camera.yaml"))
+    return RobotCameraConfig(calibration=str(tmp_path / "camera.yaml"))
 
 
 @pytest.fixture

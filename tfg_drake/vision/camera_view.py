@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 
 from tfg_drake.vision import lens
 from tfg_drake.vision.calibration import CameraCalibration
-
-# Tags are found that are so wide in the image, pixels, and seen so much aslant at most, rad.
-LEAST_WIDTH, MAX_INCIDENCE = 24.0, math.radians(60.0)
+from tfg_drake.vision.camera_sheet import LEAST_WIDTH, MOST_INCIDENCE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +18,7 @@ class CameraView:
 
     field_of_view: float
     range: float
-    max_incidence: float = MAX_INCIDENCE
+    max_incidence: float = MOST_INCIDENCE
 
 
 def camera_view(calibration: CameraCalibration, tag_size: float) -> CameraView:

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from tfg_drake.config import ScannerConfig
+from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware import sensor_reader
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
@@ -17,7 +17,7 @@ from tfg_drake.hardware.sweep import scan_of
 
 # A room, and a scanner that looks back.
 WALLS = np.array([[-2.0, -1.0, 3.0, -1.0], [3.0, -1.0, 3.0, 2.0], [3.0, 2.0, -2.0, 2.0], [-2.0, 2.0, -2.0, -1.0]])
-MOUNT = ScannerConfig(x=-0.05, y=0.02, yaw=math.pi)
+MOUNT = RobotScannerConfig(x=-0.05, y=0.02, yaw=math.pi)
 X_BS = np.array([MOUNT.x, MOUNT.y, MOUNT.yaw])
 
 
