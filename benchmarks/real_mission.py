@@ -15,6 +15,7 @@ and looked through first; on the way its stream ends and comes again, and the sc
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 import subprocess
@@ -23,7 +24,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -37,6 +38,8 @@ CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
 FIELDS = ("outcome", "time", "distance", "mapped", "position", "heading", "landmarks", "aligned", "contacts")
 
 
+# When an operator enables a base again that stands until he does, s.
+ANEW = 2.0
 # What happens to the robot without ROS after it was enabled, s.
 INCIDENTS = ((60.0, "camera off"), (70.0, "camera on"), (110.0, "lidar unplug"), (115.0, "lidar plug"))
 
@@ -106,8 +109,8 @@ def _calibrated(camera: str, board: str, out: Path) -> list[str]:
     )
     check = ["--calibration", str(file), "--tag-size", "0.16", "--frames", "8", "--out", str(out / "seen.png")]
     subprocess.run([*CLI, "camera", "check", source, *check], check=True)
-    mount = ["--set", "hardware.camera.x=0.05"]
-    return ["--set", f"hardware.camera.calibration={file}", *mount]
+    settings = [f"calibration={file}", "x=0.05", "latency=0.15"]
+    return [word for setting in settings for word in ("--set", f"hardware.camera.{setting}")]
 
 
 def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> dict[str, Any]:
@@ -123,9 +126,10 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
         for line in process.stdout:
             print(f"  {line.rstrip()}", flush=True)
             if line.startswith("nothing moves before"):
-                process.stdin.write("e")
-                process.stdin.flush()
+                _press(process.stdin)
                 emulator.begin()
+            if "until it is enabled anew" in line:  # on a busy machine odometry pauses
+                threading.Timer(ANEW, _press, (process.stdin,)).start()
     emulator.close()
     scene = MakeWorld(LoadScenario(world).world)
     origin = float(re.findall(r"time 0 is ([0-9.]+) s", (out / "log.txt").read_text())[0])
@@ -151,6 +155,13 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
         "aligned": metrics.landmark_rmse_aligned(p_WL, p_WL_true),
         "contacts": emulator.truth[-1]["contacts"],
     }
+
+
+def _press(keys: IO[str]) -> None:
+    """Enables the wheels, unless the mission is over."""
+    with contextlib.suppress(OSError, ValueError):
+        keys.write("e")
+        keys.flush()
 
 
 def simulated(world: str, speed: float, seed: int, max_time: float, out: Path) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """A camera in the network on an emulated robot: what it would see, rendered in a process of its own.
 
 The process is started with a pipe, as `python -m tfg_drake.diagrams.emulated_camera CONNECTION`. It is told the world
-and then poses; it says the addresses of its streams. It ends when the other end is gone.
+and then poses and when they were; it says the addresses of its streams. It ends when the other end is gone.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from tfg_drake.vision.mount import CameraMount
 from tfg_drake.world.world import World
 
 # Images a second; pixels; horizontal field of view, rad.
-RATE, SIZE, FIELD_OF_VIEW = 8.0, (640, 480), math.radians(65.0)
+RATE, SIZE, FIELD_OF_VIEW = 5.0, (640, 480), math.radians(65.0)
 MOUNT = CameraMount(x=0.05, z=0.35)
+# How old an image is when it is sent, s, as in the network: however long it takes to render it.
+LATENCY = 0.15
 # How long the board is held in one way, s.
 _BOARD_EVERY = 0.6
 
@@ -71,7 +73,7 @@ class EmulatedCamera:
             sent += 1
             with self._lock:
                 try:
-                    self._connection.send(self._pose())
+                    self._connection.send((time.monotonic(), self._pose()))
                 except OSError:
                     return  # it has ended
 
@@ -94,7 +96,10 @@ def serve(connection: Connection) -> None:
             stream.start() if switch else stream.stop()
         poses = [one for one in told if not isinstance(one, bool)]
         if stream.watched and poses:
-            stream.show(view.colour(poses[-1]))
+            taken, X_WB = poses[-1]
+            image = view.colour(X_WB)
+            time.sleep(max(0.0, taken + LATENCY - time.monotonic()))
+            stream.show(image)
         if board.watched and time.monotonic() - held > _BOARD_EVERY:
             board.show(board_view(view.calibration, number))
             held, number = time.monotonic(), number + 1

@@ -6,11 +6,13 @@ import collections
 import dataclasses
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tfg_drake.config import RobotCameraConfig
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.remarks import Remark, Spells, begun
 from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.messages import TagDetections
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 # How long to wait for the first image, s.
 PATIENCE = 10.0
 # Fewer images a second are told, counted over so many seconds. Tags are mapped all the same.
-LOW_RATE, COUNTED = 5.0, 3.0
+LOW_RATE, COUNTED = 4.0, 3.0
 # Images whose mean is below or above are too dark or too bright, grey levels; one pixel in so many is looked at.
 DARK, BRIGHT, _SPARSE = 25.0, 230.0, 16
 # How long something must last to be told, s: light and rate; no tag in sight.
@@ -67,7 +69,8 @@ class CameraDriver(SensorReader):
         except ValueError as error:
             raise DeviceError(f"{self.name}: {error}") from None
         self._spells: Spells = {}
-        # When images were looked at in the last COUNTED seconds, s; whether a tag was seen in the newest.
+        # When images were looked at in the last COUNTED seconds, and since when they come, s; whether a tag was seen in
+        # the newest.
         self._looked: collections.deque[float] = collections.deque()
         self._dark = self._bright = self._tag_seen = False
         size = self._calibration.width, self._calibration.height
@@ -95,14 +98,14 @@ class CameraDriver(SensorReader):
         if frame is not None:
             seen = sighted(self._detector.detect(frame.image), frame.stamp, self._calibration, self._sizes, self._mount)
             self._messages.append(seen.detections)
-            for remark in seen.remarks:
-                if "edge of the image" not in remark:  # as happens to every tag that is passed
-                    self.refusals.add(self.name, "margin" if "margin" in remark else remark, remark)
+            tell(self.refusals, self.name, seen.remarks)
             self._looked.append(now)
             self._judge_light(frame.image)
             self._tag_seen = bool(len(seen.detections.ids))
-        while self._looked and self._looked[0] < now - COUNTED:
+        while self._looked and (self._looked[0] < now - COUNTED or self._reader.error):
             self._looked.popleft()
+        if self._reader.error:
+            self._begin = now
         self._spells, names = begun(self._spells, holds := self._holding(now), now)
         for line in (*self._reader.take_remarks(), *(holds[name].line for name in names)):
             self._remark(line)
@@ -131,6 +134,13 @@ class CameraDriver(SensorReader):
     def close(self) -> None:
         """Lets go of the camera."""
         self._reader.close()
+
+
+def tell(refusals: Refusals, source: str, remarks: Sequence[str]) -> None:
+    """Has the operator told what was left out of an image, each kind once."""
+    for remark in remarks:
+        if "edge of the image" not in remark:  # as happens to every tag that is passed
+            refusals.add(source, "margin" if "margin" in remark else remark, remark)
 
 
 def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration:

@@ -77,7 +77,8 @@ class MjpegStream:
         with contextlib.suppress(OSError):
             while True:
                 with self._changed:
-                    self._changed.wait_for(lambda sent=sent: self._number > sent or self._start != begun)
+                    while self._number == sent and self._start == begun:
+                        self._changed.wait()
                     if self._start != begun:
                         break
                     jpeg, sent = self._jpeg, self._number

@@ -1,4 +1,8 @@
-"""The RPLidar on its serial port, as a sensor's process reads it; see tfg_drake.hardware.device."""
+"""The RPLidar on its serial port, as a sensor's process reads it; see tfg_drake.hardware.device.
+
+An A1 turns five times a second. So that no scan is old when the next one comes, there is one every half turn: of the
+rays of the last whole one.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +56,7 @@ class RplidarConfig:
 
 
 class RplidarDriver(SensorReader):
-    """Starts the motor and reads a sweep a revolution; see tfg_drake.hardware.device.Driver. A scanner that was
+    """Starts the motor and reads two sweeps a turn; see tfg_drake.hardware.device.Driver. A scanner that was
     unplugged or is silent is started again.
 
     refusals: what was wrong with its bytes.
@@ -115,8 +119,10 @@ class RplidarDriver(SensorReader):
             self._say(codec.motor(codec.DUTY))
         self._say(codec.request(codec.SCAN))
         self._model, self._decoder = told.model, NodeDecoder()
+        # Of this turn and of the one before.
         self._nodes: list[Node] = []
-        # When the revolution began, None where that was not seen; how long the last ones took, s.
+        self._before: list[Node] = []
+        # When the turn began, None where that was not seen; how long the last ones took, s.
         self._began: float | None = None
         self._periods: collections.deque[float] = collections.deque(maxlen=_REMEMBERED)
         self._heard = time.monotonic()
@@ -176,12 +182,14 @@ class RplidarDriver(SensorReader):
             # Round the full turn angles waver, and the first ray of a turn may be lost.
             if over and not 0 < len(self._nodes) < _FEWEST:
                 self._turn_over(now)
+            elif self._nodes and self._nodes[-1].angle < math.pi <= node.angle:
+                self._half_over()
             self._nodes.append(node)
         if self._decoder.lost > before:
             self.refusals.add(self.name, "bytes", "bytes are lost on the way; the other rays are used, check the cable")
 
     def _turn_over(self, arrival: float) -> None:
-        """A revolution ends and the next begins with the ray that arrived at `arrival`, s."""
+        """A turn ends and the next begins with the ray that arrived at `arrival`, s."""
         began, ends = self._began, arrival
         period = statistics.median(self._periods) if self._periods else None
         if began is not None and period is not None and arrival < began + 2.0 * period:
@@ -189,25 +197,38 @@ class RplidarDriver(SensorReader):
             ends = min(arrival, began + _SLOWER * period)
         if self._arrived > -math.inf:
             self._periods.append(arrival - self._arrived)
-        nodes, self._nodes, self._began, self._arrived = self._nodes, [], ends, arrival
-        if began is not None and ends > began and nodes:
-            self._messages.append(self._sweep(nodes, began, ends))
+        self._before, self._nodes, self._began, self._arrived = self._nodes, [], ends, arrival
+        if began is None or ends <= began:
+            self._before = []
+        else:
+            self._add(self._before, math.pi, 0.5 * (began + ends), ends - began)
 
-    def _sweep(self, nodes: list[Node], began: float, ends: float) -> Sweep:
+    def _half_over(self) -> None:
+        """The half of a turn is over: with the last half of the one before it is a whole one."""
+        if self._began is None or not self._before:
+            return
+        last = [one for one in self._before if one.angle > math.pi]
+        nodes = [*(dataclasses.replace(one, angle=one.angle - 2.0 * math.pi) for one in last), *self._nodes]
+        self._add(nodes, 0.0, self._began, statistics.median(self._periods))
+
+    def _add(self, nodes: list[Node], middle: float, stamp: float, period: float) -> None:
+        """A sweep of a turn's rays that had the angle `middle` (rad) at `stamp`; the turn took `period`, both s."""
         angles = np.array([node.angle for node in nodes])
         ranges = np.array([node.range for node in nodes])
         farthest = RANGES.get(self._model, min(RANGES.values()))
         ranges[ranges < LEAST_RANGE] = math.nan
         ranges[ranges > farthest] = math.inf
-        return Sweep(
-            stamp=0.5 * (began + ends),
-            directions=self._mount.yaw - angles,
-            ranges=ranges,
-            after=(ends - began) * (angles / (2.0 * math.pi) - 0.5),
-            x=self._mount.x,
-            y=self._mount.y,
-            range_max=farthest,
-            sigma=SIGMA,
+        self._messages.append(
+            Sweep(
+                stamp=stamp,
+                directions=self._mount.yaw - angles,
+                ranges=ranges,
+                after=period * (angles - middle) / (2.0 * math.pi),
+                x=self._mount.x,
+                y=self._mount.y,
+                range_max=farthest,
+                sigma=SIGMA,
+            )
         )
 
     def _lose(self, why: str) -> None:

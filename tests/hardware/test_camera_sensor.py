@@ -216,7 +216,7 @@ def test_few_images_a_second_are_told_and_used(camera, monkeypatch):
     is_right(next_of(driver))
     driver.close()
     stream.stop()
-    assert said[0].endswith(" images a second, fewer than 5: more light, smaller images or another cable may help")
+    assert said[0].endswith(" images a second, fewer than 4: more light, smaller images or another cable may help")
 
 
 @pytest.mark.parametrize(
