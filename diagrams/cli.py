@@ -113,10 +113,13 @@ def explore(
     tags: Annotated[
         str | None,
         typer.Option(
-            metavar="SOURCE", help="A real robot's tags: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT."
+            metavar="SOURCE",
+            help="A real robot's tags: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT or camera:/dev/video0.",
         ),
     ] = None,
-    scan: Annotated[str | None, typer.Option(metavar="SOURCE", help="A real robot's laser scans, likewise.")] = None,
+    scan: Annotated[
+        str | None, typer.Option(metavar="SOURCE", help="Its scans, likewise, or rplidar:DEVICE or realsense:.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No picture in Meshcat.")] = False,
     realtime_rate: Annotated[

@@ -28,8 +28,8 @@ REHEARSAL = 30.0
 
 @contextlib.contextmanager
 def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Robot, Scenario]]:
-    """The robot that scenario.hardware names, and the scenario within that robot's and its scanner's limits; closed at
-    the end.
+    """The robot that scenario.hardware names, and the scenario within the limits of robot, scanner and camera; closed
+    at the end.
 
     Keys on standard input, buttons in Meshcat and those of the robot operate it. Raises DeviceError.
     """
@@ -40,6 +40,10 @@ def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Rob
         bounded.robot.max_acceleration = devices.limits.acceleration
         bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
         bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
+        if devices.view is not None:
+            bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)
+            bounded.tags.range = min(scenario.tags.range, devices.view.range)
+            bounded.tags.max_incidence = min(scenario.tags.max_incidence, devices.view.max_incidence)
         operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
         if meshcat is not None:
             operated.append(MeshcatButtons(meshcat).requests)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 from tfg_drake.config import HardwareConfig, RobotConfig
 from tfg_drake.hardware.device import Device, DeviceError
@@ -12,10 +13,16 @@ from tfg_drake.hardware.ros import ros2, rosbridge
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
 from tfg_drake.hardware.sensor import Source
 from tfg_drake.hardware.sensor_source import SensorSource, SourceSpec, open_sources, parse_source
+from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.hardware.watchdog import Limits
+
+if TYPE_CHECKING:
+    from tfg_drake.vision.camera_view import CameraView
 
 # Whose mounts and topics hold where nobody says otherwise.
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
+# What a base without ROS may be given.
+_GIVE = {"tags": "camera:/dev/video0, socket:HOST:PORT", "scan": "rplidar:DEVICE, realsense:, socket:HOST:PORT"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,8 +30,8 @@ class RobotDevices:
     """base: a device. tags, scan: sources of TagDetections and LaserScan.
 
     limits: what the base's driver bounds the velocity by. publisher, frames: of a base on ROS, what publishes there,
-    and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. clock:
-    of the station that is made of them.
+    and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. view:
+    of a camera of our own, None of another one. clock: of the station that is made of them.
     """
 
     base: Device
@@ -34,6 +41,7 @@ class RobotDevices:
     publisher: SensorSource | None = None
     frames: Frames | None = None
     least_range: float = 0.0
+    view: CameraView | None = None
     clock: HostClock = dataclasses.field(default_factory=HostClock)
 
     def take_remarks(self) -> list[str]:
@@ -71,26 +79,46 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     own = {"tags": on_ros and preset.topics.detections is not None, "scan": on_ros}
     for use in own:
         if use not in specs and not own[use]:
-            raise DeviceError(f"{config.robot}: no source of {use}; give --{use} socket:HOST:PORT or ros2:/TOPIC")
+            raise DeviceError(f"{config.robot}: no source of {use}; give --{use} {_GIVE[use]} or ros2:/TOPIC")
+    view = None
+    if "tags" in parsed and parsed["tags"].transport == "camera":
+        from tfg_drake.hardware.camera_sensor import known_view
+
+        view = known_view(specs["tags"], config.camera)
     graph = _graph(config)
     base = _open_base(config, preset, limits, graph)
     try:
         # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
-        sources = open_sources(specs, preset, graph)
+        sources = open_sources(specs, preset, graph, config)
     except DeviceError:
         base.close()
         raise
-    # What serves a socket says itself where nothing is known.
-    by_socket = "scan" in parsed and parsed["scan"].transport == "socket"
+    scanner = parsed["scan"].transport if "scan" in parsed else ""
+    scan: Source = sources["scan"]
     return RobotDevices(
         base,
         sources["tags"],
-        sources["scan"],
+        SweepSource(scan, base.odometry_near) if scanner == "rplidar" else scan,
         limits,
         sources.get("base"),
         preset.frames if on_ros else None,
-        0.0 if by_socket else preset.scanner.least_range,
+        _least_range(scanner, preset),
+        view,
     )
+
+
+def _least_range(scanner: str, preset: Preset) -> float:
+    """How near a scanner on a transport sees, m."""
+    if scanner == "rplidar":
+        from tfg_drake.hardware.rplidar.driver import LEAST_RANGE
+
+        return LEAST_RANGE
+    if scanner == "realsense":
+        from tfg_drake.hardware.realsense_sensor import LEAST_DEPTH
+
+        return LEAST_DEPTH
+    # What serves a socket says itself where nothing is known.
+    return 0.0 if scanner == "socket" else preset.scanner.least_range
 
 
 def _graph(config: HardwareConfig) -> SourceSpec | None:

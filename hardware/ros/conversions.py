@@ -20,6 +20,7 @@ from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
+from tfg_drake.hardware.sweep import Sweep, scan_of
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
@@ -147,20 +148,10 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
     ranges[too_near] = least
 
     n = len(ranges)
-    after_middle = (np.arange(n) - 0.5 * (n - 1)) * between
-    reach = np.where(np.isfinite(ranges), ranges, greatest)
-    direction = first + step * np.arange(n) + scanner.yaw
-    x, y = scanner.x + reach * np.cos(direction), scanner.y + reach * np.sin(direction)
-    turned = V_B[1] * after_middle
-    ahead = V_B[0] * after_middle
-    px, py = ahead + np.cos(turned) * x - np.sin(turned) * y, np.sin(turned) * x + np.cos(turned) * y
-    angles = wrap_angle(np.arctan2(py, px))
-    hit = np.isfinite(ranges)
-    ranges[hit] = np.hypot(px, py)[hit]
-    order = np.argsort(angles, kind="stable")
-    order = order[np.diff(angles[order], prepend=-math.inf) > 1e-9]
+    after_middle = np.asarray((np.arange(n) - 0.5 * (n - 1)) * between, dtype=float)
+    directions = np.asarray(first + step * np.arange(n) + scanner.yaw, dtype=float)
     middle = stamp - (float(after_middle[0]) if n else 0.0)
-    return LaserScan(middle, angles[order], ranges[order], greatest, scanner.sigma)
+    return scan_of(Sweep(middle, directions, ranges, after_middle, scanner.x, scanner.y, greatest, scanner.sigma), V_B)
 
 
 def calibration(camera_info: Any) -> CameraCalibration:

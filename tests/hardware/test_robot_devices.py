@@ -28,7 +28,7 @@ def opened(monkeypatch):
     """What the base and the sources were opened with."""
     given = {"source": Nothing(), "base": Nothing()}
 
-    def sources(specs, preset, graph):
+    def sources(specs, preset, graph, hardware):
         given["specs"], given["sensors"], given["graph"] = specs, preset, graph
         return dict.fromkeys(("tags", "scan") if graph is None else ("tags", "scan", "base"), given["source"])
 

@@ -64,7 +64,8 @@ def complaint(transport, use, topic):
 def test_a_topic_of_another_type(transport):
     assert complaint(transport, "tags", "/scan") == (
         f"{transport.name}: /scan is sensor_msgs/msg/LaserScan; tags come as apriltag_msgs/msg/AprilTagDetectionArray "
-        "or sensor_msgs/msg/PointCloud2: name a topic of that type"
+        "or sensor_msgs/msg/PointCloud2 or sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage: name a topic of "
+        "that type"
     )
 
 
