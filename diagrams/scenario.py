@@ -484,7 +484,29 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
         raise ScenarioError(f"{source}: {place}: must be at most {greatest:.6g}, is {number:g}")
 
 
+# What of the section reality is rendered, too; the rest says what ideal sensors do.
+_RENDERED = ("yaw", "ahead", "left")
+
+
+def _CheckEyes(scenario: Scenario, source: str) -> None:
+    """Refuses what a camera's station does not simulate: it would be left out without a word."""
+    if scenario.station.eyes != "camera":
+        return
+    reality, usual = scenario.reality, RealityConfig()
+    for section in ("tags", "scan"):
+        given, default = getattr(reality, section), getattr(usual, section)
+        for field in dataclasses.fields(given):
+            if field.name not in _RENDERED and getattr(given, field.name) != getattr(default, field.name):
+                place = f"reality.{section}.{field.name}"
+                raise ScenarioError(f"{source}: {place}: of ideal sensors; leave it out where station.eyes is camera")
+    if reality.changes:
+        raise ScenarioError(f"{source}: reality.changes: cannot be rendered; leave them out or set station.eyes=ideal")
+    if scenario.scan.least_range >= scenario.scan.range:
+        raise ScenarioError(f"{source}: scan.least_range: must be less than scan.range, {scenario.scan.range:g}")
+
+
 def _CheckWorld(scenario: Scenario, source: str) -> None:
+    _CheckEyes(scenario, source)
     try:
         world = MakeWorld(scenario.world)
         check_world(world, scenario.robot.radius)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pydrake.common import RandomDistribution
-from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort
+from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import RandomSource
 
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
@@ -60,6 +60,8 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     there are some. truth.world: a WorldNow message, where something changes. A real robot's station has no truth, and
     its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
 
+    scenario.station.eyes says what it sees with: ideal sensors, or a camera whose images are rendered.
+
     All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
     RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
 
@@ -83,29 +85,32 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     wheels = builder.AddNamedSystem(
         "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )
-    tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
-    scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
+    eyes: list[System]
+    if scenario.station.eyes == "camera":
+        # Few missions need what this imports.
+        from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
+
+        camera = builder.AddNamedSystem("eyes", MakeRenderedEyes(scenario, world))
+        eyes, tag_sensor, scanner = [camera], camera, camera
+    else:
+        tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
+        scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
+        eyes = [tag_sensor, scanner]
 
     builder.Connect(safety_filter.GetOutputPort("velocity"), plant.GetInputPort("velocity_commanded"))
     builder.Connect(plant.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
     builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
     builder.Connect(wheels.GetOutputPort("odometry"), safety_filter.GetInputPort("odometry"))
-    for sensor in (wheels, tag_sensor, scanner):
+    for sensor in (wheels, *eyes):
         builder.Connect(plant.GetOutputPort("pose"), sensor.GetInputPort("pose"))
 
     _AddNoise(builder, "odometry_noise", wheels.GetInputPort("noise"), odometry.PERIOD)
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
-    _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
-    _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
-
-    # After those that every simulation has: what reality does besides leaves their numbers as they are.
-    if tag_sensor.has_tag_errors:
-        _AddNoise(builder, "tag_errors", tag_sensor.GetInputPort("tag_errors"), _ONCE)
-    if tag_sensor.has_frame_noise:
-        _AddNoise(builder, "frame_noise", tag_sensor.GetInputPort("frame_noise"), 1.0 / scenario.tags.rate)
-    if scanner.has_ray_faults:
-        port = scanner.GetInputPort("ray_faults")
-        _AddNoise(builder, "ray_faults", port, 1.0 / scenario.scan.rate, RandomDistribution.kUniform)
+    if scenario.station.eyes == "camera":
+        port = tag_sensor.GetInputPort("noise")
+        _AddNoise(builder, "image_noise", port, 1.0 / scenario.tags.rate, RandomDistribution.kUniform)
+    else:
+        _AddSensorNoise(builder, scenario, tag_sensor, scanner)
 
     walking = None
     if reality.people:
@@ -114,14 +119,14 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
             builder, "people_numbers", walking.GetInputPort("numbers"), people.PERIOD, RandomDistribution.kUniform
         )
         builder.Connect(plant.GetOutputPort("pose"), walking.GetInputPort("pose"))
-        for system in (plant, tag_sensor, scanner):
+        for system in (plant, *eyes):
             builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
 
     changing = None
     if reality.changes:
         changing = builder.AddNamedSystem("world", ChangingWorld(world, reality.changes, scenario.robot.radius))
         builder.Connect(plant.GetOutputPort("pose"), changing.GetInputPort("pose"))
-        for system in (plant, tag_sensor, scanner, *([walking] if walking is not None else [])):
+        for system in (plant, *eyes, *([walking] if walking is not None else [])):
             builder.Connect(changing.GetOutputPort("world"), system.GetInputPort("world"))
 
     if meshcat is not None:
@@ -155,6 +160,20 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     station = builder.Build()
     station.set_name("station")
     return station
+
+
+def _AddSensorNoise(builder: DiagramBuilder, scenario: Scenario, tag_sensor: TagSensor, scanner: LaserScanner) -> None:
+    _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
+    _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
+
+    # After those that every simulation has: what reality does besides leaves their numbers as they are.
+    if tag_sensor.has_tag_errors:
+        _AddNoise(builder, "tag_errors", tag_sensor.GetInputPort("tag_errors"), _ONCE)
+    if tag_sensor.has_frame_noise:
+        _AddNoise(builder, "frame_noise", tag_sensor.GetInputPort("frame_noise"), 1.0 / scenario.tags.rate)
+    if scanner.has_ray_faults:
+        port = scanner.GetInputPort("ray_faults")
+        _AddNoise(builder, "ray_faults", port, 1.0 / scenario.scan.rate, RandomDistribution.kUniform)
 
 
 def _AddNoise(

@@ -10,8 +10,11 @@ from pydrake.common import MemoryFile
 from pydrake.geometry import (
     ClippingRange,
     ColorRenderCamera,
+    Cylinder,
     DepthRange,
     DepthRenderCamera,
+    FrameId,
+    GeometryFrame,
     GeometryInstance,
     InMemoryMesh,
     LightParameter,
@@ -21,12 +24,14 @@ from pydrake.geometry import (
     QueryObject,
     RenderCameraCore,
     RenderEngineVtkParams,
+    Rgba,
     SceneGraph,
     SourceId,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
+from tfg_drake.simulation.people import RADIUS
 from tfg_drake.systems.camera_info import calibration_of
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.image import Image
@@ -39,6 +44,9 @@ _RENDERER = "vtk"
 _NEAREST, _FARTHEST = 0.03, 100.0
 # Lamps on three sides of every wall, so far away that they shine alike everywhere: rad above the horizon.
 _LAMP_HEADINGS, _LAMP_HEIGHT = np.radians([20.0, 140.0, 260.0]), math.radians(20.0)
+
+# How tall people are, m, and the colour of what they wear.
+_TALL, _CLOTHES = 1.7, (0.25, 0.35, 0.55)
 
 
 def AddScene(scene: SceneGraph, world: World, config: SceneConfig | None = None) -> SourceId:
@@ -58,6 +66,20 @@ def AddScene(scene: SceneGraph, world: World, config: SceneConfig | None = None)
     instance.set_perception_properties(PerceptionProperties())
     scene.RegisterAnchoredGeometry(source, instance)
     return source
+
+
+def AddPeople(scene: SceneGraph, source: SourceId, count: int) -> list[FrameId]:
+    """Frames of so many people, each a cylinder that stands on the floor."""
+    frames = []
+    for k in range(count):
+        frame = scene.RegisterFrame(source, GeometryFrame(f"person{k}"))
+        body = GeometryInstance(RigidTransform([0.0, 0.0, 0.5 * _TALL]), Cylinder(RADIUS, _TALL), "body")
+        properties = PerceptionProperties()
+        properties.AddProperty("phong", "diffuse", Rgba(*_CLOTHES))
+        body.set_perception_properties(properties)
+        scene.RegisterGeometry(source, frame, body)
+        frames.append(frame)
+    return frames
 
 
 def _Lamp(heading: float) -> LightParameter:

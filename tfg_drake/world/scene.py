@@ -14,8 +14,8 @@ from tfg_drake.world.world import World, WorldError
 
 # Cells of a tag with its white border, one cell wide.
 _WHOLE = CELLS + 2
-# Pixels of the texture along a cell's side.
-_CELL_PIXELS = 8
+# Pixels of the texture along a cell's side: with more of them what is far is blurred, by the renderer's smaller copies.
+_CELL_PIXELS = 3
 # A tag hangs so far in front of where the world has it, m, that no wall of its own hides it.
 _IN_FRONT = 0.001
 # The floor reaches so far beyond the walls, m.
