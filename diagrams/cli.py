@@ -154,7 +154,7 @@ def explore(
         robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate
     )
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
-        show: Callable[[str], object] = stack.enter_context(Screen())
+        show: Callable[[str], None] = stack.enter_context(Screen())
         show("loading")
         # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
         placed = [world, tag_spacing, start]

@@ -578,6 +578,7 @@ timeline.listeners.push((layer, record) => {
   } else if (layer === "world") {
     const { segments } = arrays(record);
     if (segments && segments.length) wallBounds = widen(emptyBox(), segments);
+    element("layer-walls").parentElement.hidden = !wallBounds;
     document.title = record.told.title;
     element("title").textContent = record.told.title;
     buildCamera(record.told);
@@ -884,7 +885,7 @@ function tell() {
   figures.push(["map entropy", mapped ? number(mapped.told.entropy, 0, "nats") : "–",
     "Of all landmarks: the less, the more accurate the map"]);
   figures.push(["stages a minute", number(time > 1 ? (60 * stage) / time : null, 1), "On average so far"]);
-  if (live && speed !== null) figures.push(["speed", number(speed, 1, "× real time"), ""]);
+  if (live && speed !== null) figures.push(["speed", number(speed, 1, "×"), "Times real time"]);
   const html = figures.map(([name, text, hint]) => `<span title="${hint}">${name}</span><b>${text}</b>`).join("");
   if (html !== told) element("numbers").innerHTML = told = html;
   tellChoice();
@@ -1209,6 +1210,7 @@ async function readServed() {
 
 async function begin() {
   element("stop").hidden = true;
+  element("layers").open = size()[0] > 760;
   element("live").hidden = !(SOURCE && SOURCE.live);
   paint();
   useCamera();
