@@ -19,19 +19,17 @@ from tfg_drake.hardware.keyboard import Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
-from tfg_drake.systems.meshcat_buttons import MeshcatButtons
-from tfg_drake.systems.picture import Picture
 
 # Of the simulated mission that is run before a real one, s: some stages, as it does not look round for long first.
 REHEARSAL = 30.0
 
 
 @contextlib.contextmanager
-def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Robot, Scenario]]:
+def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
     """The robot that scenario.hardware names, and the scenario within the limits of robot, scanner and camera; closed
     at the end.
 
-    Keys on standard input, buttons in Meshcat and those of the robot operate it. Raises DeviceError.
+    Keys on standard input and the robot's own buttons operate it. Raises DeviceError.
     """
     devices = open_devices(scenario.hardware, scenario.robot)
     with contextlib.closing(devices), contextlib.closing(Keyboard()) as keyboard:
@@ -45,8 +43,6 @@ def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Rob
             bounded.tags.range = min(scenario.tags.range, devices.view.range)
             bounded.tags.max_incidence = min(scenario.tags.max_incidence, devices.view.max_incidence)
         operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
-        if meshcat is not None:
-            operated.append(MeshcatButtons(meshcat).requests)
         robot = Robot(
             scenario.hardware.robot,
             lambda scenario: MakeHardwareStation(scenario, devices),
