@@ -33,15 +33,6 @@ def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
     """
     devices = open_devices(scenario.hardware, scenario.robot)
     with contextlib.closing(devices), contextlib.closing(Keyboard()) as keyboard:
-        bounded = copy.deepcopy(scenario)
-        bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
-        bounded.robot.max_acceleration = devices.limits.acceleration
-        bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
-        bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
-        if devices.view is not None:
-            bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)
-            bounded.tags.range = min(scenario.tags.range, devices.view.range)
-            bounded.tags.max_incidence = min(scenario.tags.max_incidence, devices.view.max_incidence)
         operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
         robot = Robot(
             scenario.hardware.robot,
@@ -52,7 +43,21 @@ def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
             Announce=_Announcer(devices),
             close=devices.close,
         )
-        yield robot, bounded
+        yield robot, Bounded(scenario, devices)
+
+
+def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
+    """The scenario within the limits of the robot, and of what its scanner and camera see."""
+    bounded = copy.deepcopy(scenario)
+    bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
+    bounded.robot.max_acceleration = devices.limits.acceleration
+    bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
+    bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
+    if devices.view is not None:
+        bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)
+        bounded.tags.range = min(scenario.tags.range, devices.view.range)
+        bounded.tags.max_incidence = min(scenario.tags.max_incidence, devices.view.max_incidence)
+    return bounded
 
 
 def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diagram], object] | None:

@@ -17,7 +17,7 @@ COLUMNS, ROWS, SQUARE = 9, 6, 0.025
 _CELL, _FINER, _BESIDE = 40, 3, 128
 # How far it is tilted to any side and turned, rad, how near and far it is held, m, and how far from the middle, as a
 # share of the distance.
-_TILT, _TURN, _NEAR, _FAR, _ASIDE = 0.5, 0.3, 0.28, 0.45, 0.3
+_TILT, _TURN, _NEAR, _FAR, _ASIDE = 0.5, 0.3, 0.32, 0.45, 0.22
 
 
 def board_view(calibration: CameraCalibration, number: int) -> Image:
