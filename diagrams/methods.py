@@ -26,7 +26,8 @@ class MethodError(ValueError):
 @dataclasses.dataclass(frozen=True)
 class Method:
     """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
-    the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home.
+    the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates:
+    its goal_selector is an InfoGainGoalSelector, whose choice can be changed (`fork`).
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
     stop and recall (vectors of size 1), as many of them as it wants: without recall it is ended where its robot's
@@ -39,6 +40,7 @@ class Method:
     MakeExplorer: Callable[[Scenario], Diagram]
     needs_drive: bool = False
     keeps_budget: bool = True
+    has_candidates: bool = False
 
     def Check(self, scenario: Scenario) -> None:
         """Raises MethodError where the scenario lacks what the method needs."""
@@ -57,13 +59,19 @@ def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:
 METHODS = {
     method.name: method
     for method in (
-        Method("tfg", "the scenario's own rule on the TFG, by default a tour of what is open", MakeTfgExplorer),
+        Method(
+            "tfg",
+            "the scenario's own rule on the TFG, by default a tour of what is open",
+            MakeTfgExplorer,
+            has_candidates=True,
+        ),
         Method(
             "tfg-argmax",
             "the paper's rule on the TFG: most information gain, and nothing is mapped on the way there",
             _TfgWith("argmax", "explorer.glance_period=0", "explorer.path_keyframe_period=0"),
+            has_candidates=True,
         ),
-        Method("tfg-nearest", "the nearest frontier on the TFG", _TfgWith("nearest_frontier")),
+        Method("tfg-nearest", "the nearest frontier on the TFG", _TfgWith("nearest_frontier"), has_candidates=True),
         Method(
             "grid-nearest",
             "the paper's baseline: GMapping and the nearest frontier",
@@ -76,7 +84,7 @@ METHODS = {
             lambda scenario: MakeGridExplorer(scenario, weighted=True),
             keeps_budget=False,
         ),
-        Method("random", "any place within reach, on the TFG", _TfgWith("random")),
+        Method("random", "any place within reach, on the TFG", _TfgWith("random"), has_candidates=True),
         Method(
             "scripted",
             "the scenario's drive, as a human operator would go, on the TFG",

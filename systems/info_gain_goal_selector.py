@@ -80,6 +80,14 @@ class InfoGainGoalSelector(LeafSystem):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
+    def Choose(self, context: Context, goal: GoalChoice) -> None:
+        """Makes this the newest choice in the system's context, as if the rule had come to it: its stage is that of the
+        one that it replaces, its node one of the roadmap that can be reached."""
+        roadmap = eval_message(self._working_roadmap, context, Roadmap)
+        before = state_message(context, self._state, _SelectorState).remembered
+        remembered = remember(before, goal, roadmap, self._parameters.explorer.stop_gain)
+        context.SetAbstractState(int(self._state), _SelectorState(goal, remembered))
+
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self._mission, context, MissionStatus)
         now = state_message(context, self._state, _SelectorState)

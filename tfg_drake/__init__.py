@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import importlib
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,3 +18,13 @@ def load_run(folder: str | Path) -> Run:
     from tfg_drake.storage.run import load_run
 
     return load_run(folder)
+
+
+# What needs Drake is imported when it is asked for: the package without it must not.
+_OF_DRAKE = {"fork": "tfg_drake.diagrams.missions.fork"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _OF_DRAKE:
+        return getattr(importlib.import_module(_OF_DRAKE[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

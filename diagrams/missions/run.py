@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.cockpit.server import Cockpit
+    from tfg_drake.diagrams.missions.fork import Fork
     from tfg_drake.systems.picture import Picture
 
 # A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
@@ -96,6 +97,7 @@ def explore(
     interrupted: threading.Event | None = None,
     record: bool = True,
     kernels: Compilation | None = None,
+    fork: Fork | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 
@@ -114,6 +116,7 @@ def explore(
         record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
             grows; not for what a seed gives again.
         kernels: those who compile the kernels that come after its first look, which takes its time until all are there.
+        fork: what becomes of its goals from a stage on.
 
     The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
     the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
@@ -155,6 +158,7 @@ def explore(
                 on_progress,
                 keep,
                 kernels,
+                fork.monitor(mission) if fork is not None else None,
             )
             folder.give_up_reserve()
             summary = write_report(mission, scenario, folder, name, world_name or name)

@@ -1,0 +1,218 @@
+"""What if: a simulated mission brought back to one of its stages, to go on from there, perhaps to another goal.
+
+A run is driven anew from its seed, which gives the same bits; the goal of one stage is then another, and stays so until
+the robot has looked round there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, EventStatus
+
+from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.scenario import LoadScenario, Scenario, ScenarioError
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, Roadmap, replace
+from tfg_drake.storage.run import Run, load_run
+
+# A goal asked for is the reachable place of the roadmap next to it, no farther away than this, m.
+NEXT_TO_GOAL = 0.5
+
+
+class ForkError(ValueError):
+    """A run or a stage that cannot be forked; the message is one line: what, where and how to mend it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """One of the places that a stage's goal was chosen from. node: its id in the roadmap. p_WG: (2,) m. gain,
+    exploitation, exploration, pose_price: nats. time: s to get there. chosen: it was."""
+
+    node: int
+    p_WG: FloatArray
+    gain: float
+    exploitation: float
+    exploration: float
+    pose_price: float
+    time: float
+    chosen: bool
+
+
+class Fork:
+    """What becomes of a mission's goals from a stage on. Changes the choice in its Context.
+
+    candidates: those of the stage, the most gain first, once it has been reached.
+    """
+
+    def __init__(self, stage: int, goal: Sequence[float] | None = None, candidate: int | None = None) -> None:
+        """stage: whose choice is changed. goal: (2,) in W, m, where to go instead; candidate: or the number of one of
+        its candidates, 1 for that with the most gain; without either nothing is changed."""
+        self.stage = stage
+        self.candidates: list[Candidate] = []
+        self._goal, self._candidate = goal, candidate
+        self._node, self._seen, self._over = -1, 0, False
+
+    @property
+    def reached(self) -> bool:
+        """Whether the mission has come to the stage, and what is asked for has become its goal."""
+        return self._seen >= self.stage
+
+    def monitor(self, mission: Mission, *, stops: bool = False) -> Callable[[Context], EventStatus]:
+        """What a mission's Simulator calls after every step, so that a goal is another before anybody has read the one
+        that was chosen. stops: it ends the advance when the stage has been reached."""
+
+        def after_step(root: Context) -> EventStatus:
+            before = self.reached
+            self.apply(mission, root)
+            if stops and self.reached and not before:
+                return EventStatus.ReachedTermination(mission.simulator.get_system(), f"stage {self.stage}")
+            return EventStatus.DidNothing()
+
+        return after_step
+
+    def apply(self, mission: Mission, root: Context) -> None:
+        """Changes the newest choice, if it is one to be changed; called whenever the mission's state may have changed.
+
+        Raises:
+            ForkError: the stage has no such goal.
+        """
+        explorer = mission.explorer
+        context = explorer.GetMyContextFromRoot(root)
+        choice = _eval(explorer, "goal", context, GoalChoice)
+        if self._over or choice.stage < self.stage or choice.stage <= self._seen:
+            return
+        first, self._seen = not self.reached, choice.stage
+        roadmap = _eval(explorer, "roadmap", context, Roadmap)
+        if first:
+            self.candidates = _candidates(choice, roadmap, mission.X_WM)
+            self._node = self._asked(roadmap, mission.X_WM)
+        estimate = _eval(explorer, "map", context, MapEstimate)
+        status = _eval(explorer, "mission", context, MissionStatus)
+        row = int(roadmap.nodes(np.array([self._node]))[0])
+        # Until it has looked round there, or cannot get there any more.
+        arrived = not first and not status.moving and np.hypot(*(roadmap.points[row] - estimate.X_MA[-1, :2])) < 0.5
+        if self._node < 0 or row < 0 or arrived or not roadmap.reachable[row]:
+            self._over = True
+            return
+        held = replace(
+            choice,
+            node=self._node,
+            p_MG=roadmap.points[row],
+            verdict="goal",
+            reason=f"It was asked for at stage {self.stage}.",
+            spent=False,
+            look=np.zeros(0),
+        )
+        selector = explorer.GetSubsystemByName("goal_selector")
+        selector.Choose(selector.GetMyMutableContextFromRoot(root), held)
+
+    def _asked(self, roadmap: Roadmap, X_WM: FloatArray) -> int:
+        if self._candidate is not None:
+            if not 1 <= self._candidate <= len(self.candidates):
+                raise ForkError(f"candidate {self._candidate}: stage {self.stage} has 1 to {len(self.candidates)}")
+            return self.candidates[self._candidate - 1].node
+        if self._goal is None:
+            return -1
+        reachable = np.flatnonzero(roadmap.reachable)
+        places = transform(X_WM, roadmap.points[reachable])
+        distance = np.hypot(*(places - np.array(self._goal, dtype=float)).T)
+        if not len(distance) or distance.min() > NEXT_TO_GOAL:
+            near = (
+                f"; the nearest is ({', '.join(f'{v:.2f}' for v in places[distance.argmin()])})" if len(places) else ""
+            )
+            x, y = self._goal
+            raise ForkError(f"goal {x:g},{y:g}: no place known at stage {self.stage} that can be reached{near}")
+        return int(roadmap.node_ids(reachable[[distance.argmin()]])[0])
+
+
+def _eval(explorer: Diagram, port: str, context: Context, kind: type) -> Any:
+    value = explorer.GetOutputPort(port).Eval(context)
+    assert isinstance(value, kind)
+    return value
+
+
+def _candidates(choice: GoalChoice, roadmap: Roadmap, X_WM: FloatArray) -> list[Candidate]:
+    rows = roadmap.nodes(choice.candidates)
+    found = [
+        Candidate(
+            node=int(choice.candidates[i]),
+            p_WG=transform(X_WM, roadmap.points[[row]])[0],
+            gain=float(choice.gain[i]),
+            exploitation=float(choice.exploitation[i]),
+            exploration=float(choice.exploration[i]),
+            pose_price=float(choice.pose_price[i]),
+            time=float(roadmap.travel_time[row]),
+            chosen=bool(choice.candidates[i] == choice.node),
+        )
+        for i, row in enumerate(rows.tolist())
+        if row >= 0 and roadmap.reachable[row]
+    ]
+    return sorted(found, key=lambda one: (-one.gain, one.node))
+
+
+def forkable(run: Run | str | Path, stage: int) -> tuple[Run, Scenario]:
+    """A run and its scenario, if the run can be forked at a stage.
+
+    Raises:
+        ForkError: it was no simulated run of a method with a goal selector, or it has no such stage.
+        RunError: the folder holds no run.
+    """
+    run = run if isinstance(run, Run) else load_run(run)
+    method = run.summary["method"]
+    if run.summary["contacts"] is None:
+        raise ForkError(f"{run.folder}: is no simulated run; nobody knows what its world would have done")
+    if method not in METHODS or not METHODS[method].has_candidates:
+        names = ", ".join(name for name, one in METHODS.items() if one.has_candidates)
+        raise ForkError(f"{run.folder}: its method {method} chooses from no candidates; fork a run of {names}")
+    last = len(run.stages)
+    if not 1 <= stage <= last:
+        raise ForkError(f"stage {stage}: {run.folder} has the stages 1 to {last}")
+    try:
+        return run, LoadScenario(run.folder / "scenario.yaml")
+    except ScenarioError as error:
+        raise ForkError(str(error)) from None
+
+
+def check_same(run: Run, stages: Sequence[dict[str, Any]], stage: int) -> None:
+    """Raises ForkError where a mission that was driven anew has not come to a stage as the run did."""
+    for before, now in zip(run.stages[:stage], stages, strict=False):
+        if before != now:
+            version = run.summary["version"]
+            raise ForkError(
+                f"{run.folder}: its stage {before['stage']} comes out otherwise now: it was made by another version"
+                f" ({version}); explore its scenario.yaml anew and fork that"
+            )
+
+
+def fork(
+    run: Run | str | Path, stage: int, *, goal: Sequence[float] | None = None, candidate: int | None = None
+) -> Simulator:
+    """A simulator of a run at a stage, its goal chosen and not yet driven to, to go on with.
+
+    Args:
+        run: the folder of a simulated run, or what `load_run` read of it.
+        stage: which, from 1 on.
+        goal: (2,) in W, m: drive there instead, to the reachable place next to it, and look round.
+        candidate: or to the candidate of this number, 1 for that with the most gain.
+
+    The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. Whatever
+    was asked for is driven to while the simulator is advanced. Without a goal or candidate it ends as the run did, to
+    the bit.
+
+    Raises:
+        ForkError: the run cannot be forked there; see `forkable` and `Fork`.
+    """
+    run, scenario = forkable(run, stage)
+    mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
+    change = Fork(stage, goal, candidate)
+    if not mission.advance(change.monitor(mission, stops=True)):
+        raise ForkError(f"stage {stage}: the mission ended before it")
+    check_same(run, mission.stages, stage)
+    return mission.simulator
