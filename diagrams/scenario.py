@@ -134,9 +134,9 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.first_turns": (1.0, math.inf),
     "planner.collision_probability": (0.0, 0.5),
     "hardware.max_speed": (0.0, math.inf),
-    "hardware.camera.tag_size": (0.0, 10.0),
-    "hardware.camera.decimation": (1.0, 100.0),
-    "hardware.camera.threads": (1.0, 100.0),
+    **{f"hardware.{camera}.tag_size": (0.0, 10.0) for camera in ("camera", "more_cameras[]")},
+    **{f"hardware.{camera}.decimation": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
+    **{f"hardware.{camera}.threads": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
     "hardware.scanner.high": (0.0, math.inf),
     "grid.resolution": (0.01, math.inf),
     "grid.particles": (1.0, math.inf),
@@ -174,7 +174,11 @@ _SIGNED = (
     "disturbances[].ahead",
     "disturbances[].left",
     "disturbances[].turn",
-    *(f"hardware.{sensor}.{key}" for sensor in ("camera", "scanner") for key in ("x", "y", "yaw", "pitch", "roll")),
+    *(
+        f"hardware.{sensor}.{key}"
+        for sensor in ("camera", "more_cameras[]", "scanner")
+        for key in ("x", "y", "yaw", "pitch", "roll")
+    ),
 )
 # Lists of a fixed length, and how to write them.
 _LENGTHS = {

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import cv2
 
-from tfg_drake.vision.frames import Frame, FrameError, frames, is_live, open_capture, rgb
+from tfg_drake.vision.frames import SILENT, Frame, FrameError, frames, is_live, open_capture, rgb
 
 # Between two attempts to open the camera again, s: the first and the last.
 BACK_OFF, LONGEST_BACK_OFF = 0.5, 2.0
@@ -60,8 +60,10 @@ class FrameReader:
         return lines
 
     def close(self) -> None:
-        """Lets go of the camera, as soon as it says something; the thread ends by itself then."""
+        """Lets go of the camera."""
         self._closed.set()
+        # A process must not end while OpenCV waits for an image.
+        self._thread.join(SILENT + 1.0)
 
     def _run(self) -> None:
         back_off, seen, told = BACK_OFF, False, False

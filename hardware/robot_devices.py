@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from tfg_drake.config import HardwareConfig, RobotConfig
+from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
+from tfg_drake.hardware.cameras_source import CamerasSource
 from tfg_drake.hardware.device import Device, DeviceError
 from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.kobuki import driver as kobuki
@@ -70,7 +71,10 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         preset = load_preset(config.preset or PRESET_OF[config.robot])
     except PresetError as error:
         raise DeviceError(str(error)) from None
+    cameras = _cameras(config)
     specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
+    if cameras:
+        specs["tags"] = cameras[0][0]
     parsed = {use: parse_source(spec) for use, spec in specs.items()}
     on_ros = config.robot != "kobuki"
     if on_ros:
@@ -80,24 +84,28 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     for use in own:
         if use not in specs and not own[use]:
             raise DeviceError(f"{config.robot}: no source of {use}; give --{use} {_GIVE[use]} or ros2:/TOPIC")
-    view = None
-    if "tags" in parsed and parsed["tags"].transport == "camera":
-        from tfg_drake.hardware.camera_sensor import known_view
-
-        view = known_view(specs["tags"], config.camera)
+    view = _view(cameras) if cameras else None
     graph = _graph(config)
     base = _open_base(config, preset, limits, graph)
+    opened: list[Device | Source] = [base]
     try:
         # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
         sources = open_sources(specs, preset, graph, config)
+        opened += sources.values()
+        tags: list[Source] = [sources["tags"]]
+        for text, camera in cameras[1:]:
+            further = open_sources({"tags": text}, preset, None, dataclasses.replace(config, camera=camera))["tags"]
+            tags.append(further)
+            opened.append(further)
     except DeviceError:
-        base.close()
+        for one in opened:
+            one.close()
         raise
     scanner = parsed["scan"].transport if "scan" in parsed else ""
     scan: Source = sources["scan"]
     return RobotDevices(
         base,
-        sources["tags"],
+        CamerasSource(tags) if len(tags) > 1 else tags[0],
         SweepSource(scan, base.odometry_near) if scanner == "rplidar" else scan,
         limits,
         sources.get("base"),
@@ -105,6 +113,31 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         _least_range(scanner, preset),
         view,
     )
+
+
+def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
+    """The cameras of our own that tags come from, each as a source, and its configuration; raises DeviceError."""
+    if not config.tags.startswith("camera:"):
+        return []
+    # What an address holds besides stays its own.
+    texts = config.tags.replace(",camera:", "\ncamera:").split("\n")
+    known = [config.camera, *config.more_cameras]
+    if len(texts) > len(known):
+        raise DeviceError(
+            f"{texts[len(known)]}: nothing is known of it; give hardware.more_cameras an entry for each camera but the "
+            "first, in a scenario's file"
+        )
+    return list(zip(texts, known, strict=False))
+
+
+def _view(cameras: list[tuple[str, RobotCameraConfig]]) -> CameraView:
+    """What the cameras see together; raises DeviceError."""
+    from tfg_drake.hardware.camera_sensor import known_view
+
+    views = [(camera.yaw, known_view(text, camera)) for text, camera in cameras]
+    from tfg_drake.vision.camera_view import joint_view
+
+    return joint_view(views)
 
 
 def _least_range(scanner: str, preset: Preset) -> float:

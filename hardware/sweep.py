@@ -7,14 +7,15 @@ import math
 import numpy as np
 
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.messages import FloatArray, LaserScan, message
+from tfg_drake.messages import FloatArray, LaserScan, message, replace
 
 
 @message
 class Sweep:
     """One revolution of a scanner at p_BS = (x, y) in the body frame, m.
 
-    stamp: s, of its middle. directions: (m,) rad from the body's x axis, as seen from the scanner, in any order.
+    stamp: s, of its middle. directions: (m,) rad from the body's x axis, as seen from the scanner, one after the other
+    and not wrapped: they go all one way.
     ranges: (m,) m, inf where nothing was met within range_max, nan where nothing is known. after: (m,) s from the stamp
     to each ray. sigma: standard deviation of a range, m.
     """
@@ -32,8 +33,14 @@ class Sweep:
 def scan_of(sweep: Sweep, V_B: FloatArray) -> LaserScan:
     """The scan as seen from the body's origin at the sweep's stamp, angles increasing in (-pi, pi].
 
-    V_B: (2,) velocity of the body meanwhile, m/s and rad/s.
+    V_B: (2,) velocity of the body meanwhile, m/s and rad/s. Where the robot turned with the scanner the first rays and
+    the last look the same way: those that are farther than half a turn from the middle one are left out.
     """
+    if len(sweep.directions):
+        middle = 0.5 * (sweep.directions[0] + sweep.directions[-1])
+        once = np.abs(sweep.directions + V_B[1] * sweep.after - middle) <= math.pi + 1e-9
+        directions, ranges, after = sweep.directions[once], sweep.ranges[once], sweep.after[once]
+        sweep = replace(sweep, directions=directions, ranges=ranges, after=after)
     hit = np.isfinite(sweep.ranges)
     reach = np.where(hit, sweep.ranges, sweep.range_max)
     x, y = sweep.x + reach * np.cos(sweep.directions), sweep.y + reach * np.sin(sweep.directions)

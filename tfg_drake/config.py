@@ -204,12 +204,14 @@ class HardwareConfig:
     # rosbridge: HOST:PORT of the server.
     bridge: str = "localhost:9090"
     # Where tags and scans come from: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, or empty for the topics
-    # of the preset; a kobuki has none of its own. Tags also from camera:SOURCE, scans from rplidar:DEVICE or
-    # realsense:[SERIAL].
+    # of the preset; a kobuki has none of its own. Tags also from camera:SOURCE, or several of them with commas between,
+    # scans from rplidar:DEVICE or realsense:[SERIAL].
     tags: str = ""
     scan: str = ""
     # What a preset says of sensors on ROS, of those of our own.
     camera: RobotCameraConfig = dataclasses.field(default_factory=RobotCameraConfig)
+    # Of the second camera and those after it, where tags come from several: camera:SOURCE,camera:SOURCE.
+    more_cameras: list[RobotCameraConfig] = dataclasses.field(default_factory=list)
     scanner: RobotScannerConfig = dataclasses.field(default_factory=RobotScannerConfig)
 
 

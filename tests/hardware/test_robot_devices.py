@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from tfg_drake.config import HardwareConfig, RobotConfig
+from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
 from tfg_drake.hardware import robot_devices
+from tfg_drake.hardware.cameras_source import CamerasSource
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import open_devices
 from tfg_drake.hardware.ros.preset import load_preset
@@ -104,6 +105,27 @@ def test_a_robot_without_ros_sees_as_its_own_sensors_do(opened, tmp_path):
     config.scan = "realsense:"
     depth = open_devices(config, RobotConfig())
     assert (depth.scan, depth.least_range) == (opened["source"], 0.3)
+
+
+def test_several_cameras(opened, tmp_path):
+    """Each has a source, a calibration and a mount of its own; they see together."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed: pip install -e '.[camera]'")
+    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+    save_calibration(tmp_path / "camera.yaml", pinhole(640, 480, 500.0))
+    cameras = [RobotCameraConfig(str(tmp_path / "camera.yaml"), yaw=yaw) for yaw in (0.5, -0.5)]
+    config = HardwareConfig(robot="kobuki", tags="camera:0,camera:http://host/a,b", scan=SCAN, camera=cameras[0])
+    with pytest.raises(DeviceError) as error:
+        open_devices(config, RobotConfig())
+    assert str(error.value) == (
+        "camera:http://host/a,b: nothing is known of it; give hardware.more_cameras an entry for each camera but the "
+        "first, in a scenario's file"
+    )
+    config.more_cameras = cameras[1:]
+    devices = open_devices(config, RobotConfig())
+    assert isinstance(devices.tags, CamerasSource)
+    assert opened["specs"] == {"tags": "camera:http://host/a,b"}
+    assert opened["hardware"].camera is cameras[1]
+    assert devices.view.field_of_view == pytest.approx(2.0 * (0.5 + math.atan(319.5 / 500.0)))
 
 
 def test_a_camera_without_a_calibration_opens_no_base(opened):

@@ -12,7 +12,7 @@ from tfg_drake.messages import Odometry
 V_B, X, Y = np.array([0.3, 1.2]), 0.1, -0.05
 
 
-def swept():
+def swept(V_B=V_B):
     """A sweep clockwise in 0.18 s inside a circle of 3 m radius round where the robot is in the middle of it."""
     angles = -2.0 * math.pi * np.arange(360) / 360
     after = 0.18 * (np.arange(360) / 360 - 0.5)
@@ -34,6 +34,15 @@ def test_the_robots_motion_is_undone():
     assert np.isinf(scan.ranges).sum() == 1
     assert (np.diff(scan.angles) > 0.0).all()
     assert np.abs(scan_of(swept(), np.zeros(2)).ranges[known] - 3.0).max() > 0.02
+
+
+def test_no_direction_is_seen_twice():
+    """A robot that turns with the scanner sees the first directions once more at the end."""
+    turning = np.array([0.0, -2.0])
+    scan = scan_of(swept(turning), turning)
+    assert len(scan.angles) == 360 - 20  # 0.36 rad of them
+    assert np.diff(scan.angles).min() > 0.01
+    np.testing.assert_allclose(scan.ranges[np.isfinite(scan.ranges)], 3.0, atol=1e-9)
 
 
 class Sweeps:
