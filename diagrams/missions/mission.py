@@ -374,6 +374,7 @@ class Mission:
             self._writer,
             self._timeline,
             (self._cockpit.requests,) if self._cockpit is not None else (),
+            self._cockpit.pushes if self._cockpit is not None else None,
         )
         self._simulator = Simulator(diagram)
         if truth_log is not None:
