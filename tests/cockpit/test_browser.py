@@ -1,39 +1,28 @@
 """The page in a browser: every button and every toggle is pressed, and does what it says."""
 
 import json
-import os
-import shutil
 import time
 
 import numpy as np
 import pytest
 
+from benchmarks.screenshots import SEEK, open_browser, wait_for_page
 from tests.cockpit.conftest import STAGES, begin, drive, end, stage
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.storage.timeline import TimelineWriter
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="the package selenium drives the browser")
-
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "path", "trail", "scan", "camera", "free"]
-# Software rendering, no network, no questions.
-OPTIONS = """--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader
---no-first-run --disable-background-networking --disable-component-update --disable-sync --window-size=820,560"""
 
 
 @pytest.fixture(scope="module")
 def driver():
-    browser, service = shutil.which("chromium"), shutil.which("chromedriver")
-    if browser is None or service is None:
-        pytest.skip("Debian's chromium and chromium-driver show the page")
-    options = webdriver.ChromeOptions()
-    options.binary_location = browser
-    for option in OPTIONS.split():
-        options.add_argument(option)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    os.environ["SE_OFFLINE"] = "true"
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(service))
+    pytest.importorskip("selenium", reason="the package selenium drives the browser")
+    try:
+        driver = open_browser(820, 560)
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
     yield driver
     driver.quit()
 
@@ -46,7 +35,7 @@ class Page:
         driver.get_log("browser")
         driver.get("about:blank")  # An address that differs by its fragment alone would not be loaded anew.
         driver.get(address)
-        self.until("return document.body.dataset.ready === 'true'")
+        wait_for_page(driver)
 
     def __call__(self, script, *arguments):
         return self.driver.execute_script(script, *arguments)
@@ -66,15 +55,7 @@ class Page:
 
     def seek(self, seconds):
         """As a hand on the slider does; how long it took, s."""
-        return self(
-            """const start = performance.now(), slider = document.getElementById("slider");
-            slider.value = arguments[0];
-            slider.dispatchEvent(new Event("input"));
-            slider.dispatchEvent(new Event("change"));
-            viewer.renderer.getContext().finish();
-            return (performance.now() - start) / 1000;""",
-            seconds,
-        )
+        return self(SEEK, seconds)
 
     def picture(self):
         """What is drawn, as a number that another picture would hardly have."""

@@ -1230,7 +1230,7 @@ async function begin() {
   if (location.hash.includes("3d")) element("mode").click();
   framed = true;
   shownBounds = "";
-  dirty = true;
+  render();  // Shaders are compiled before anybody waits for them.
   document.body.dataset.ready = "true";
 }
 
