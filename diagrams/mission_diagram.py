@@ -18,6 +18,7 @@ from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
 from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.pose_vector import PoseVector
+from tfg_drake.systems.pusher import Pusher
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
@@ -43,9 +44,11 @@ def MakeMissionDiagram(
     writer: PortWriter | None = None,
     timeline: TimelineWriter | None = None,
     operated: Sequence[Callable[[], Sequence[Request]]] = (),
+    pushed: Callable[[], int] | None = None,
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
     """Station and explorer, with the picture if there is one, recorded if there are writers, and under an operator if
-    the robot is real or there is what it is operated by, besides what the robot has itself; see Operator.
+    the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. pushed: tells
+    of pushes, see Pusher.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
     it, and of the estimated one (PoseVector).
@@ -67,6 +70,10 @@ def MakeMissionDiagram(
         for name in ("pause", "stop", "recall"):
             if explorer.HasInputPort(name):
                 builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
+
+    if pushed is not None and station.HasInputPort("pushes"):
+        pusher = builder.AddNamedSystem("pusher", Pusher(pushed))
+        builder.Connect(pusher.get_output_port(), station.GetInputPort("pushes"))
 
     if robot.Announce is not None:
         robot.Announce(builder, station, explorer)

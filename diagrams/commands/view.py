@@ -17,7 +17,7 @@ def serve_run(run: Path, host: str, port: int | None) -> None:
     timeline = _timeline(run)
     try:
         cockpit = Cockpit(
-            viewer_script(), run.name, timeline=timeline, live=_is_under_way(run), controls=False, host=host, port=port
+            viewer_script(), run.name, timeline=timeline, live=is_under_way(run), controls=False, host=host, port=port
         )
     except OSError as error:
         where = host if port is None else f"{host}, port {port}"
@@ -52,7 +52,8 @@ def _timeline(run: Path) -> Path:
     return timeline
 
 
-def _is_under_way(run: Path) -> bool:
+def is_under_way(run: Path) -> bool:
+    """Whether a mission is writing the run."""
     try:
         with claimed(run if run.is_dir() else run.parent):
             return False

@@ -390,6 +390,7 @@ class Mission:
             self._writer,
             self._timeline,
             (self._cockpit.requests,) if self._cockpit is not None else (),
+            self._cockpit.pushes if self._cockpit is not None else None,
         )
         self.simulator = Simulator(diagram)
         if monitor is not None:

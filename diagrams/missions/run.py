@@ -134,7 +134,7 @@ def explore(
     ):
         write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
-        title = name if method.name == "tfg" else f"{name}, {method.name}"
+        title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:
             writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name)) if record else None
             timeline = None
@@ -145,9 +145,7 @@ def explore(
                 cockpit.follow(folder.path / TIMELINE)
             folder.keep_reserve()
             stop = interrupted if interrupted is not None else stack.enter_context(_interrupts())
-            mission = Mission(
-                scenario, method, meshcat, f"{title}, seed {scenario.seed}", robot, writer, timeline, cockpit
-            )
+            mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit)
             folder.append("stages.jsonl", "")
             keep = _Keeper(mission, folder) if record else None
             mission.run(

@@ -70,7 +70,7 @@ def test_a_shell_completes_commands(call, monkeypatch):
     monkeypatch.setenv("_TFG_DRAKE_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", "tfg-drake ex")
     monkeypatch.setenv("COMP_CWORD", "1")
-    assert call() == (0, "explore\n", "")
+    assert call() == (0, "explore\nexport\n", "")
 
 
 @pytest.mark.parametrize(
@@ -124,8 +124,8 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
     # Before the table, on a slow machine, come lines of progress.
-    names = [line[:12].strip() for line in out.splitlines()[-9:-1]]
-    assert names == ["outcome", "time", "driven", "landmarks", "pose error", "coverage", "safety", "files"]
+    names = [line[:12].strip() for line in out.splitlines()[-10:-1]]
+    assert names == ["outcome", "time", "driven", "landmarks", "pose error", "coverage", "safety", "files", "page"]
 
 
 def test_a_run_in_another_world_has_the_name_of_its_file(call, tmp_path):

@@ -791,9 +791,8 @@ function picture(now) {
     time = Math.min(time + passed * Number(element("rate").value), timeline.end);
     if (time >= timeline.end && (ended() || !SOURCE)) setPlaying(false);
   }
-  if (time !== from || dirty) {
-    render();
-  }
+  if (dark.matches !== painted) paint();
+  if (time !== from || dirty) render();
 }
 
 function render() {
@@ -866,8 +865,9 @@ function tell() {
   if (now - toldAt < 80 && (live || playing)) return;
   toldAt = now;
   const mission = timeline.at("mission", time), mapped = timeline.at("map", time), enabled = timeline.at("enabled", time);
-  const stage = mapped ? mapped.told.stage : mission ? mission.told.stage : 0, outcome = mission ? mission.told.outcome : "";
-  element("phase").textContent = mission ? outcome || PHASES[mission.told.phase] || mission.told.phase : "";
+  const stage = mapped ? mapped.told.stage : mission ? mission.told.stage : 0, over = timeline.at("end", time + 0.2);
+  const outcome = over ? over.told.outcome : mission ? mission.told.outcome : "";
+  element("phase").textContent = mission ? outcome.replace("_", " ") || PHASES[mission.told.phase] || mission.told.phase : "";
   element("phase").className = `chip ${outcome === "complete" ? "good" : outcome ? "bad" : ""}`;
   element("clock").textContent = `${time.toFixed(1)} s` + (element("clock").dataset.held === "true" ? ", held" : "");
   element("wheels").textContent = enabled ? (enabled.told.enabled ? "wheels enabled" : "wheels stopped") : "";
@@ -1077,14 +1077,15 @@ for (const [name, words, swatch, shown, hint] of LAYERS) {
   element("layers").append(label);
 }
 
+let painted = null;
 function paint() {
+  painted = dark.matches;
   for (const made of materials.values()) made.color.set(colour(made.userData.name));
   for (const [name, look] of Object.entries(lookCache)) look.color.set(colour(name));
   scanLook.color.set(colour("scan"));
   for (const mark of document.querySelectorAll("i[data-colour]")) mark.style.background = colour(mark.dataset.colour);
   dirty = true;
 }
-dark.addEventListener("change", paint);
 
 document.addEventListener("keydown", (event) => {
   if (event.target.tagName === "SELECT" || event.ctrlKey || event.metaKey || event.altKey) return;
@@ -1126,7 +1127,8 @@ function buildControls(world) {
   const buttons = [["hold", "Pause", `Hold ${clock}`], ["resume", "Resume", `Go on with ${clock}`],
     ["step", "Step a stage", "Go on until the next stage, then pause"]];
   const enable = ["enable", world.simulated ? "Enable wheels" : "Start", "Enable the wheels, also after a stop"];
-  if (world.simulated) buttons.push(enable); else buttons.unshift(enable);
+  const push = ["push", "Push", "Push the robot half a metre to its left and turn it by 30 degrees, and see it recover"];
+  if (world.simulated) buttons.push(enable, push); else buttons.unshift(enable);
   buttons.push(["recall", "Return home", "Explore no more, and come back to where it began"],
     ["end", "End", "End the mission, and write what is known"]);
   for (const [what, words, hint] of buttons) {
@@ -1228,7 +1230,7 @@ async function begin() {
   if (location.hash.includes("3d")) element("mode").click();
   framed = true;
   shownBounds = "";
-  dirty = true;
+  render();  // Shaders are compiled before anybody waits for them.
   document.body.dataset.ready = "true";
 }
 

@@ -48,14 +48,10 @@ def export_page(timeline: Path, out: Path, title: str, viewer: str) -> None:
     """Write a timeline's page as one file.
 
     Raises:
-        TimelineError: there is no timeline.
-        OSError: the page cannot be written.
+        TimelineError: it is no timeline.
+        OSError: it cannot be read, or the page cannot be written.
     """
-    try:
-        data = timeline.read_bytes()
-    except OSError as error:
-        problem = f"{timeline}: cannot be read: {error.strerror}; name the folder of a run that was recorded"
-        raise TimelineError(problem) from None
+    data = timeline.read_bytes()
     if not data.startswith(MAGIC):
         raise TimelineError(f"{timeline}: is no timeline of this version; run the mission again")
     write_atomic(out, whole_page(title, data, viewer), durable=False)

@@ -84,7 +84,7 @@ class Cockpit:
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._asked: list[Request] = []
-        self._streams = 0
+        self._streams, self._pushed = 0, 0
         self._stepping, self._stage, self._from = False, 0, 0
         self.token = secrets.token_urlsafe(16)
         self._names = {LOCAL, host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
@@ -123,6 +123,12 @@ class Cockpit:
             taken, self._asked = self._asked, []
         return taken
 
+    def pushes(self) -> int:
+        """How many pushes of a simulated robot were asked for since the last call."""
+        with self._lock:
+            taken, self._pushed = self._pushed, 0
+        return taken
+
     def at_stage(self, stage: int) -> None:
         """The mission is in this stage: a step ends here."""
         self._stage = stage
@@ -157,6 +163,9 @@ class Cockpit:
             self._ask("resume")
         elif what == "rate" and clock is not None and math.isfinite(rate) and rate >= 0.0:
             clock.set_rate(rate)
+        elif what == "push" and clock is not None:
+            with self._lock:
+                self._pushed += 1
         elif what in _OPERATOR:
             self._stepping = False
             self._ask(next(request for request in _OPERATOR if request == what))

@@ -6,27 +6,27 @@ from __future__ import annotations
 class Clock:
     """What is wanted of the clock. It changes when something happens, never what: a held simulation goes on to the bit.
 
-    rate: simulated seconds a second at most, 0 for no limit. held: the clock stands. version: another number whenever
-    something was asked for.
+    rate: simulated seconds a second at most, 0 for no limit. held: the clock stands. stepping: it will at the next
+    stage. version: another number whenever something was asked for.
     """
 
     def __init__(self, rate: float = 0.0) -> None:
         self.rate, self.held, self.version = rate, False, 0
-        self._stepping, self._stage = False, 0
+        self.stepping, self._stage = False, 0
 
     def hold(self) -> None:
         """Stand."""
-        self.held, self._stepping = True, False
+        self.held, self.stepping = True, False
         self.version += 1
 
     def go(self) -> None:
         """Go on."""
-        self.held = self._stepping = False
+        self.held = self.stepping = False
         self.version += 1
 
     def step(self) -> None:
         """Go on until the next stage, then stand."""
-        self.held, self._stepping = False, True
+        self.held, self.stepping = False, True
         self.version += 1
 
     def set_rate(self, rate: float) -> None:
@@ -36,7 +36,7 @@ class Clock:
 
     def at_stage(self, stage: int) -> bool:
         """Takes note of the stage that the mission is in; whether that was the end of a step."""
-        ended = self._stepping and stage > self._stage
+        ended = self.stepping and stage > self._stage
         self._stage = stage
         if ended:
             self.hold()
