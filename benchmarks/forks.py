@@ -1,6 +1,6 @@
 """Forks that change nothing, at many stages of a mission: does each end as the original, to the bit?
 
-    python benchmarks/forks.py house --stages 20
+python benchmarks/forks.py house --stages 20
 """
 
 from __future__ import annotations

@@ -172,6 +172,11 @@ def explore(
             name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
             explore_command.show_beginning(meshcat, loaded, name, compilation, show, _interrupted)
         explorer = _find_method(method, loaded)
+        if explorer.needs_keys:
+            if robot != "sim":
+                _bad_input(f"--method {method}: is for a simulated robot; leave --robot out")
+            explorer = stack.enter_context(explore_command.keys_of_terminal(explorer))
+            realtime_rate = realtime_rate or 1.0
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
         if compilation is None:

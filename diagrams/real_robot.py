@@ -15,7 +15,7 @@ from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.battery_watch import BatteryWatch
-from tfg_drake.hardware.keyboard import Keyboard
+from tfg_drake.hardware.keyboard import KEYS, Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
@@ -34,7 +34,7 @@ def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Rob
     Keys on standard input, buttons in Meshcat and those of the robot operate it. Raises DeviceError.
     """
     devices = open_devices(scenario.hardware, scenario.robot)
-    with contextlib.closing(devices), contextlib.closing(Keyboard()) as keyboard:
+    with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
         bounded = copy.deepcopy(scenario)
         bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
         bounded.robot.max_acceleration = devices.limits.acceleration
