@@ -190,6 +190,11 @@ def explore(
         if compilation is not None:
             explore_command.wait_for_beginning(compilation, show, _interrupted)
         explorer = _find_method(method, loaded)
+        if explorer.needs_keys:
+            if robot != "sim":
+                _bad_input(f"--method {method}: is for a simulated robot; leave --robot out")
+            explorer = stack.enter_context(explore_command.keys_of_terminal(explorer))
+            realtime_rate = realtime_rate or 1.0
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
         if compilation is None:
@@ -341,6 +346,75 @@ def compare(
     if _interrupted.is_set():
         raise typer.Exit(EXIT_CODES["interrupted"])
     raise typer.Exit(EXIT_CODES["fault"] if any(not run.counts for run in runs) else 0)
+
+
+@app.command()
+def fork(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a simulated run.")],
+    stage: Annotated[int, typer.Option(metavar="N", help="The stage whose goal is another.")],
+    goal: Annotated[
+        str | None, typer.Option(metavar="X,Y", help="Drive there instead, m, to the reachable place next to it.")
+    ] = None,
+    candidate: Annotated[
+        int | None, typer.Option(metavar="K", help="Or to this of the stage's candidates, 1 for the most gain.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="The fork's folder [default: runs/<time>-<scenario>-fork-<seed>]."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a run would have done: drive it anew to a stage, on to another goal, and compare the two."""
+    if goal is not None and candidate is not None:
+        _bad_input("--goal and --candidate exclude each other; name one of them")
+    place = _parse_place(goal)
+    if out is not None:
+        explore_command.check_kept(out)
+        _make_writable(out)
+    with Screen() as show:
+        show("loading")
+        wait_for_kernels(show, _interrupted)
+
+        from tfg_drake.diagrams.commands import fork as fork_command
+        from tfg_drake.diagrams.methods import METHODS
+        from tfg_drake.diagrams.missions import fork as forks
+        from tfg_drake.diagrams.missions.run import explore as explore_mission
+        from tfg_drake.storage.run import RunError
+
+        try:
+            before, loaded = forks.forkable(run, stage)
+            if out is not None and out.resolve() == run.resolve():
+                _bad_input(f"--out {out}: holds the run that is forked; name another folder")
+            change, summary = forks.Fork(stage, place, candidate), before.summary
+            # A run that somebody or a limit of time ended ends there again.
+            limited = summary["outcome"] in ("time_limit", "interrupted")
+            result = explore_mission(
+                loaded,
+                method=METHODS[summary["method"]],
+                name=f"{summary['scenario']}-fork",
+                world_name=summary["world"],
+                max_time=summary["sim_time_s"] if limited else 3600.0,
+                out_dir=out,
+                on_progress=lambda progress: show(explore_command.progress_line(progress)),
+                interrupted=_interrupted,
+                fork=change,
+            )
+            if change.failure is not None:
+                raise change.failure
+            forks.check_same(before, result.stages, stage)
+        except (forks.ForkError, RunError) as error:
+            _bad_input(str(error))
+        except OSError as error:
+            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
+    for line in fork_command.aligned(fork_command.candidate_rows(change.candidates)):
+        print(line)
+    print()
+    for line in fork_command.aligned(fork_command.difference_rows(dict(summary), result.summary)):
+        print(line)
+    print(f"files: {result.folder}")
+    if as_json:
+        print(json.dumps(result.summary), flush=True)
+    raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
 
 
 @app.command()
@@ -523,6 +597,18 @@ def _parse_start(text: str | None) -> tuple[float, float, float] | None:
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(yaw)):
         _bad_input(f"--start {text}: must be finite")
     return x, y, yaw
+
+
+def _parse_place(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
+        _bad_input(f"--goal {text}: must be X,Y in metres, such as 1.5,2")
+    return x, y
 
 
 def _load(

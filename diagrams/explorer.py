@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, LeafSystem, OutputPort
 
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import compose
@@ -104,6 +104,10 @@ class Wiring:
             if system.HasInputPort(name):
                 self._builder.Connect(output, system.GetInputPort(name))
         self._builder.ExportOutput(output, name)
+
+    def Join(self, output: OutputPort, port: InputPort) -> None:
+        """Connects two ports of different names, between systems alone."""
+        self._builder.Connect(output, port)
 
     def Build(self, follower: LeafSystem, sequencer: LeafSystem, selector: LeafSystem) -> Diagram:
         """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector."""

@@ -1,7 +1,8 @@
 """The methods that explore, by name: each makes an explorer with the ports of MakeTfgExplorer for a scenario.
 
 A method of one's own is a Python file with a function MakeExplorer(scenario) -> Diagram; its first line of docstring
-says what it does. It is named by its path wherever a method is named.
+says what it does. It is named by its path wherever a method is named; so is the keys.csv that a run with the method
+manual leaves, whose keys are pressed once more.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
+from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.diagrams.scripted_explorer import MakeScriptedExplorer
+from tfg_drake.mission.manual_drive import DriveError, read_drive
 
 
 class MethodError(ValueError):
@@ -27,7 +30,8 @@ class MethodError(ValueError):
 class Method:
     """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
     the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates:
-    its goal_selector is an InfoGainGoalSelector, whose choice can be changed (`fork`).
+    its goal_selector is an InfoGainGoalSelector, whose choice can be changed (`fork`). needs_keys: somebody must press
+    keys meanwhile.
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
     stop and recall (vectors of size 1), as many of them as it wants: without recall it is ended where its robot's
@@ -41,6 +45,7 @@ class Method:
     needs_drive: bool = False
     keeps_budget: bool = True
     has_candidates: bool = False
+    needs_keys: bool = False
 
     def Check(self, scenario: Scenario) -> None:
         """Raises MethodError where the scenario lacks what the method needs."""
@@ -92,6 +97,7 @@ METHODS = {
             needs_drive=True,
             keeps_budget=False,
         ),
+        Method("manual", "you, at the keys, on the TFG", MakeManualExplorer, keeps_budget=False, needs_keys=True),
     )
 }
 
@@ -101,6 +107,18 @@ def FindMethod(name_or_path: str) -> Method:
     if name_or_path in METHODS:
         return METHODS[name_or_path]
     path = Path(name_or_path)
+    if path.suffix == ".csv":
+        try:
+            drive = read_drive(path)
+        except DriveError as error:
+            raise MethodError(str(error)) from None
+        manual = METHODS["manual"]
+        return dataclasses.replace(
+            manual,
+            summary=f"{manual.summary}, as in {path}",
+            MakeExplorer=lambda scenario: MakeManualExplorer(scenario, drive=drive),
+            needs_keys=False,
+        )
     if path.suffix != ".py":
         raise MethodError(f"{name_or_path}: no such method; name a .py file or one of {', '.join(METHODS)}")
     if not path.is_file():

@@ -15,7 +15,7 @@ from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.battery_watch import BatteryWatch
-from tfg_drake.hardware.keyboard import Keyboard
+from tfg_drake.hardware.keyboard import KEYS, Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
@@ -32,7 +32,7 @@ def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
     Keys on standard input and the robot's own buttons operate it. Raises DeviceError.
     """
     devices = open_devices(scenario.hardware, scenario.robot)
-    with contextlib.closing(devices), contextlib.closing(Keyboard()) as keyboard:
+    with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
         operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
         robot = Robot(
             scenario.hardware.robot,

@@ -12,14 +12,21 @@ import termios
 import threading
 import tty
 import weakref
+from collections.abc import Mapping
+from typing import Any, Generic, TypeVar
 
 from tfg_drake.mission.operation import Request
 
-KEYS: dict[str, Request] = {"e": "enable", " ": "stop", "s": "stop", "p": "pause", "q": "end"}
+T = TypeVar("T", bound=str)
+
+KEYS: Mapping[str, Request] = {"e": "enable", " ": "stop", "s": "stop", "p": "pause", "q": "end"}
 HELP = "keys: e enable the wheels, space (or s) emergency stop, p pause or resume, q end"
 
 
-_open: weakref.WeakSet[Keyboard] = weakref.WeakSet()
+# What an arrow key sends: three characters.
+_ESCAPE, _SEQUENCE = "\x1b", 3
+
+_open: weakref.WeakSet[Keyboard[Any]] = weakref.WeakSet()
 
 
 @atexit.register
@@ -29,26 +36,27 @@ def restore_terminals() -> None:
         keyboard.restore()
 
 
-class Keyboard:
+class Keyboard(Generic[T]):
     """Reads keys in the background, from the constructor until close() or the end of the program.
 
     A terminal is set to give keys without Enter, and given back as it was. Ctrl-C stays what it is.
     """
 
-    def __init__(self, descriptor: int | None = None) -> None:
-        """descriptor: of the file that is read, standard input by default."""
+    def __init__(self, keys: Mapping[str, T], descriptor: int | None = None) -> None:
+        """keys: what each asks for. descriptor: of the file that is read, standard input by default."""
+        self._keys = keys
         self._descriptor = sys.stdin.fileno() if descriptor is None else descriptor
         self._before = None
         if os.isatty(self._descriptor):
             self._before = termios.tcgetattr(self._descriptor)
             tty.setcbreak(self._descriptor)
             _open.add(self)
-        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[T] = queue.SimpleQueue()
         self._wake, self._end = os.pipe()
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
-    def requests(self) -> list[Request]:
+    def requests(self) -> list[T]:
         """What was asked for since the last call."""
         taken = []
         with contextlib.suppress(queue.Empty):
@@ -74,8 +82,10 @@ class Keyboard:
                 return
             if not keys:
                 return  # the end of a file
-            for key in keys:
-                if request := KEYS.get(key.lower()):
+            while keys:
+                size = _SEQUENCE if keys[0] == _ESCAPE else 1
+                key, keys = keys[:size], keys[size:]
+                if request := self._keys.get(key, self._keys.get(key.lower())):
                     self._requests.put(request)
 
     def restore(self) -> None:

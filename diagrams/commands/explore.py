@@ -128,6 +128,20 @@ def open_robot(
 
 
 @contextlib.contextmanager
+def keys_of_terminal(method: Method) -> Iterator[Method]:
+    """The method manual with the keys of standard input."""
+    import dataclasses
+
+    from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
+    from tfg_drake.hardware.keyboard import Keyboard
+    from tfg_drake.mission.manual_drive import HELP, KEYS
+
+    with contextlib.closing(Keyboard(KEYS)) as keyboard:
+        print(HELP, flush=True)
+        yield dataclasses.replace(method, MakeExplorer=lambda scenario: MakeManualExplorer(scenario, keyboard.requests))
+
+
+@contextlib.contextmanager
 def remarks_on_screen() -> Iterator[None]:
     """What base, operator, picture and the run's files remark is shown, too."""
     import logging

@@ -48,7 +48,8 @@ class Candidate:
 class Fork:
     """What becomes of a mission's goals from a stage on. Changes the choice in its Context.
 
-    candidates: those of the stage, the most gain first, once it has been reached.
+    candidates: those of the stage, the most gain first, once it has been reached. failure: what ended the mission
+    there, None where nothing did.
     """
 
     def __init__(self, stage: int, goal: Sequence[float] | None = None, candidate: int | None = None) -> None:
@@ -56,6 +57,7 @@ class Fork:
         its candidates, 1 for that with the most gain; without either nothing is changed."""
         self.stage = stage
         self.candidates: list[Candidate] = []
+        self.failure: ForkError | None = None
         self._goal, self._candidate = goal, candidate
         self._node, self._seen, self._over = -1, 0, False
 
@@ -92,7 +94,11 @@ class Fork:
         roadmap = _eval(explorer, "roadmap", context, Roadmap)
         if first:
             self.candidates = _candidates(choice, roadmap, mission.X_WM)
-            self._node = self._asked(roadmap, mission.X_WM)
+            try:
+                self._node = self._asked(roadmap, mission.X_WM)
+            except ForkError as error:
+                self.failure = error
+                raise
         estimate = _eval(explorer, "map", context, MapEstimate)
         status = _eval(explorer, "mission", context, MissionStatus)
         row = int(roadmap.nodes(np.array([self._node]))[0])

@@ -29,6 +29,7 @@ from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.pictures import scene
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.estimator import finished_map
@@ -371,6 +372,14 @@ class Mission:
         context = self.explorer.GetMyContextFromRoot(self._context)
         self._final = finished_map(StateOfExplorer(self.explorer, context))
         return MapOfExplorer(self.explorer, context, self._X_WS, self._final)
+
+    def pressed(self) -> tuple[Pressed, ...] | None:
+        """The keys that somebody has driven by, None where nobody has."""
+        if self._context is None or not self.explorer.HasSubsystemNamed("manual_driver"):
+            return None
+        driver = self.explorer.GetSubsystemByName("manual_driver")
+        pressed: tuple[Pressed, ...] = driver.pressed(driver.GetMyContextFromRoot(self._context))
+        return pressed
 
     def newest_map(self) -> SavedMap | None:
         """The map as it is while the mission runs, to be kept; None before the first view, and of a grid."""

@@ -18,6 +18,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import MapEstimate
+from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import write_tum
 
@@ -42,6 +43,8 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
     if grid is not None:
         folder.attempt("grid.npz", lambda path: save_grid(path, grid))
         map_bytes = _size(folder.path / "grid.npz")
+    if (pressed := mission.pressed()) is not None:
+        folder.attempt("keys.csv", lambda path: write_atomic(path, drive_csv(pressed)))
     stamps, X_WB = mission.estimated_poses()
     true_poses = mission.true_poses()
 

@@ -1,9 +1,10 @@
 """A whole mission: station, explorer and picture in one diagram, run to its end, and what is kept of it.
 
 A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
-trajectory.tum (in W), truth.tum where the truth is known, ports.mcap (what the station's ports carried), timeline.tfg
-(what the mission looked like), mission.html (the page that shows it), figure.png, scenario.yaml (resolved) and log.txt.
-The map is there while it grows. A file that cannot be written, as to a full disk, ends no mission.
+trajectory.tum (in W), truth.tum where the truth is known, keys.csv of a drive by hand, ports.mcap (what the station's
+ports carried), timeline.tfg (what the mission looked like), mission.html (the page that shows it), figure.png,
+scenario.yaml (resolved) and log.txt. The map is there while it grows. A file that cannot be written, as to a full disk,
+ends no mission.
 """
 
 from __future__ import annotations

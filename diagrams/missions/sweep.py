@@ -79,6 +79,8 @@ def parse_methods(text: str, scenario: Scenario) -> dict[str, str]:
         try:
             method = FindMethod(word)
             method.Check(scenario)
+            if method.needs_keys:
+                raise MethodError(f"{word}: nobody is at the keys; name the keys.csv of a run that was driven by hand")
         except MethodError as error:
             raise SweepError(f"--methods {error}") from None
         if method.name in methods:

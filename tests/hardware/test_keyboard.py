@@ -6,7 +6,8 @@ import time
 
 import pytest
 
-from tfg_drake.hardware.keyboard import Keyboard
+from tfg_drake.hardware.keyboard import KEYS, Keyboard
+from tfg_drake.mission import manual_drive
 
 
 def requests(keyboard, count):
@@ -20,7 +21,7 @@ def requests(keyboard, count):
 
 def test_keys_on_a_pipe():
     read, write = os.pipe()
-    keyboard = Keyboard(read)
+    keyboard = Keyboard(KEYS, read)
     os.write(write, b"e\nx P sq")
     assert requests(keyboard, 6) == ["enable", "stop", "pause", "stop", "stop", "end"]
     keyboard.close()
@@ -31,7 +32,7 @@ def test_keys_on_a_pipe():
 def test_a_terminal_gives_keys_without_enter_and_is_given_back():
     master, slave = os.openpty()
     before = termios.tcgetattr(slave)
-    keyboard = Keyboard(slave)
+    keyboard = Keyboard(KEYS, slave)
     assert termios.tcgetattr(slave) != before
     os.write(master, b"e")
     assert requests(keyboard, 1) == ["enable"]
@@ -44,9 +45,19 @@ def test_a_terminal_gives_keys_without_enter_and_is_given_back():
 @pytest.mark.parametrize("wait", [0.0, 0.05])
 def test_the_end_of_the_input_ends_nothing_else(wait):
     read, write = os.pipe()
-    keyboard = Keyboard(read)
+    keyboard = Keyboard(KEYS, read)
     os.close(write)
     time.sleep(wait)
     assert keyboard.requests() == []
     keyboard.close()
+    os.close(read)
+
+
+def test_arrows_are_keys_of_three_characters():
+    read, write = os.pipe()
+    keyboard = Keyboard(manual_drive.KEYS, read)
+    os.write(write, b"\x1b[Aw\x1b[D l")
+    assert requests(keyboard, 5) == ["forward", "forward", "left", "halt", "look"]
+    keyboard.close()
+    os.close(write)
     os.close(read)

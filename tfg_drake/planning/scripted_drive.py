@@ -17,6 +17,11 @@ def next_place(drive: FloatArray, stage: int, tfg: TfgMap) -> GoalChoice:
     if stage <= len(drive):
         reason = f"Place {stage} of {len(drive)} of the drive is next."
         return replace(empty_choice(), stage=stage, node=stage - 1, p_MG=drive[stage - 1], reason=reason)
+    return end_of_drive(stage, tfg)
+
+
+def end_of_drive(stage: int, tfg: TfgMap) -> GoalChoice:
+    """The goal of a stage when the drive is over: none, and how complete the map is by its own account."""
     left = float(tfg.frontier_length.sum())
     verdict = "complete" if left == 0.0 else "stuck"
     reason = (

@@ -1,0 +1,64 @@
+"""tfg-drake fork: the other future of a run."""
+
+import json
+
+import pytest
+
+from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+
+ROOM = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
+explorer: {first_look: 2, first_turns: 1}
+"""
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory, compiled):
+    scenario = ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
+    return run.explore(scenario, name="room", out_dir=tmp_path_factory.mktemp("original"), max_time=40.0)
+
+
+def test_nothing_changed_is_no_difference(call, original, tmp_path):
+    out = tmp_path / "fork"
+    code, said, _ = call("fork", original.folder, "--stage", 2, "--out", out)
+    assert code == 0
+    for name in ("stages.jsonl", "trajectory.tum", "map.npz"):
+        assert (out / name).read_bytes() == (original.folder / name).read_bytes(), name
+    table = said.partition("\n\n")[2].splitlines()[2:-1]
+    assert len(table) == 10
+    assert all(line.endswith("=") for line in table)
+
+
+def test_another_goal_makes_another_run(call, original, tmp_path):
+    out = tmp_path / "fork"
+    code, said, _ = call("fork", original.folder, "--stage", 2, "--goal", "1,3", "--out", out, "--json")
+    summary = json.loads(said.splitlines()[-1])
+    assert summary["scenario"] == "room-fork"
+    assert code in (0, 1)
+    assert "\ncandidate" in said
+    assert (out / "stages.jsonl").read_bytes() != (original.folder / "stages.jsonl").read_bytes()
+    difference = summary["distance_m"] - original.summary["distance_m"]
+    assert f"{difference:+.1f} m" in next(line for line in said.splitlines() if line.startswith("distance"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["RUN", "--stage", "2", "--goal", "1,3", "--candidate", "1"], "--goal and --candidate exclude each other"),
+        (["RUN", "--stage", "2", "--goal", "1"], "--goal 1: must be X,Y in metres, such as 1.5,2"),
+        (["RUN", "--stage", "0"], "stage 0: "),
+        (["RUN", "--stage", "2", "--candidate", "9999"], "candidate 9999: stage 2 has 1 to "),
+        (["RUN", "--stage", "2", "--out", "RUN"], "holds the run that is forked; name another folder"),
+        (["nowhere", "--stage", "2"], "nowhere: holds no run"),
+    ],
+)
+def test_bad_input_is_one_line(call, original, tmp_path, monkeypatch, arguments, complaint):
+    monkeypatch.chdir(tmp_path)
+    code, _, said = call("fork", *(original.folder if word == "RUN" else word for word in arguments))
+    assert code == 2
+    assert complaint in said
+    assert said.count("\n") == 1

@@ -1,0 +1,78 @@
+"""Somebody drives: what keys do to the velocity, and the keys of a drive as a file, to be pressed once more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.messages import message
+
+FORWARD, BACK, LEFT, RIGHT, HALT, LOOK, END = "forward", "back", "left", "right", "halt", "look", "end"
+KEYS = {
+    "w": FORWARD,
+    "x": BACK,
+    "a": LEFT,
+    "d": RIGHT,
+    "s": HALT,
+    " ": HALT,
+    "l": LOOK,
+    "q": END,
+    "\x1b[A": FORWARD,
+    "\x1b[B": BACK,
+    "\x1b[C": RIGHT,
+    "\x1b[D": LEFT,
+}
+HELP = "keys: arrows or w a d x faster, left, right, slower; space (or s) halt, l look round, q end"
+# What a key changes, m/s and rad/s.
+SPEED_STEP, TURN_STEP = 0.1, 0.3
+
+_HEADER = "time_s,key"
+
+
+class DriveError(ValueError):
+    """A file that holds no drive; the message is one line."""
+
+
+@message
+class Pressed:
+    """A key pressed at a time, s; key: one of KEYS' values."""
+
+    time: float
+    key: str
+
+
+def steered(velocity: tuple[float, float], key: str, robot: RobotConfig) -> tuple[float, float]:
+    """The velocity (m/s, rad/s) after a key, within the robot's limits; it stays until the next."""
+    v, w = velocity
+    if key in (HALT, LOOK, END):
+        return 0.0, 0.0
+    v += SPEED_STEP * ((key == FORWARD) - (key == BACK))
+    w += TURN_STEP * ((key == LEFT) - (key == RIGHT))
+    bounded = max(-robot.max_speed, min(v, robot.max_speed)), max(-robot.max_turn_rate, min(w, robot.max_turn_rate))
+    # Steps forth and back end in rest, not in what rounding leaves.
+    return round(bounded[0], 6), round(bounded[1], 6)
+
+
+def drive_csv(drive: tuple[Pressed, ...]) -> str:
+    """A drive as a file's contents; times to the bit."""
+    return "\n".join([_HEADER, *(f"{one.time!r},{one.key}" for one in drive), ""])
+
+
+def read_drive(path: Path) -> tuple[Pressed, ...]:
+    """The keys of a drive in the order of their times. Raises DriveError."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DriveError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}") from None
+    if not lines or lines[0] != _HEADER:
+        raise DriveError(f"{path}: holds no drive; name the keys.csv of a run with --method manual")
+    drive = []
+    for number, line in enumerate(lines[1:], start=2):
+        time, _, key = line.partition(",")
+        try:
+            drive.append(Pressed(float(time), key))
+        except ValueError:
+            key = ""
+        if key not in KEYS.values() or (len(drive) > 1 and not drive[-1].time >= drive[-2].time):
+            raise DriveError(f"{path}, line {number}: expected a time, not before the last, and a key; mend the line")
+    return tuple(drive)
