@@ -507,13 +507,22 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
         raise ScenarioError(f"{source}: reality.changes: cannot be rendered; leave them out or set station.eyes=ideal")
     if scenario.scan.least_range >= scenario.scan.range:
         raise ScenarioError(f"{source}: scan.least_range: must be less than scan.range, {scenario.scan.range:g}")
+    try:
+        # OpenCV, which a robot without eyes of its own need not have.
+        import robotpy_apriltag  # noqa: F401
+
+        from tfg_drake.world.scene import check_drawn
+    except ModuleNotFoundError as error:
+        missing = f"{error.name} is not installed; get it with pip install -e '.[camera]'"
+        raise ScenarioError(f"{source}: station.eyes=camera: {missing}") from None
+    check_drawn(MakeWorld(scenario.world))
 
 
 def _CheckWorld(scenario: Scenario, source: str) -> None:
-    _CheckEyes(scenario, source)
     try:
         world = MakeWorld(scenario.world)
         check_world(world, scenario.robot.radius)
+        _CheckEyes(scenario, source)
         worlds = successive(world, scenario.reality.changes)
         if scenario.reality.people:
             # What few missions need, and what takes a while to be imported.

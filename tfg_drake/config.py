@@ -129,7 +129,7 @@ class CameraConfig:
     mount_height: float = 0.3
     # Sides of the tags' black squares, their centres above the floor, and the walls' height, m.
     tag_size: float = 0.16
-    tag_height: float = 0.4
+    tag_height: float = 0.3
     wall_height: float = 2.5
 
 

@@ -15,7 +15,7 @@ LEAST_WIDTH, MOST_INCIDENCE = 24.0, math.radians(60.0)
 # Frames a second, Hz.
 RATE = 10.0
 # Of structured light and stereo: nearer than the first, m, they see nothing, farther than the second little.
-LEAST_DEPTH, MOST_DEPTH = 0.3, 5.0
+LEAST_DEPTH, MOST_DEPTH = 0.2, 5.0
 # Standard deviation of a range in a depth image, m.
 DEPTH_NOISE = 0.01
 

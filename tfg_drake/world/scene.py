@@ -29,7 +29,7 @@ class SceneConfig:
     """tag_size: of the tags' black squares, tag_height: of their centres above the floor, wall_height: m."""
 
     tag_size: float = 0.16
-    tag_height: float = 0.4
+    tag_height: float = 0.3
     wall_height: float = 2.5
 
 
@@ -45,12 +45,17 @@ class Scene:
     png: bytes
 
 
-def make_scene(world: World, config: SceneConfig | None = None) -> Scene:
-    """The building of a world. Raises WorldError where a tag has an id that no such tag has."""
-    config = config or SceneConfig()
+def check_drawn(world: World) -> None:
+    """Raises WorldError where a tag has an id that no such tag has."""
     for tag in world.tag_ids.tolist():
         if not 0 <= tag < COUNT:
             raise WorldError(f"world.tags: id {tag} cannot be drawn; {FAMILY} has the ids 0 to {COUNT - 1}")
+
+
+def make_scene(world: World, config: SceneConfig | None = None) -> Scene:
+    """The building of a world. Raises WorldError where it cannot be drawn."""
+    config = config or SceneConfig()
+    check_drawn(world)
     texture, tags_uv, floor_uv, wall_uv = _texture(world.tag_ids.tolist())
     quads = [_floor(world)[None], _walls(world.walls, config.wall_height), _tags(world, config)]
     uv = [floor_uv[None], np.broadcast_to(wall_uv, (len(quads[1]), 4, 2)), tags_uv]
