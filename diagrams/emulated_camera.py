@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 
 from tfg_drake.messages import FloatArray
 from tfg_drake.vision.mount import CameraMount
-from tfg_drake.world.world import World
+from tfg_drake.world.world import World, WorldError
 
 # Images a second; pixels; horizontal field of view, rad.
 RATE, SIZE, FIELD_OF_VIEW = 5.0, (640, 480), math.radians(65.0)
@@ -36,7 +36,7 @@ class EmulatedCamera:
     """
 
     def __init__(self, world: World, pose: Callable[[], FloatArray]) -> None:
-        """pose: the robot's true X_WB (3,) now."""
+        """pose: the robot's true X_WB (3,) now. Raises WorldError where the world cannot be drawn."""
         self._pose = pose
         self._connection, theirs = Pipe()
         self._process = subprocess.Popen(
@@ -48,7 +48,11 @@ class EmulatedCamera:
         )
         theirs.close()
         self._connection.send(world)
-        self.url, self.board = self._connection.recv()
+        told = self._connection.recv()
+        if isinstance(told, WorldError):
+            self._process.wait()
+            raise told
+        self.url, self.board = told
         self._stop = threading.Event()
         # Held while something is sent.
         self._lock = threading.Lock()
@@ -85,7 +89,11 @@ def serve(connection: Connection) -> None:
     from tfg_drake.systems.rendered_world import MakeCameraInfo, WorldView
 
     stream, board = MjpegStream(), MjpegStream()
-    view = WorldView(connection.recv(), MOUNT, MakeCameraInfo(*SIZE, FIELD_OF_VIEW))
+    try:
+        view = WorldView(connection.recv(), MOUNT, MakeCameraInfo(*SIZE, FIELD_OF_VIEW))
+    except WorldError as error:
+        connection.send(error)
+        return
     connection.send((stream.url, board.url))
     held, number = -math.inf, 0
     while True:

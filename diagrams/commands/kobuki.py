@@ -161,14 +161,19 @@ def _own_sensors(emulator: Emulator, name: str) -> Iterator[dict[str, Callable[[
     """An RPLidar and a camera on the base, told; what may be ordered of them, by the order's words."""
     from tfg_drake.hardware.emulation.emulator import empty_plane
     from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
+    from tfg_drake.world.world import WorldError
 
     try:
         from tfg_drake.diagrams.emulated_camera import EmulatedCamera
     except ImportError as error:
         bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
     world = empty_plane() if name == "none" else _world(name)
+    try:
+        seen = EmulatedCamera(world, lambda: emulator.base.pose)
+    except WorldError as error:
+        bad_input(f"{name}: {error}")
     lidar = RplidarEmulator(world.walls, lambda: emulator.base.pose, noise=LIDAR_NOISE)
-    with lidar, contextlib.closing(EmulatedCamera(world, lambda: emulator.base.pose)) as camera:
+    with contextlib.closing(seen) as camera, lidar:
         for line in (f"rplidar:{lidar.device}", f"camera:{camera.url}", camera.board):
             print(line, flush=True)
         yield {

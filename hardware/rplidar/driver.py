@@ -13,6 +13,7 @@ import math
 import os
 import select
 import statistics
+import termios
 import time
 from typing import TYPE_CHECKING
 
@@ -89,9 +90,9 @@ class RplidarDriver(SensorReader):
                 if told is not None:
                     self._begin(codec.info(told))
                     return
-            except OSError as error:
+            except (OSError, termios.error) as error:
                 self._hang_up()
-                raise DeviceError(f"{self.name}: {error.strerror or error}; plug the scanner in again") from None
+                raise DeviceError(f"{self.name}: {error.args[-1]}; plug the scanner in again") from None
             except DeviceError:
                 self._hang_up()
                 raise
@@ -165,7 +166,7 @@ class RplidarDriver(SensorReader):
             try:
                 if select.select([self._port.fileno()], [], [], left)[0]:
                     self._receive(self._read(), time.monotonic())
-                elif time.monotonic() - self._heard > SILENT:
+                if time.monotonic() - self._heard > SILENT:
                     self._lose(f"says nothing for {SILENT:.0f} s: does it turn? It is started again")
             except OSError:
                 self._lose("the connection is lost; plug the scanner in again, it is looked for")

@@ -17,6 +17,7 @@ from tfg_drake.hardware.sweep import scan_of
 
 # A room, and a scanner that looks back.
 WALLS = np.array([[-2.0, -1.0, 3.0, -1.0], [3.0, -1.0, 3.0, 2.0], [3.0, 2.0, -2.0, 2.0], [-2.0, 2.0, -2.0, -1.0]])
+WALLS.setflags(write=False)
 MOUNT = RobotScannerConfig(x=-0.05, y=0.02, yaw=math.pi)
 X_BS = np.array([MOUNT.x, MOUNT.y, MOUNT.yaw])
 
