@@ -91,7 +91,7 @@ def main() -> None:
                 driver.save_screenshot(str(path))
                 print(path)
             driver.find_element("id", "mode").click()
-        print(f"shown within {max(spent[1:]):.3f} s, the first, which compiles shaders, within {spent[0]:.3f} s")
+        print(f"shown within {max(spent[1:]):.3f} s; the first, just after the page was read, within {spent[0]:.3f} s")
     finally:
         driver.quit()
 

@@ -231,12 +231,14 @@ class Mission:
     def _advance(self, boundary: float, interrupted: threading.Event) -> bool:
         """Simulates up to a time, s, or less when interrupted; whether the mission has ended by itself. Whoever looks
         on may hold the clock meanwhile or change its speed, at instants that change nothing."""
-        clock, ahead = self._clock, math.inf
+        clock = self._clock
         while self.time < boundary and not interrupted.is_set():
+            ahead = math.inf
             if clock is not None:
                 if self._is_held(clock, interrupted):
                     break
-                ahead = WATCHED_STEP * (math.floor(self.time / WATCHED_STEP) + 1.0)
+                if self._cockpit is not None and self._cockpit.watched:
+                    ahead = WATCHED_STEP * (math.floor(self.time / WATCHED_STEP) + 1.0)
             status = self.simulator.AdvanceTo(min(boundary, ahead))
             if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
                 return True

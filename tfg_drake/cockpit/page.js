@@ -867,7 +867,9 @@ function tell() {
   const mission = timeline.at("mission", time), mapped = timeline.at("map", time), enabled = timeline.at("enabled", time);
   const stage = mapped ? mapped.told.stage : mission ? mission.told.stage : 0, over = timeline.at("end", time + 0.2);
   const outcome = over ? over.told.outcome : mission ? mission.told.outcome : "";
-  element("phase").textContent = mission ? outcome.replace("_", " ") || PHASES[mission.told.phase] || mission.told.phase : "";
+  const waits = mission && mission.told.phase === "paused" && enabled && !enabled.told.enabled;
+  element("phase").textContent = waits && !outcome ? "waits for the wheels to be enabled" :
+    mission ? outcome.replace("_", " ") || PHASES[mission.told.phase] || mission.told.phase : "";
   element("phase").className = `chip ${outcome === "complete" ? "good" : outcome ? "bad" : ""}`;
   element("clock").textContent = `${time.toFixed(1)} s` + (element("clock").dataset.held === "true" ? ", held" : "");
   element("wheels").textContent = enabled ? (enabled.told.enabled ? "wheels enabled" : "wheels stopped") : "";
@@ -978,13 +980,18 @@ function drawPlots() {
       context.strokeStyle = colour(name);
       context.lineWidth = 1.4 * ratio;
       const step = Math.max(1, Math.floor(s.times.length / (2 * w)));
-      for (let k = 0; k < s.times.length; k += step) context.lineTo(x(s.times[k]), y(s.values[k]));
+      for (let k = 0; k < s.times.length; k += step) {
+        if (k && !digits) context.lineTo(x(s.times[k]), y(s.values[k - step]));  // It has been so until then.
+        context.lineTo(x(s.times[k]), y(s.values[k]));
+      }
+      if (s.values.length) context.lineTo(x(span), y(s.values[s.values.length - 1]));
       context.stroke();
     }
     context.fillStyle = getComputedStyle(document.body).color;
     context.globalAlpha = 0.5;
     context.fillRect(x(time) - 0.5 * ratio, top - 2, ratio, h);
     context.globalAlpha = 1;
+    if (parts.length > 1) box.querySelector("span").textContent = PLOTS[i][0].replace(/ and true$/, parts[1][0].times.length ? " and true" : "");
     box.querySelector("b").textContent = parts.filter(([s]) => s.times.length)
       .map(([s]) => number(value(s, time), digits)).join(" / ");
   });
