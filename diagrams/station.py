@@ -25,8 +25,13 @@ if TYPE_CHECKING:
 _ONCE = 2.0**30
 
 
-def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, hardware: bool = False) -> Diagram:
+def MakeTurtlebotStation(
+    scenario: Scenario, meshcat: Meshcat | None = None, *, hardware: bool = False, plant: System | None = None
+) -> Diagram:
     """The station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
+
+    plant: what moves instead of a DifferentialDrivePlant, a system with that one's ports; without the inputs people and
+    world it can do where the scenario has neither.
 
     A meshcat shows a simulated robot in its world, for a station without an explorer; a mission's picture is
     TfgVisualizer's.
@@ -79,9 +84,8 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
 
     filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan)
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
-    plant = builder.AddNamedSystem(
-        "differential_drive_plant", DifferentialDrivePlant(world, scenario.robot, disturbances)
-    )
+    plant = plant or DifferentialDrivePlant(world, scenario.robot, disturbances)
+    builder.AddNamedSystem("differential_drive_plant", plant)
     wheels = builder.AddNamedSystem(
         "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from tfg_drake.diagrams.scenario import LoadScenario
-from tfg_drake.messages import MapEstimate
 
 ROOT = Path(__file__).parents[1]
 
@@ -16,15 +15,17 @@ def block(language):
     return code
 
 
-def test_the_example_maps_a_house():
+def test_the_example_maps_a_house(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     example = block("python")
-    assert len([line for line in example.splitlines() if line]) <= 20
-    limit = "AdvanceTo(600.0)"
+    assert len([line for line in example.splitlines() if line]) <= 10
+    limit = "until=300.0"
     assert limit in example
     names = {}
-    exec(example.replace(limit, "AdvanceTo(40.0)"), names)
-    assert isinstance(names["estimate"], MapEstimate)
-    assert len(names["estimate"].ids) > 10
+    exec(example.replace(limit, "until=40.0"), names)
+    assert len(names["house"].map.ids) > 10
+    assert names["pose"].shape == (5,)
+    assert (tmp_path / "house.png").exists()
 
 
 def test_the_scenario_loads():

@@ -21,7 +21,7 @@ def load_run(folder: str | Path) -> Run:
 
 
 # What needs Drake is imported when it is asked for: the package without it must not.
-_OF_DRAKE = {"fork": "tfg_drake.diagrams.missions.fork"}
+_OF_DRAKE = {"explore": "tfg_drake.diagrams.missions.exploration", "fork": "tfg_drake.diagrams.missions.fork"}
 
 
 def __getattr__(name: str) -> Any:

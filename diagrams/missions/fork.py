@@ -7,6 +7,7 @@ the robot has looked round there.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -218,7 +219,8 @@ def fork(
     run, scenario = forkable(run, stage)
     mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
     change = Fork(stage, goal, candidate)
-    if not mission.advance(change.monitor(mission, stops=True)):
+    mission.begin(change.monitor(mission, stops=True))
+    if mission.advance(math.inf):
         raise ForkError(f"stage {stage}: the mission ended before it")
     check_same(run, mission.stages, stage)
     return mission.simulator

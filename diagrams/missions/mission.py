@@ -263,19 +263,22 @@ class Mission:
         if self._recorder is not None and self._context is not None:
             self._recorder.ForcedPublish(self._recorder.GetMyContextFromRoot(self._context))
 
-    def advance(self, monitor: Callable[[Context], EventStatus]) -> bool:
-        """Simulate until the monitor, called with the diagram's Context after every step, ends it; whether it did
-        before the mission ended."""
+    def begin(self, monitor: Callable[[Context], EventStatus] | None = None) -> None:
+        """Build the diagram, to be advanced step by step instead of by `run`. monitor: as there."""
         self._build(monitor)
         self.simulator.Initialize()
         self._observe(lambda _line: None)
-        while self.status.phase != "done":
+
+    def advance(self, until: float) -> bool:
+        """Simulate up to a time, s, or the mission's end; whether it got that far and its monitor did not end it."""
+        while self.time < until and self.status.phase != "done":
             boundary = STEP * (math.floor(self.time / STEP) + 1.0)
-            status = self.simulator.AdvanceTo(boundary)
-            if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
-                return status.system() is self.simulator.get_system()
+            status = self.simulator.AdvanceTo(min(boundary, until))
+            ended = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
+            if ended and status.system() is self.simulator.get_system():
+                return False
             self._observe(lambda _line: None)
-        return False
+        return True
 
     def say(self, word: str) -> None:
         """From now on picture and progress say what else is done, "" for nothing."""

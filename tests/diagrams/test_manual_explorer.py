@@ -49,7 +49,7 @@ def test_the_robot_goes_where_it_is_driven_and_the_map_grows(driven):
     # 6 s at 0.3 m/s from (1, 2), straight ahead, give or take its getting up to speed.
     assert np.abs(goals[:, 1] - 2.0)[goals[:, 0] < 2.5].max() < 0.2
     assert goals[:, 0].max() > 2.6
-    assert goals[-1, 1] > 2.05
+    assert abs(goals[-1, 1] - 2.0) > 0.2  # in a curve
     assert driven.summary["landmarks_mapped"] > 0.8 * driven.summary["landmarks_reachable"]
     assert driven.summary["position_error_m"]["max"] < 0.1
     assert driven.summary["method"] == "manual"

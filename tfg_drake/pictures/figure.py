@@ -43,10 +43,32 @@ def draw_run(
     reachable: BoolArray,
     X_WM: FloatArray | None = None,
 ) -> None:
-    """Write the figure as a PNG, atomically.
+    """Write `run_figure` as a PNG, atomically.
 
     Args:
         path: the file.
+        title, world, estimate, tfg, grid, X_WB_estimated, X_WB_true, reachable, X_WM: of the figure.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    _write(run_figure(title, world, estimate, tfg, grid, X_WB_estimated, X_WB_true, reachable, X_WM), path)
+
+
+def run_figure(
+    title: str,
+    world: World | None,
+    estimate: MapEstimate | None,
+    tfg: TfgMap | None,
+    grid: GridMap | None,
+    X_WB_estimated: FloatArray,
+    X_WB_true: FloatArray,
+    reachable: BoolArray,
+    X_WM: FloatArray | None = None,
+) -> Figure:
+    """The building, the map made of it, and the way the robot went.
+
+    Args:
         title: stands above the figure; one or two lines.
         world: walls, tags and start, in W; None where it is not known.
         estimate, tfg, grid: the map in M; None where there is none (yet).
@@ -55,9 +77,6 @@ def draw_run(
         X_WM: (3,) pose of the map frame in W, that of the start where there is none.
 
     Of a world that is not known the map frame takes the place, and the map says how large it is.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     grid = grid if grid is not None and grid.probability.size else None  # Nothing is mapped before the first scan.
     if X_WM is None:
@@ -102,7 +121,7 @@ def draw_run(
     way = X_WB_true if len(X_WB_true) else X_WB_estimated
     if len(way):
         axes.plot(*way[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
-    _write(figure, path)
+    return _with_legend(figure)
 
 
 def draw_map(path: Path, title: str, saved: SavedMap) -> None:
@@ -129,10 +148,10 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     if len(tfg.frontiers):
         p_WF = transform(X_WM, tfg.frontiers)
         axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
-    _write(figure, path)
+    _write(_with_legend(figure), path)
 
 
-def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]):  # type: ignore[no-untyped-def]
+def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]) -> tuple[Figure, Axes, float]:
     """Figure and axes for an area, m, and a symbol's size in points, from the scale of the drawing."""
     height = float(np.clip(_WIDTH * (y[1] - y[0]) / (x[1] - x[0]), 3.5, 12.0))
     figure = Figure(figsize=(_WIDTH, height + 1.1), layout="constrained")
@@ -146,9 +165,13 @@ def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]):  # type
     return figure, axes, float(np.clip(0.2 * _WIDTH * _POINTS_PER_INCH / (x[1] - x[0]), 1.2, 6.0))
 
 
-def _write(figure: Figure, path: Path) -> None:
-    """The figure with its legend, without the metadata that would differ from version to version or day to day."""
+def _with_legend(figure: Figure) -> Figure:
     figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
+    return figure
+
+
+def _write(figure: Figure, path: Path) -> None:
+    """The figure, without the metadata that would differ from version to version or day to day."""
     buffer = io.BytesIO()
     if path.suffix.lower() == ".pdf":
         figure.savefig(buffer, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})

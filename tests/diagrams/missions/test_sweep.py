@@ -128,8 +128,8 @@ def test_an_interrupt_ends_all_at_once(tmp_path):
 
 def test_methods_are_named():
     assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == {"tfg": "", "grid-nearest": ""}
-    example = Path(__file__).parents[3] / "docs" / "example_method.py"
-    assert parse_methods(f"{example}", LoadScenario(data=ROOM)) == {"example_method": str(example)}
+    example = Path(__file__).parents[3] / "examples" / "goal_selector.py"
+    assert parse_methods(f"{example}", LoadScenario(data=ROOM)) == {"goal_selector": str(example)}
     with pytest.raises(SweepError, match="--methods tfg,tfg: names tfg twice; name each once"):
         parse_methods("tfg,tfg", LoadScenario(data=ROOM))
     with pytest.raises(SweepError, match=r"^--methods scripted: the scenario has no drive; give it one, a list of"):

@@ -1,7 +1,7 @@
 """Goes to the frontier that is farthest away: a method of one's own, in one file.
 
-tfg-drake explore house --method docs/example_method.py
-tfg-drake compare house --methods tfg,docs/example_method.py --seeds 5
+tfg-drake explore house --method examples/goal_selector.py
+tfg-drake compare house --methods tfg,examples/goal_selector.py --seeds 5
 """
 
 import numpy as np

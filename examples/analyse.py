@@ -1,0 +1,31 @@
+"""What a run's folder holds, as arrays: how the errors of position and landmarks compare with what was stated.
+
+tfg-drake explore house --headless --out runs/analysed
+python examples/analyse.py runs/analysed
+"""
+
+import sys
+
+import numpy as np
+
+import tfg_drake
+from tfg_drake.storage.trajectory import poses_at
+
+run = tfg_drake.load_run(sys.argv[1])
+print(run.summary["outcome"], "after", run.summary["sim_time_s"], "s")
+
+true = poses_at(run.stamps, run.true_stamps, run.X_WB_true)
+error = np.hypot(*(run.X_WB - true)[:, :2].T)
+for quarter in np.array_split(np.arange(len(error)), 4):
+    begin, end = run.stamps[quarter[[0, -1]]]
+    print(f"{begin:5.0f} to {end:3.0f} s: position error {error[quarter].mean():.3f} m")
+
+deviation = np.sqrt(np.trace(run.map.landmark_covariance, axis1=1, axis2=2))
+print(f"landmarks: RMSE {run.summary['landmark_rmse_m']:.3f} m, stated {np.sqrt(np.mean(deviation**2)):.3f} m")
+
+tags = run.port("tags.detections")
+seen, times = np.unique(tags["ids"], return_counts=True)
+print(f"{len(tags['time'])} frames; tag {seen[times.argmax()]} was seen {times.max()} times")
+
+gains = [(s["predicted_gain"], s["realised_gain"]) for s in run.stages if s["predicted_gain"] is not None]
+print("gain at goals, nats, predicted and realised:", np.round(np.mean(gains, axis=0), 1) if gains else "no goal yet")

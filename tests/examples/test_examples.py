@@ -1,0 +1,65 @@
+"""The examples run as they are written, for a shorter time."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def run_example(tmp_path, monkeypatch, capsys):
+    """Runs an example in an empty folder, its times and numbers of seeds replaced, and gives what it prints."""
+
+    def run_it(name, *arguments, **shorter):
+        text = (EXAMPLES / name).read_text()
+        for old, new in shorter.values():
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / name).write_text(text)
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(tmp_path / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run_it
+
+
+def test_a_mission(run_example, tmp_path):
+    said = run_example("mission.py", begin=("until=60.0", "until=40.0"), more=("advance(540.0)", "advance(2.0)"))
+    assert re.search(
+        r"<house, seed 3: \w+ after 42 s, \d+ stages, \d+ landmarks> while the clone stands at 40.0 s", said
+    )
+    assert (tmp_path / "mission.png").stat().st_size > 10_000
+
+
+def test_another_plant(run_example):
+    said = run_example("plant.py", time=("until=120.0", "until=42.0"))
+    one, other = (line.partition(": ")[2] for line in said.splitlines())
+    assert "42 s" in one
+    assert one != other
+
+
+def test_a_run_analysed(run_example, tmp_path):
+    short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
+    run.explore(short, out_dir=tmp_path / "run", max_time=15.0)
+    said = run_example("analyse.py", tmp_path / "run")
+    assert said.startswith("time_limit after 15.0 s")
+    assert said.count("position error") == 4
+
+
+def test_a_monte_carlo(run_example):
+    said = run_example("monte_carlo.py", seeds=("range(5)", "range(2)"), time=("until=90.0", "until=25.0"))
+    assert said.count("seed") == 4
+    assert "standard deviation" in said
+
+
+def test_the_goal_selector_is_a_method_and_a_system():
+    """tests/diagrams/test_methods.py explores with it."""
+    assert "MakeExplorer" in runpy.run_path(str(EXAMPLES / "goal_selector.py"))
