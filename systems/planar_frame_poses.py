@@ -48,8 +48,8 @@ class PlanarFramePoses(LeafSystem):
     def _CalcPoses(self, context: Context, output: AbstractValue) -> None:
         poses = FramePoseVector()
         poses.set_value(self._robot, PlanarPose(self._pose.Eval(context)[:3]))
-        discs = people_at(self._people, context)
+        discs = people_at(self._people, context) if self._walking else None
         for k, frame in enumerate(self._walking):
-            there = discs is not None and k < len(discs)
-            poses.set_value(frame, RigidTransform([discs[k, 0], discs[k, 1], 0.0]) if there else _AWAY)
+            X_WP = _AWAY if discs is None or k >= len(discs) else RigidTransform([*discs[k, :2], 0.0])
+            poses.set_value(frame, X_WP)
         output.set_value(poses)

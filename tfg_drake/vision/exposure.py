@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from tfg_drake.config import CameraRealityConfig
 from tfg_drake.vision.image import Image, grey
@@ -27,9 +28,9 @@ def exposed(image: Image, blur: float, reality: CameraRealityConfig, seed: int) 
     return np.asarray(np.clip(np.rint(level), 0.0, 255.0), dtype=np.uint8)
 
 
-def _box(width: float) -> np.ndarray:
+def _box(width: float) -> NDArray[np.float32]:
     """The mean over so many pixels of a row, and parts of a pixel at its ends: (1, n), n odd."""
     half = int(np.ceil(0.5 * (width - 1.0)))
     weights = np.ones(2 * half + 1, dtype=np.float32)
     weights[[0, -1]] = 1.0 if half == 0 else 0.5 * (width - (2 * half - 1))
-    return (weights / weights.sum())[None]
+    return np.asarray(weights / weights.sum())[None]
