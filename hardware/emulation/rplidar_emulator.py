@@ -14,7 +14,7 @@ from types import TracebackType
 import numpy as np
 
 from tfg_drake.config import ScanConfig
-from tfg_drake.geometry.se2 import compose
+from tfg_drake.geometry.se2 import compose, wrap_angle
 from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import Node
@@ -25,6 +25,8 @@ from tfg_drake.simulation.laser_scanner import scan
 RAYS, TURNS = 2000.0, 5.5
 # It sends this often, s.
 _STEP = 0.01
+# Rays that are cast from one place: a step's.
+_BLOCK = 20
 
 
 class RplidarEmulator:
@@ -56,6 +58,8 @@ class RplidarEmulator:
         self._heard = bytearray()
         # Rays so far.
         self._rays = 0
+        # Where the robot was with the last of them.
+        self._last = pose()
         self._folder = tempfile.TemporaryDirectory(prefix="rplidar-")
         self.device = str(Path(self._folder.name) / "rplidar")
         self._line: PseudoTerminal | None = None
@@ -67,7 +71,8 @@ class RplidarEmulator:
 
     def start(self) -> None:
         """Switches it on. All kernels are compiled before time begins to count."""
-        self._measured(np.zeros(1))
+        self._measured(np.zeros(1), self._pose())
+        self._last = self._pose()
         self._thread.start()
 
     def plug(self) -> None:
@@ -107,8 +112,10 @@ class RplidarEmulator:
             with self._lock:
                 if self._line is not None:
                     self._obey(self._line)
-                    if self.scanning and not self.stuck:
+                    if self.scanning and not self.stuck and due > sent:
                         self._line.write(self._turned(due - sent))
+                if not self.scanning:
+                    self._last = self._pose()
             sent = due
 
     def _obey(self, line: PseudoTerminal) -> None:
@@ -150,17 +157,24 @@ class RplidarEmulator:
         per_turn = RAYS / TURNS
         turns = (self._rays + np.arange(count)) / per_turn
         self._rays += count
-        ranges = self._measured(-2.0 * math.pi * (turns % 1.0))
+        # However long ago the last rays were: the robot moved on evenly.
+        begin, end = self._last, self._pose()
+        self._last, moved = end, end - begin
+        moved[2] = wrap_angle(moved[2])
+        ranges = np.empty(count)
+        for block in np.array_split(np.arange(count), math.ceil(count / _BLOCK)):
+            angles = -2.0 * math.pi * (turns[block] % 1.0)
+            ranges[block] = self._measured(angles, begin + moved * ((block.mean() + 1.0) / count))
         data = b"".join(
             codec.encode(Node(turn % 1.0 < 1.0 / per_turn, 2.0 * math.pi * (turn % 1.0), distance))
             for turn, distance in zip(turns.tolist(), ranges.tolist(), strict=True)
         )
         return data if not self.lost else bytes(byte for byte in data if self._chance.random() >= self.lost)
 
-    def _measured(self, angles: FloatArray) -> FloatArray:
+    def _measured(self, angles: FloatArray, X_WB: FloatArray) -> FloatArray:
         """Ranges (n,) m of rays at angles (n,) rad counter-clockwise from where the scanner looks; nan without an
-        answer."""
+        answer. X_WB: (3,) of the robot."""
         angles.setflags(write=False)
         normal = self._noise.normal(size=len(angles))
-        met = scan(self._walls, compose(self._pose(), self._X_BS), 0.0, angles, normal, self._config).ranges
+        met = scan(self._walls, compose(X_WB, self._X_BS), 0.0, angles, normal, self._config).ranges
         return np.where(np.isfinite(met), met, math.nan)

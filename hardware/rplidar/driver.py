@@ -6,13 +6,11 @@ rays of the last whole one.
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import dataclasses
 import math
 import os
 import select
-import statistics
 import termios
 import time
 from typing import TYPE_CHECKING
@@ -23,6 +21,7 @@ from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import Node, NodeDecoder
+from tfg_drake.hardware.rplidar.turn_clock import TurnClock
 from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.sweep import Sweep
@@ -40,8 +39,6 @@ SILENT = 2.0
 RANGES, LEAST_RANGE, SIGMA = {1: 12.0, 2: 12.0, 3: 25.0}, 0.15, 0.02
 # Rays that make a revolution, at least.
 _FEWEST = 30
-# Revolutions whose mean duration is remembered, and how much longer than that one may last.
-_REMEMBERED, _SLOWER = 9, 1.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,11 +120,10 @@ class RplidarDriver(SensorReader):
         # Of this turn and of the one before.
         self._nodes: list[Node] = []
         self._before: list[Node] = []
-        # When the turn began, None where that was not seen; how long the last ones took, s.
-        self._began: float | None = None
-        self._periods: collections.deque[float] = collections.deque(maxlen=_REMEMBERED)
+        # When this turn began and how long one takes, s; None where that is not known.
+        self._clock = TurnClock()
+        self._turn: tuple[float, float] | None = None
         self._heard = time.monotonic()
-        self._arrived = -math.inf
         # What comes before the first rays, until their descriptor was found.
         self._preamble: bytes | None = b""
 
@@ -191,26 +187,21 @@ class RplidarDriver(SensorReader):
 
     def _turn_over(self, arrival: float) -> None:
         """A turn ends and the next begins with the ray that arrived at `arrival`, s."""
-        began, ends = self._began, arrival
-        period = statistics.median(self._periods) if self._periods else None
-        if began is not None and period is not None and arrival < began + 2.0 * period:
-            # The motor turns evenly, but bytes may have waited for us.
-            ends = min(arrival, began + _SLOWER * period)
-        if self._arrived > -math.inf:
-            self._periods.append(arrival - self._arrived)
-        self._before, self._nodes, self._began, self._arrived = self._nodes, [], ends, arrival
-        if began is None or ends <= began:
-            self._before = []
+        before = self._turn
+        self._before, self._nodes, self._turn = self._nodes, [], self._clock.mark(arrival)
+        if before is None or self._turn is None:
+            self._before = []  # it was not seen from its beginning
         else:
-            self._add(self._before, math.pi, 0.5 * (began + ends), ends - began)
+            began, period = self._turn
+            self._add(self._before, math.pi, began - 0.5 * period, period)
 
     def _half_over(self) -> None:
         """The half of a turn is over: with the last half of the one before it is a whole one."""
-        if self._began is None or not self._before:
+        if self._turn is None or not self._before:
             return
         last = [one for one in self._before if one.angle > math.pi]
         nodes = [*(dataclasses.replace(one, angle=one.angle - 2.0 * math.pi) for one in last), *self._nodes]
-        self._add(nodes, 0.0, self._began, statistics.median(self._periods))
+        self._add(nodes, 0.0, *self._turn)
 
     def _add(self, nodes: list[Node], middle: float, stamp: float, period: float) -> None:
         """A sweep of a turn's rays that had the angle `middle` (rad) at `stamp`; the turn took `period`, both s."""

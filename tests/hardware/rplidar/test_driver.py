@@ -152,17 +152,3 @@ def test_what_is_no_rplidar(tmp_path, monkeypatch):
     with pytest.raises(DeviceError) as error:
         RplidarDriver(str(tmp_path / "none"), MOUNT)
     assert str(error.value).startswith(f"{tmp_path}/none: no such device; plug the scanner in")
-
-
-def test_bytes_that_waited_do_not_shift_the_stamps(opened):
-    """The motor turns evenly: a revolution whose bytes were read late still began when it did."""
-    stamps, arrivals = [], [0.0, 0.2, 0.4, 0.6, 0.8, 1.09, 1.2, 1.4]
-    nodes = [codec.Node(k == 0, 2.0 * math.pi * k / 40, 1.0) for k in range(40)]
-    opened._nodes, opened._began, opened._arrived = [], None, -math.inf
-    opened._periods.clear()
-    opened.take()
-    for arrival in arrivals:
-        opened._turn_over(arrival)
-        opened._nodes = list(nodes)
-        stamps += [sweep.stamp for sweep in opened.take()]
-    np.testing.assert_allclose(stamps, np.arange(0.1, 1.4, 0.2), atol=0.01)
