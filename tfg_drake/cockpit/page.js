@@ -626,6 +626,7 @@ const size = () => [element("scene").clientWidth || 1, element("scene").clientHe
 /** What panels leave free of the window: left, top, right, bottom, pixels. */
 function margins() {
   const [w, h] = size(), side = element("side").getBoundingClientRect(), wide = w > 760;
+  if (!side.width) return [20, 20, 20, 20];
   const layers = element("layers").getBoundingClientRect();
   return wide ? [element("layers").open ? layers.right + 16 : 30, 56, w - side.left + element("scene").getBoundingClientRect().left + 20, 30] :
     [12, 50, 12, h - (side.top - element("scene").getBoundingClientRect().top) + 12];
