@@ -10,7 +10,7 @@ const colour = (name) => (name === "white" ? "#ffffff" : COLOURS[dark.matches ? 
 // The timeline ---------------------------------------------------------------------------------------------------------
 
 const MAGIC = 24;
-const TYPES = { mm: Int32Array, i4: Int32Array, f4: Float32Array, u1: Uint8Array };
+const TYPES = { mm: Int32Array, i4: Int32Array, f4: Float32Array, u2: Uint16Array, u1: Uint8Array };
 
 async function inflated(block) {
   return new Response(new Blob([block]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
