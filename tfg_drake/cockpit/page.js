@@ -303,9 +303,9 @@ const draw = {
           m[o + 12] = points[p] + 0.05 * fx; m[o + 13] = points[p + 1] + 0.05 * fy; m[o + 14] = Z.tags + 0.1;
         }));
       put(groups.uncertainty, name, ellipses(points, covariance, some, Z.uncertainty,
-        material(name, { opacity: 0.35, above: true }), 3));
+        material(name, { opacity: 0.18, above: true }), 3));
       put(groups.uncertainty, `${name} outline`, ellipses(points, covariance, some, Z.uncertainty,
-        material(name, { above: true }), 3, RING));
+        material(name, { opacity: 0.6, above: true }), 3, RING));
     }
   },
 
