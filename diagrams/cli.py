@@ -183,9 +183,11 @@ def explore(
             _make_writable(out)
         cockpit = None
         if not headless:
+            from tfg_drake.diagrams.commands.page import open_page
+
             name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
             rate = realtime_rate if robot not in ROBOTS else None
-            cockpit = page_stack.enter_context(explore_command.open_page(name, rate, host, page_port))
+            cockpit = page_stack.enter_context(open_page(name, host, page_port, rate=rate))
             show = explore_command.also_on_page(show, cockpit)
         if compilation is not None:
             explore_command.wait_for_beginning(compilation, show, _interrupted)

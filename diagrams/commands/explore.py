@@ -158,25 +158,6 @@ def remarks_on_screen() -> Iterator[None]:
             logger.removeHandler(handler)
 
 
-@contextlib.contextmanager
-def open_page(title: str, rate: float | None, host: str, port: int | None) -> Iterator[Cockpit]:
-    """The page of the mission to come, its address printed; see `Cockpit`.
-
-    Raises BadInput where it cannot be served.
-    """
-    from tfg_drake.cockpit.server import Cockpit
-    from tfg_drake.diagrams.missions.run import viewer_script
-
-    try:
-        cockpit = Cockpit(viewer_script(), title, rate=rate, host=host, port=port)
-    except OSError as error:
-        where = host if port is None else f"{host}, port {port}"
-        bad_input(f"{where}: the page cannot be served there: {(error.strerror or str(error)).lower()}; name another")
-    print(f"page: {cockpit.address}", flush=True)
-    with cockpit:
-        yield cockpit
-
-
 def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[str], None]:
     """What is shown on the screen before the mission begins is on the page, too."""
 

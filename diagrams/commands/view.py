@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tfg_drake.cockpit.page import export_page
-from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter
+from tfg_drake.diagrams.commands.page import open_page
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.diagrams.missions.run_folder import claimed
 from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError
@@ -14,16 +14,8 @@ from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError
 
 def serve_run(run: Path, host: str, port: int | None) -> None:
     """Serve the page of a run until the user has seen enough. Raises BadInput where there is nothing to serve."""
-    timeline = _timeline(run)
-    try:
-        cockpit = Cockpit(
-            viewer_script(), run.name, timeline=timeline, live=is_under_way(run), controls=False, host=host, port=port
-        )
-    except OSError as error:
-        where = host if port is None else f"{host}, port {port}"
-        bad_input(f"{where}: the page cannot be served there: {(error.strerror or str(error)).lower()}; name another")
-    with cockpit:
-        print(f"page: {cockpit.address}", flush=True)
+    given = {"timeline": _timeline(run), "live": is_under_way(run), "controls": False}
+    with open_page(run.resolve().name, host, port, **given):
         wait_for_enter()
 
 

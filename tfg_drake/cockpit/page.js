@@ -10,7 +10,7 @@ const colour = (name) => (name === "white" ? "#ffffff" : COLOURS[dark.matches ? 
 // The timeline ---------------------------------------------------------------------------------------------------------
 
 const MAGIC = 24;
-const TYPES = { mm: Int32Array, i4: Int32Array, f4: Float32Array, u1: Uint8Array };
+const TYPES = { mm: Int32Array, i4: Int32Array, f4: Float32Array, u2: Uint16Array, u1: Uint8Array };
 
 async function inflated(block) {
   return new Response(new Blob([block]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
@@ -303,9 +303,9 @@ const draw = {
           m[o + 12] = points[p] + 0.05 * fx; m[o + 13] = points[p + 1] + 0.05 * fy; m[o + 14] = Z.tags + 0.1;
         }));
       put(groups.uncertainty, name, ellipses(points, covariance, some, Z.uncertainty,
-        material(name, { opacity: 0.35, above: true }), 3));
+        material(name, { opacity: 0.18, above: true }), 3));
       put(groups.uncertainty, `${name} outline`, ellipses(points, covariance, some, Z.uncertainty,
-        material(name, { above: true }), 3, RING));
+        material(name, { opacity: 0.6, above: true }), 3, RING));
     }
   },
 
@@ -626,6 +626,7 @@ const size = () => [element("scene").clientWidth || 1, element("scene").clientHe
 /** What panels leave free of the window: left, top, right, bottom, pixels. */
 function margins() {
   const [w, h] = size(), side = element("side").getBoundingClientRect(), wide = w > 760;
+  if (!side.width) return [20, 20, 20, 20];
   const layers = element("layers").getBoundingClientRect();
   return wide ? [element("layers").open ? layers.right + 16 : 30, 56, w - side.left + element("scene").getBoundingClientRect().left + 20, 30] :
     [12, 50, 12, h - (side.top - element("scene").getBoundingClientRect().top) + 12];

@@ -4,7 +4,7 @@ The file is MAGIC and then blocks: the length of a block (uint32), and so many b
 records. A record is the length of its header (uint32), the header (JSON, filled up with spaces), and its arrays one
 behind the other; all lengths are multiples of 4, all numbers little-endian. The header has "t", the simulated time, s,
 "layer", the record's name, "arrays", a list of [name, type, shape], and whatever else is told. An array's type is "f4"
-(float32), "i4" (int32), "u1" (uint8) or "mm": int32, in millimetres what is metres to whoever reads it.
+(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or "mm": int32, in millimetres what is metres to whoever reads it.
 
 A record says what a layer is like from its time on, until there is another one of that layer; those of the layer "free"
 name the star polygons that have changed. Of a program that is killed all is there but the last second.
@@ -35,6 +35,8 @@ MAGIC = b"tfg_drake timeline 1\n\n\n\n"
 FLUSH_PERIOD, WATCHED_PERIOD = 1.0, 0.08
 # Of a layer no more is written on average, bytes a simulated second: a large map less often than it changes.
 LAYER_RATE = 20e3
+# Of these less: nobody looks at every roadmap, and a large one is most of the file.
+LAYER_RATES = {"roadmap": 8e3}
 # zlib's: the quickest; more takes twice the time and saves a twentieth.
 COMPRESSION = 1
 
@@ -83,6 +85,8 @@ def _packed(array: NDArray[Any]) -> tuple[str, NDArray[Any]]:
         return "f4", array.astype("<f4", copy=False)
     if array.dtype == np.bool_ or array.dtype == np.uint8:
         return "u1", array.astype(np.uint8)
+    if array.size and array.min() >= 0 and array.max() < 2**16:
+        return "u2", array.astype("<u2")
     return "i4", array.astype("<i4")
 
 
@@ -120,7 +124,7 @@ class TimelineWriter:
         if self._file is None:
             return
         record = encoded(layer, time, arrays, told)
-        self._due[layer] = time + len(record) / LAYER_RATE
+        self._due[layer] = time + len(record) / LAYER_RATES.get(layer, LAYER_RATE)
         self._records.append(record)
 
     def flush(self, *, all_of_it: bool = True) -> None:
@@ -198,7 +202,7 @@ def _records(block: bytes) -> Iterator[Record]:
         start += 4 + length
         arrays = {}
         for name, kind, shape in header["arrays"]:
-            entries = np.dtype({"mm": "<i4", "f4": "<f4", "i4": "<i4", "u1": "u1"}[kind])
+            entries = np.dtype({"mm": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}[kind])
             array = np.frombuffer(block, entries, math.prod(shape), start).reshape(shape)
             arrays[name] = 1e-3 * array if kind == "mm" else array
             start += array.nbytes + -array.nbytes % 4

@@ -37,6 +37,7 @@ def test_a_run_is_exported_as_one_page(call, run_dir, tmp_path):
         ),
         ("export {0} {0}/nowhere/page.html", "{0}/nowhere/page.html: cannot be written: no such file or directory"),
         ("view {0}/other", "{0}/other: is no timeline of this version; run the mission again"),
+        ("view {0} --port 0", "port 0: must be between 1 and 65535"),
         ("view {0} --host 203.0.113.9", "203.0.113.9: the page cannot be served there: {1}; name another"),
     ],
 )
