@@ -10,7 +10,7 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test test-slow lint format types check kernels results clean
+.PHONY: help demo test test-slow lint format types check kernels docs results clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
@@ -49,6 +49,9 @@ check: test lint types  ## what continuous integration runs
 kernels: $(VENV)/.test  ## write anew which kernels the installation compiles, and for what types
 	$(BIN)/python tests/rehearsal.py --write
 
+docs: $(VENV)/.docs  ## build the reference from the docstrings, with the diagrams, into build/reference
+	$(BIN)/python docs/reference/build.py
+
 results: $(VENV)/.test  ## make the tables of docs/results.md anew, an hour
 	$(BIN)/python benchmarks/results.py
 
@@ -66,6 +69,11 @@ compile = @$(BIN)/python -m tfg_drake.kernels
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(install) .
 	$(compile)
+	@touch $@
+
+# Beside the tests' environment, or without.
+$(VENV)/.docs: pyproject.toml constraints.txt
+	$(install) ".[docs]"
 	@touch $@
 
 $(VENV)/.test: pyproject.toml constraints.txt
