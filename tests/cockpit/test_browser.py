@@ -379,3 +379,18 @@ def test_two_pages_one_reloaded_and_one_closed_in_the_middle(driver, tmp_path):
         first.until("return stageTimes.length === 3")
         first.click("stop")
         assert live.asked() == ["stop"]
+
+
+def test_a_page_that_cannot_draw_stops_the_robot_all_the_same(driver):
+    with Cockpit("/* no viewer */", "room") as cockpit:
+        driver.get("about:blank")
+        driver.get(cockpit.address)
+        limit = time.monotonic() + 60.0
+        while "This page has failed" not in driver.find_element("id", "notice").text:
+            assert time.monotonic() < limit
+            time.sleep(0.02)
+        driver.find_element("id", "stop").click()
+        while not (requests := list(cockpit.requests())):
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        assert requests == ["stop"]
