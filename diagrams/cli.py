@@ -264,9 +264,9 @@ def view(
 @app.command()
 def export(
     run: RunArgument,
-    out: Annotated[Path, typer.Argument(metavar="OUT.html", help="The file to write.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write: .html, .gif.")],
 ) -> None:
-    """Write a mission as one page that needs nothing else: with a slider for the time, without a network."""
+    """Write a mission as one page that needs nothing else, with a slider for the time, or as a film."""
     from tfg_drake.diagrams.commands.view import export_run
 
     export_run(run, out)

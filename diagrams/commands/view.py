@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
+from tfg_drake.cockpit.browser import BrowserMissing, film_page
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter
 from tfg_drake.diagrams.commands.page import open_page
+from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.diagrams.missions.run_folder import claimed
+from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError
 
 
@@ -20,15 +24,27 @@ def serve_run(run: Path, host: str, port: int | None) -> None:
 
 
 def export_run(run: Path, out: Path) -> None:
-    """Write the page of a run as one file. Raises BadInput where that cannot be."""
-    if out.suffix.lower() not in (".html", ".htm"):
-        bad_input(f"{out}: unknown format; name a file that ends in .html")
+    """Write a run as one page or, in a browser, as a film. Raises BadInput where that cannot be."""
+    suffix = out.suffix.lower()
+    if suffix not in (".html", ".gif"):
+        bad_input(f"{out}: unknown format; name a file that ends in .html or .gif")
+    timeline = _timeline(run)
     try:
-        export_page(_timeline(run), out, run.resolve().name, viewer_script())
-    except TimelineError as error:
+        if suffix == ".gif":
+            _film(timeline, out, run.resolve().name)
+        else:
+            export_page(timeline, out, run.resolve().name, viewer_script())
+    except (TimelineError, BrowserMissing) as error:
         bad_input(str(error))
     except OSError as error:
         bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
+
+
+def _film(timeline: Path, out: Path, title: str) -> None:
+    with tempfile.TemporaryDirectory() as folder, Screen() as show:
+        page = Path(folder) / "page.html"
+        export_page(timeline, page, title, viewer_script())
+        write_atomic(out, film_page(page, show))
 
 
 def _timeline(run: Path) -> Path:

@@ -1,13 +1,16 @@
 """The page in a browser: every button and every toggle is pressed, and does what it says."""
 
+import io
+import itertools
 import json
 import time
 
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
-from benchmarks.screenshots import SEEK, open_browser, wait_for_page
 from tests.cockpit.conftest import STAGES, begin, drive, end, stage
+from tfg_drake.cockpit.browser import SEEK, BrowserMissing, film_page, open_browser, wait_for_page
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
@@ -18,10 +21,9 @@ LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "path"
 
 @pytest.fixture(scope="module")
 def driver():
-    pytest.importorskip("selenium", reason="the package selenium drives the browser")
     try:
         driver = open_browser(820, 560)
-    except FileNotFoundError as error:
+    except BrowserMissing as error:
         pytest.skip(str(error))
     yield driver
     driver.quit()
@@ -249,6 +251,16 @@ def test_any_time_is_shown_soon(page):
     assert np.median(spent) < 0.2
 
 
+@pytest.mark.slow
+def test_a_film_shows_the_mission_to_its_end(driver, exported):
+    said = []
+    film = Image.open(io.BytesIO(film_page(exported, said.append, 3)))
+    assert film.n_frames == 3
+    assert said[-1] == "filming the mission, picture 3 of 3"
+    frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
+    assert all(np.any(one != other) for one, other in itertools.pairwise(frames))
+
+
 class Live:
     """A mission under way that this test drives."""
 
@@ -379,3 +391,18 @@ def test_two_pages_one_reloaded_and_one_closed_in_the_middle(driver, tmp_path):
         first.until("return stageTimes.length === 3")
         first.click("stop")
         assert live.asked() == ["stop"]
+
+
+def test_a_page_that_cannot_draw_stops_the_robot_all_the_same(driver):
+    with Cockpit("/* no viewer */", "room") as cockpit:
+        driver.get("about:blank")
+        driver.get(cockpit.address)
+        limit = time.monotonic() + 60.0
+        while "This page has failed" not in driver.find_element("id", "notice").text:
+            assert time.monotonic() < limit
+            time.sleep(0.02)
+        driver.find_element("id", "stop").click()
+        while not (requests := list(cockpit.requests())):
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        assert requests == ["stop"]

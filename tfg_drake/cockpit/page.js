@@ -2,8 +2,15 @@
 // drawn with the viewer that Drake ships. Lengths in metres, times in seconds of the mission.
 "use strict";
 
-const T = MeshCat.THREE;
 const element = (id) => document.getElementById(id);
+
+// Before anything that may fail: a page that cannot draw stops the robot all the same.
+element("stop").hidden = !(SOURCE && SOURCE.controls);
+element("stop").onclick = () => request("stop");
+for (const event of ["error", "unhandledrejection"])
+  addEventListener(event, (failure) => notice(`This page has failed: ${failure.message ?? failure.reason}`));
+
+const T = MeshCat.THREE;
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 const colour = (name) => (name === "white" ? "#ffffff" : COLOURS[dark.matches ? "dark" : "light"][name]);
 
@@ -1107,7 +1114,9 @@ document.addEventListener("keydown", (event) => {
 
 // The operator -----------------------------------------------------------------------------------------------------------
 
-const token = () => new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+function token() {
+  return new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+}
 
 function notice(text) {
   element("notice").textContent = text;
@@ -1127,10 +1136,8 @@ async function request(what, more = {}) {
 let built = false;
 function buildControls(world) {
   const controls = Boolean(SOURCE && SOURCE.controls);
-  element("stop").hidden = !controls;
   if (!controls || built) return;
   built = true;
-  element("stop").onclick = () => request("stop");
   const clock = world.simulated ? "the clock of the simulation" : "the mission";
   const buttons = [["hold", "Pause", `Hold ${clock}`], ["resume", "Resume", `Go on with ${clock}`],
     ["step", "Step a stage", "Go on until the next stage, then pause"]];
@@ -1219,7 +1226,6 @@ async function readServed() {
 }
 
 async function begin() {
-  element("stop").hidden = true;
   element("layers").open = size()[0] > 760;
   element("live").hidden = !(SOURCE && SOURCE.live);
   paint();
@@ -1239,6 +1245,7 @@ async function begin() {
   framed = true;
   shownBounds = "";
   render();  // Shaders are compiled before anybody waits for them.
+  viewer.renderer.getContext().finish();
   document.body.dataset.ready = "true";
 }
 

@@ -27,10 +27,21 @@ def test_a_run_is_exported_as_one_page(call, run_dir, tmp_path):
     assert len(page) < 3e6
 
 
+def test_without_a_browser_it_says_how_to_get_one(call, run_dir, monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    complaint = "chromium or its driver is missing: apt-get install chromium chromium-driver"
+    assert call("export", run_dir, run_dir / "page.gif")[::2] == (2, f"tfg-drake: {complaint}\n")
+    monkeypatch.setattr("shutil.which", lambda name: name)
+    monkeypatch.setitem(sys.modules, "selenium", None)
+    complaint = "the package selenium is missing: pip install -e '.[film]'"
+    assert call("export", run_dir, run_dir / "page.gif")[::2] == (2, f"tfg-drake: {complaint}\n")
+    assert not (run_dir / "page.gif").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ("export {0} page.png", "page.png: unknown format; name a file that ends in .html"),
+        ("export {0} page.png", "page.png: unknown format; name a file that ends in .html or .gif"),
         (
             "export {0}/nowhere page.html",
             "{0}/nowhere: no such file or directory; name the folder of a mission that this version has recorded",
