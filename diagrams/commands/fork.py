@@ -44,9 +44,12 @@ def difference_rows(before: dict[str, Any], after: dict[str, Any]) -> list[tuple
 
 
 def candidate_rows(candidates: Sequence[Candidate]) -> list[tuple[str, ...]]:
-    """The stage's best candidates: number, place, gain and what it is made of, time to get there."""
-    rows: list[tuple[str, ...]] = [("candidate", "x m", "y m", "gain", "known", "new", "price nats", "time s", "")]
-    for number, one in enumerate(candidates[:SHOWN], start=1):
+    """The stage's best candidates and the one that was chosen: number, place, gain and what it is made of (of known
+    landmarks, of new ones, the price of the pose), nats, time to get there."""
+    rows: list[tuple[str, ...]] = [("candidate", "x m", "y m", "gain", "known", "new", "price", "time s", "")]
+    for number, one in enumerate(candidates, start=1):
+        if number > SHOWN and not one.chosen:
+            continue
         x, y = one.p_WG
         numbers = (one.gain, one.exploitation, one.exploration, one.pose_price, one.time)
         cells = [f"{value:.1f}" if math.isfinite(value) else "-" for value in numbers]

@@ -10,7 +10,7 @@ project = "tfg_drake"
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "port_diagram"]
 html_theme = "alabaster"
 html_theme_options = {"page_width": "1100px", "sidebar_width": "240px"}
-html_show_sphinx = False
+html_show_sphinx = html_show_copyright = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_type_aliases = {name: name for name in ("FloatArray", "IntArray", "BoolArray")}

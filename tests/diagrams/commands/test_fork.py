@@ -39,7 +39,8 @@ def test_another_goal_makes_another_run(call, original, tmp_path):
     summary = json.loads(said.splitlines()[-1])
     assert summary["scenario"] == "room-fork"
     assert code in (0, 1)
-    assert "\ncandidate" in said
+    assert "candidate   x m" in said
+    assert "chosen" in said
     assert (out / "stages.jsonl").read_bytes() != (original.folder / "stages.jsonl").read_bytes()
     difference = summary["distance_m"] - original.summary["distance_m"]
     assert f"{difference:+.1f} m" in next(line for line in said.splitlines() if line.startswith("distance"))
