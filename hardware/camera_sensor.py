@@ -148,7 +148,6 @@ def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration
     # What OpenCV and FFmpeg would say in their own words is said here in ours.
     os.environ.update(OPENCV_LOG_LEVEL="SILENT", OPENCV_FFMPEG_LOGLEVEL="-8")
     try:
-        import cv2  # noqa: F401
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         raise DeviceError(f"{name}: {error.name} is not installed; get it with pip install -e '.[camera]'") from None

@@ -125,7 +125,6 @@ def _beside(image: Topic) -> Topic:
     """The camera_info of a topic of images, in the same namespace, as image_transport has it; raises DeviceError where
     there is nothing that sees."""
     try:
-        import cv2  # noqa: F401
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         raise DeviceError(

@@ -8,7 +8,6 @@ from pydrake.common import RandomGenerator
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-pytest.importorskip("cv2", reason="OpenCV is not installed: pip install -e '.[camera]'")
 pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
 
 from tfg_drake.config import ChangeConfig, TagConfig

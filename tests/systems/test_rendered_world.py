@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("cv2", reason="OpenCV is not installed: pip install -e '.[camera]'")
 pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
 
 from tfg_drake.config import TagSensorConfig

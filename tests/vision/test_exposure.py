@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("cv2", reason="OpenCV is not installed: pip install -e '.[camera]'")
-
 from tfg_drake.config import CameraRealityConfig
 from tfg_drake.vision.exposure import exposed
 

@@ -1,13 +1,11 @@
 """The mesh of a building against the world that it is made of."""
 
+import cv2
 import numpy as np
 import pytest
 
+from tfg_drake.world.scene import SceneConfig, make_scene
 from tfg_drake.world.world import World, WorldError
-
-cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install -e '.[camera]'")
-
-from tfg_drake.world.scene import SceneConfig, make_scene  # noqa: E402
 
 WORLD = World(
     walls=np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]]),
