@@ -11,6 +11,7 @@ from pydrake.systems.analysis import Simulator
 pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
 
 from tfg_drake.config import ChangeConfig, TagConfig
+from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario, MakeWorld, Scenario, ScenarioError, WorldConfig
 from tfg_drake.diagrams.station import MakeTurtlebotStation
@@ -168,3 +169,14 @@ def test_people_are_seen():
     simulator.AdvanceTo(0.05)
     scan = eyes.GetOutputPort("ranges").Eval(context)
     assert np.nanmin(scan.ranges) == pytest.approx(np.hypot(1.2, 0.1) - RADIUS, abs=0.01)
+
+
+@pytest.mark.slow
+def test_the_house_is_explored_through_pixels(tmp_path):
+    scenario = ApplySettings(LoadScenario("house"), ["station.eyes=camera", "seed=2"])
+    summary = explore(scenario, out_dir=tmp_path, record=False).summary
+    assert summary["outcome"] == "complete"
+    assert summary["contacts"] == 0
+    assert summary["landmarks_reachable"] == 120
+    assert summary["landmarks_mapped"] >= 119
+    assert summary["landmark_rmse_m"] <= 0.03
