@@ -63,7 +63,7 @@ class SweepMaker:
         """The half of a turn is over: with the last half of the one before it is a whole one."""
         if self._turn is None or not self._before:
             return []
-        last = [one for one in self._before if one.angle > math.pi]
+        last = [one for one in self._before if one.angle >= math.pi]
         nodes = [*(dataclasses.replace(one, angle=one.angle - 2.0 * math.pi) for one in last), *self._nodes]
         return [self._sweep(nodes, 0.0, *self._turn)]
 

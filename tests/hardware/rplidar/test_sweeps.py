@@ -52,8 +52,8 @@ def test_scans_of_a_moving_robot(turn_rate):
         assert off.max() < 0.003
         # Nothing is seen twice, and what is missed is what the robot turned away from.
         gaps = np.diff(np.append(scan.angles, scan.angles[0] + 2.0 * math.pi))
-        assert np.sort(gaps)[-2] < 0.06
-        assert gaps.max() < 0.06 + PERIOD * abs(turn_rate)
+        assert np.sort(gaps)[-2] < 0.04
+        assert gaps.max() < 0.05 + PERIOD * abs(turn_rate)
 
 
 def test_a_turn_without_its_first_ray():
