@@ -145,8 +145,9 @@ def MakeTurtlebotStation(
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
-    pushes = builder.ExportInput(plant.GetInputPort("pushes"), "pushes")
-    builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
+    if plant.HasInputPort("pushes"):
+        pushes = builder.ExportInput(plant.GetInputPort("pushes"), "pushes")
+        builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
     builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
     builder.ExportOutput(plant.GetOutputPort("hazards"), "base.hazards")
     builder.ExportOutput(safety_filter.GetOutputPort("enabled"), "base.enabled")

@@ -143,7 +143,7 @@ def _view(cameras: list[tuple[str, RobotCameraConfig]]) -> CameraView:
 def _least_range(scanner: str, preset: Preset) -> float:
     """How near a scanner on a transport sees, m."""
     if scanner == "rplidar":
-        from tfg_drake.hardware.rplidar.driver import LEAST_RANGE
+        from tfg_drake.hardware.rplidar.sweeps import LEAST_RANGE
 
         return LEAST_RANGE
     if scanner == "realsense":

@@ -1,27 +1,20 @@
-"""The RPLidar on its serial port, as a sensor's process reads it; see tfg_drake.hardware.device.
-
-An A1 turns five times a second. So that no scan is old when the next one comes, there is one every half turn: of the
-rays of the last whole one.
-"""
+"""The RPLidar on its serial port, as a sensor's process reads it; see tfg_drake.hardware.device."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import os
 import select
 import termios
 import time
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.rplidar import codec
-from tfg_drake.hardware.rplidar.codec import Node, NodeDecoder
-from tfg_drake.hardware.rplidar.turn_clock import TurnClock
+from tfg_drake.hardware.rplidar.codec import NodeDecoder
+from tfg_drake.hardware.rplidar.sweeps import SweepMaker
 from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.sweep import Sweep
@@ -35,10 +28,6 @@ RPLIDAR = SerialDevice("the scanner", "10c4:ea60", "rplidar")
 ANSWER_WITHIN, RESET_WITHIN, PATIENCE = 0.5, 1.0, 8.0
 # A scanner that says nothing for so long is started again, s.
 SILENT = 2.0
-# How far the models see, m, and how near all of them; standard deviation of a range, m.
-RANGES, LEAST_RANGE, SIGMA = {1: 12.0, 2: 12.0, 3: 25.0}, 0.15, 0.02
-# Rays that make a revolution, at least.
-_FEWEST = 30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,12 +106,7 @@ class RplidarDriver(SensorReader):
             self._say(codec.motor(codec.DUTY))
         self._say(codec.request(codec.SCAN))
         self._model, self._decoder = told.model, NodeDecoder()
-        # Of this turn and of the one before.
-        self._nodes: list[Node] = []
-        self._before: list[Node] = []
-        # When this turn began and how long one takes, s; None where that is not known.
-        self._clock = TurnClock()
-        self._turn: tuple[float, float] | None = None
+        self._maker = SweepMaker(self._mount, told.model)
         self._heard = time.monotonic()
         # What comes before the first rays, until their descriptor was found.
         self._preamble: bytes | None = b""
@@ -173,55 +157,12 @@ class RplidarDriver(SensorReader):
             data = codec.answer(self._preamble, codec.SCAN) or b""
             self._preamble = None if data else self._preamble[-len(codec.descriptor(codec.SCAN)) :]
         before = self._decoder.lost
-        for node in self._decoder.feed(data):
+        nodes = self._decoder.feed(data)
+        if nodes:
             self._heard = now
-            over = node.begins or (self._nodes and node.angle < self._nodes[-1].angle - math.pi)
-            # Round the full turn angles waver, and the first ray of a turn may be lost.
-            if over and not 0 < len(self._nodes) < _FEWEST:
-                self._turn_over(now)
-            elif self._nodes and self._nodes[-1].angle < math.pi <= node.angle:
-                self._half_over()
-            self._nodes.append(node)
+        self._messages += self._maker.add(nodes, now)
         if self._decoder.lost > before:
             self.refusals.add(self.name, "bytes", "bytes are lost on the way; the other rays are used, check the cable")
-
-    def _turn_over(self, arrival: float) -> None:
-        """A turn ends and the next begins with the ray that arrived at `arrival`, s."""
-        before = self._turn
-        self._before, self._nodes, self._turn = self._nodes, [], self._clock.mark(arrival)
-        if before is None or self._turn is None:
-            self._before = []  # it was not seen from its beginning
-        else:
-            began, period = self._turn
-            self._add(self._before, math.pi, began - 0.5 * period, period)
-
-    def _half_over(self) -> None:
-        """The half of a turn is over: with the last half of the one before it is a whole one."""
-        if self._turn is None or not self._before:
-            return
-        last = [one for one in self._before if one.angle > math.pi]
-        nodes = [*(dataclasses.replace(one, angle=one.angle - 2.0 * math.pi) for one in last), *self._nodes]
-        self._add(nodes, 0.0, *self._turn)
-
-    def _add(self, nodes: list[Node], middle: float, stamp: float, period: float) -> None:
-        """A sweep of a turn's rays that had the angle `middle` (rad) at `stamp`; the turn took `period`, both s."""
-        angles = np.array([node.angle for node in nodes])
-        ranges = np.array([node.range for node in nodes])
-        farthest = RANGES.get(self._model, min(RANGES.values()))
-        ranges[ranges < LEAST_RANGE] = math.nan
-        ranges[ranges > farthest] = math.inf
-        self._messages.append(
-            Sweep(
-                stamp=stamp,
-                directions=self._mount.yaw - angles,
-                ranges=ranges,
-                after=period * (angles - middle) / (2.0 * math.pi),
-                x=self._mount.x,
-                y=self._mount.y,
-                range_max=farthest,
-                sigma=SIGMA,
-            )
-        )
 
     def _lose(self, why: str) -> None:
         self._remark(why)

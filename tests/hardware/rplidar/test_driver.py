@@ -13,6 +13,7 @@ from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
 from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
 from tfg_drake.hardware.rplidar import codec, driver
 from tfg_drake.hardware.rplidar.driver import RplidarDriver
+from tfg_drake.hardware.rplidar.sweeps import SIGMA
 from tfg_drake.hardware.sweep import scan_of
 
 # A room, and a scanner that looks back.
@@ -66,7 +67,7 @@ def test_a_scan_is_what_is_there(opened):
     assert 300 < len(scan.ranges) < 420
     assert off.max() < 0.002
     assert np.ptp(scan.angles) > 6.1
-    assert (scan.range_max, scan.sigma) == (12.0, driver.SIGMA)
+    assert (scan.range_max, scan.sigma) == (12.0, SIGMA)
 
 
 def test_scans_are_stamped_one_after_the_other(opened):
