@@ -42,6 +42,7 @@ def MakeTurtlebotStation(
         input_ports:
         - base.velocity_commanded
         - base.enable
+        - truth.pushes
         output_ports:
         - base.odometry
         - base.hazards
@@ -62,8 +63,9 @@ def MakeTurtlebotStation(
     LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
     made. truth.clearance: least distance of the outline to any wall so far, m. truth.people: a People message, where
-    there are some. truth.world: a WorldNow message, where something changes. A real robot's station has no truth, and
-    its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
+    there are some. truth.world: a WorldNow message, where something changes. truth.pushes: a Pushes message, what moves
+    the base besides its wheels; of a plant that can be pushed. A real robot's station has no truth, and its time must
+    keep to real time: Simulator.set_target_realtime_rate(1.0).
 
     scenario.station.eyes says what it sees with: ideal sensors, or a camera whose images are rendered.
 
@@ -146,7 +148,7 @@ def MakeTurtlebotStation(
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
     if plant.HasInputPort("pushes"):
-        pushes = builder.ExportInput(plant.GetInputPort("pushes"), "pushes")
+        pushes = builder.ExportInput(plant.GetInputPort("pushes"), "truth.pushes")
         builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
     builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
     builder.ExportOutput(plant.GetOutputPort("hazards"), "base.hazards")

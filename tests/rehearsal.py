@@ -86,6 +86,8 @@ def missions(folder: Path) -> Iterator[int]:
         ["explore", "corridor_slip", *SHORT, "40", *AT_ONCE, "--set", "planner.risk=path"],
         ["explore", "house", *SHORT, "70", *AT_ONCE, "--set", "explorer.budget_time=50", *HOME],
         ["slam", recording(folder)],
+        ["tags", "advise", "--world", room, "--count", "2", "--out", folder / "advised.yaml"],
+        ["tags", "advise", run, "--count", "1", "--out", folder / "advised.yaml"],
         ["map", "info", run / "map.npz"],
         *(["map", "export", run / "map.npz", folder / f"map.{suffix}"] for suffix in ("g2o", "csv", "png", "html")),
     )

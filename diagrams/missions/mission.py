@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator, SimulatorStatus
-from pydrake.systems.framework import Context, EventStatus, System
+from pydrake.systems.framework import Context, Diagram, EventStatus, System
 
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer, map_frame
 from tfg_drake.diagrams.methods import Method
@@ -120,7 +120,7 @@ class Mission:
 
     world: as the mission found it, None where it is not known.
     truth: what only a simulation knows, None for any other robot and until the diagram is built. meter: the CPU time of
-    the explorer's components. simulator, explorer: of the diagram, once it is built.
+    the explorer's components.
     """
 
     def __init__(
@@ -190,8 +190,8 @@ class Mission:
             self._build(monitor)
             # What there is so far stays: looking through all of it for garbage, again and again, takes its time.
             gc.freeze()
-            self.simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
-            self.simulator.Initialize()
+            self._simulator.set_target_realtime_rate(1.0 if self.robot.real else realtime_rate)
+            self._simulator.Initialize()
             self._observe(write)
             terminated = False
             while not self._ended(interrupted, max_time):
@@ -210,7 +210,7 @@ class Mission:
             if not terminated:
                 # A mission that ends by itself does all that is due at its last instant; so that a recording of any
                 # gives the same once more, whatever ended it then and ends it now, so does every other.
-                self.simulator.AdvancePendingEvents()
+                self._simulator.AdvancePendingEvents()
                 self._observe(write)
             self.say(f"{self.outcome.replace('_', ' ')}: solving the whole map")
             self.show()
@@ -239,14 +239,14 @@ class Mission:
                     break
                 if self._cockpit is not None and self._cockpit.watched:
                     ahead = WATCHED_STEP * (math.floor(self.time / WATCHED_STEP) + 1.0)
-            status = self.simulator.AdvanceTo(min(boundary, ahead))
+            status = self._simulator.AdvanceTo(min(boundary, ahead))
             if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
                 return True
         return False
 
     def _is_held(self, clock: Clock, interrupted: threading.Event) -> bool:
         """Does what is wanted of the clock, waiting while it is held; whether somebody has interrupted it then."""
-        clock.at_stage(self._eval(self.explorer, "mission", MissionStatus).stage)
+        clock.at_stage(self._eval(self._explorer, "mission", MissionStatus).stage)
         if clock.version == self._clock_version:
             return False
         if clock.held:
@@ -254,8 +254,8 @@ class Mission:
             while clock.held and not interrupted.wait(HELD_INTERVAL):
                 pass
         self._clock_version = clock.version
-        self.simulator.set_target_realtime_rate(clock.rate)
-        self.simulator.ResetStatistics()  # or it would make up for the time that it stood
+        self._simulator.set_target_realtime_rate(clock.rate)
+        self._simulator.ResetStatistics()  # or it would make up for the time that it stood
         return interrupted.is_set()
 
     def _record_now(self) -> None:
@@ -266,16 +266,16 @@ class Mission:
     def begin(self, monitor: Callable[[Context], EventStatus] | None = None) -> None:
         """Build the diagram, to be advanced step by step instead of by `run`. monitor: as there."""
         self._build(monitor)
-        self.simulator.Initialize()
+        self._simulator.Initialize()
         self._observe(lambda _line: None)
 
     def advance(self, until: float) -> bool:
         """Simulate up to a time, s, or the mission's end; whether it got that far and its monitor did not end it."""
         while self.time < until and self.status.phase != "done":
             boundary = STEP * (math.floor(self.time / STEP) + 1.0)
-            status = self.simulator.AdvanceTo(min(boundary, until))
+            status = self._simulator.AdvanceTo(min(boundary, until))
             ended = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
-            if ended and status.system() is self.simulator.get_system():
+            if ended and status.system() is self._simulator.get_system():
                 return False
             self._observe(lambda _line: None)
         return True
@@ -306,9 +306,19 @@ class Mission:
             left = self._scenario.explorer.first_look - self.time
             rate = min(max(SLOWEST, left / max(kernels.left, 1e-3)), realtime_rate or math.inf)
         self.say("" if ended else kernels.word)
-        self.simulator.set_target_realtime_rate(rate)
-        self.simulator.ResetStatistics()  # or it would make up for the time that it went slowly
+        self._simulator.set_target_realtime_rate(rate)
+        self._simulator.ResetStatistics()  # or it would make up for the time that it went slowly
         return ended
+
+    @property
+    def simulator(self) -> Simulator:
+        """Of the diagram, once it is built."""
+        return self._simulator
+
+    @property
+    def explorer(self) -> Diagram:
+        """What explores, once the diagram is built."""
+        return self._explorer
 
     @property
     def time(self) -> float:
@@ -343,9 +353,9 @@ class Mission:
 
     def _estimator_state(self) -> EstimatorState | None:
         """What the estimator knows, in the end with the final map; None of a method without one."""
-        if self._final is not None or self._context is None or not self.explorer.HasOutputPort("map"):
+        if self._final is not None or self._context is None or not self._explorer.HasOutputPort("map"):
             return self._final
-        return StateOfExplorer(self.explorer, self.explorer.GetMyContextFromRoot(self._context))
+        return StateOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context))
 
     @property
     def world_then(self) -> World | None:
@@ -372,26 +382,26 @@ class Mission:
 
     def final_map(self) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
         """The map as it is now, to be kept, its estimate and TFG; None before the first view."""
-        if self._context is None or not self.explorer.HasOutputPort("map"):
+        if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
-        context = self.explorer.GetMyContextFromRoot(self._context)
-        self._final = finished_map(StateOfExplorer(self.explorer, context))
-        return MapOfExplorer(self.explorer, context, self._X_WS, self._final)
+        context = self._explorer.GetMyContextFromRoot(self._context)
+        self._final = finished_map(StateOfExplorer(self._explorer, context))
+        return MapOfExplorer(self._explorer, context, self._X_WS, self._final)
 
     def pressed(self) -> tuple[Pressed, ...] | None:
         """The keys that somebody has driven by, None where nobody has."""
-        if self._context is None or not self.explorer.HasSubsystemNamed("manual_driver"):
+        if self._context is None or not self._explorer.HasSubsystemNamed("manual_driver"):
             return None
-        driver = self.explorer.GetSubsystemByName("manual_driver")
+        driver = self._explorer.GetSubsystemByName("manual_driver")
         pressed: tuple[Pressed, ...] = driver.pressed(driver.GetMyContextFromRoot(self._context))
         return pressed
 
     def newest_map(self) -> SavedMap | None:
         """The map as it is while the mission runs, to be kept; None before the first view, and of a grid."""
-        if self._context is None or not self.explorer.HasOutputPort("map"):
+        if self._context is None or not self._explorer.HasOutputPort("map"):
             return None
-        context = self.explorer.GetMyContextFromRoot(self._context)
-        found = MapOfExplorer(self.explorer, context, self._X_WS)
+        context = self._explorer.GetMyContextFromRoot(self._context)
+        found = MapOfExplorer(self._explorer, context, self._X_WS)
         return found[0] if found is not None else None
 
     def _build(self, monitor: Callable[[Context], EventStatus] | None) -> None:
@@ -406,16 +416,16 @@ class Mission:
             (self._cockpit.requests,) if self._cockpit is not None else (),
             self._cockpit.pushes if self._cockpit is not None else None,
         )
-        self.simulator = Simulator(diagram)
+        self._simulator = Simulator(diagram)
         if monitor is not None:
-            self.simulator.set_monitor(monitor)
+            self._simulator.set_monitor(monitor)
         if truth_log is not None:
             self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
-        self.explorer = diagram.GetSubsystemByName("explorer")
+        self._explorer = diagram.GetSubsystemByName("explorer")
         if self._timeline is not None:
             self._recorder = diagram.GetSubsystemByName("timeline_recorder")
-        self.meter.attach(self.explorer)
-        self._context = self.simulator.get_mutable_context()
+        self.meter.attach(self._explorer)
+        self._context = self._simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self._scenario.seed))
 
     def _begin_timeline(self, timeline: TimelineWriter, title: str) -> None:
@@ -451,10 +461,10 @@ class Mission:
 
     def _observe(self, write: Callable[[str], object]) -> None:
         """Take note of where the mission stands."""
-        self.status = self._eval(self.explorer, "mission", MissionStatus)
+        self.status = self._eval(self._explorer, "mission", MissionStatus)
         if self._cockpit is not None:
             self._cockpit.at_stage(self.status.stage)
-        self.pose = self._eval(self.explorer, "pose", PoseEstimate)
+        self.pose = self._eval(self._explorer, "pose", PoseEstimate)
         self.tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
         self.grid = self._look("grid", GridMap)
         record = None
@@ -537,7 +547,7 @@ class Mission:
 
     def _look(self, port: str, kind: type) -> Any:
         """The explorer's message, None where its method has no such port."""
-        return self._eval(self.explorer, port, kind) if self.explorer.HasOutputPort(port) else None
+        return self._eval(self._explorer, port, kind) if self._explorer.HasOutputPort(port) else None
 
     def _eval(self, system: System, port: str, kind: type) -> Any:
         value = system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self._context))

@@ -90,7 +90,7 @@ def advise_tags(
         raise WorldError("no wall can be reached from the start; start where the robot has room, between walls")
     p_WT, facing = _candidates(world, robot.radius)
     turns = _Turns(world, places, parent, robot, sensor, odometry, explorer)
-    for p, heading in zip(world.p_WT, world.tag_facing, strict=True):
+    for p, heading in zip(world.p_WT.copy(), world.tag_facing, strict=True):
         turns.hang(turns.rows(p, heading))
     rows = [turns.rows(p, heading) for p, heading in zip(p_WT, facing, strict=True)]
     heap = [(-turns.promise(one), i) for i, one in enumerate(rows)]
