@@ -490,6 +490,8 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
 
 # What of the section reality is rendered, too; the rest says what ideal sensors do.
 _RENDERED = ("yaw", "ahead", "left")
+# A camera without distortion does not see more, rad (150 degrees).
+_WIDEST = math.radians(150.0)
 
 
 def _CheckEyes(scenario: Scenario, source: str) -> None:
@@ -507,6 +509,10 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
         raise ScenarioError(f"{source}: reality.changes: cannot be rendered; leave them out or set station.eyes=ideal")
     if scenario.scan.least_range >= scenario.scan.range:
         raise ScenarioError(f"{source}: scan.least_range: must be less than scan.range, {scenario.scan.range:g}")
+    for section in ("tags", "scan"):
+        if getattr(scenario, section).field_of_view > _WIDEST:
+            most = f"must be at most {_WIDEST:.6g} where station.eyes is camera"
+            raise ScenarioError(f"{source}: {section}.field_of_view: {most}")
     try:
         # OpenCV, which a robot without eyes of its own need not have.
         import robotpy_apriltag  # noqa: F401

@@ -96,8 +96,9 @@ def MakeCameraInfo(width: int, height: int, field_of_view: float) -> CameraInfo:
 
 def MakeCameras(info: CameraInfo, least_depth: float, most_depth: float) -> tuple[ColorRenderCamera, DepthRenderCamera]:
     """Colour and depth of a camera; nearer than least_depth (m) depth is 0, beyond most_depth (m) inf."""
-    core = RenderCameraCore(_RENDERER, info, ClippingRange(_NEAREST, _FARTHEST), RigidTransform())
-    return ColorRenderCamera(core), DepthRenderCamera(core, DepthRange(least_depth, most_depth))
+    drawn = ClippingRange(_NEAREST, max(_FARTHEST, most_depth))
+    core = RenderCameraCore(_RENDERER, info, drawn, RigidTransform())
+    return ColorRenderCamera(core), DepthRenderCamera(core, DepthRange(max(least_depth, _NEAREST), most_depth))
 
 
 def MountPose(mount: CameraMount) -> RigidTransform:

@@ -1,6 +1,7 @@
 """A station that sees with a rendered camera: the ports and the messages of the ideal one, made of pixels."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -135,6 +136,10 @@ def test_a_scenario_file_may_say_it_too():
             "reality.tags.clock_offset=0.1",
             "--set: reality.tags.clock_offset: of ideal sensors; leave it out where station.eyes is camera",
         ),
+        (
+            "tags.field_of_view=3",
+            "--set: tags.field_of_view: must be at most 2.61799 where station.eyes is camera",
+        ),
         ("scan.least_range=6", "--set: scan.least_range: must be less than scan.range, 5"),
     ],
 )
@@ -155,6 +160,14 @@ def test_an_id_without_a_picture_is_told():
     world = WorldConfig(walls=WORLD.walls, tags=[TagConfig(id=600, position=[1.99, 0.5], facing=np.pi)])
     with pytest.raises(ScenarioError, match="id 600 cannot be drawn"):
         ApplySettings(Scenario(world=world), ["station.eyes=camera"])
+
+
+def test_without_its_packages_it_says_how_to_get_them(monkeypatch):
+    monkeypatch.setitem(sys.modules, "robotpy_apriltag", None)
+    with pytest.raises(ScenarioError) as error:
+        seeing()
+    hint = "get it with pip install -e '.[camera]'"
+    assert str(error.value) == f"--set: station.eyes=camera: robotpy_apriltag is not installed; {hint}"
 
 
 def test_people_are_seen():
