@@ -71,9 +71,9 @@ def MakeMissionDiagram(
             if explorer.HasInputPort(name):
                 builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
 
-    if pushed is not None and station.HasInputPort("pushes"):
+    if pushed is not None and station.HasInputPort("truth.pushes"):
         pusher = builder.AddNamedSystem("pusher", Pusher(pushed))
-        builder.Connect(pusher.get_output_port(), station.GetInputPort("pushes"))
+        builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
 
     if robot.Announce is not None:
         robot.Announce(builder, station, explorer)

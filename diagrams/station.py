@@ -37,6 +37,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
         input_ports:
         - base.velocity_commanded
         - base.enable
+        - truth.pushes
         output_ports:
         - base.odometry
         - base.hazards
@@ -57,8 +58,9 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
     LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
     made. truth.clearance: least distance of the outline to any wall so far, m. truth.people: a People message, where
-    there are some. truth.world: a WorldNow message, where something changes. A real robot's station has no truth, and
-    its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
+    there are some. truth.world: a WorldNow message, where something changes. truth.pushes: a Pushes message, left
+    unconnected where nobody pushes. A real robot's station has no truth, and its time must keep to real time:
+    Simulator.set_target_realtime_rate(1.0).
 
     All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
     RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
@@ -136,7 +138,7 @@ def MakeTurtlebotStation(scenario: Scenario, meshcat: Meshcat | None = None, *, 
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
-    pushes = builder.ExportInput(plant.GetInputPort("pushes"), "pushes")
+    pushes = builder.ExportInput(plant.GetInputPort("pushes"), "truth.pushes")
     builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
     builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
     builder.ExportOutput(plant.GetOutputPort("hazards"), "base.hazards")

@@ -20,7 +20,7 @@ def drive(asked):
     builder.Connect(velocity.get_output_port(), station.GetInputPort("base.velocity_commanded"))
     if asked is not None:
         pusher = builder.AddNamedSystem("pusher", Pusher(asked))
-        builder.Connect(pusher.get_output_port(), station.GetInputPort("pushes"))
+        builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
     diagram = builder.Build()
     simulator = Simulator(diagram)
     diagram.SetRandomContext(simulator.get_mutable_context(), RandomGenerator(0))
