@@ -245,12 +245,6 @@ def test_dark_and_light(page):
     assert background("light") == light
 
 
-def test_any_time_is_shown_soon(page):
-    page.seek(1.0)  # Shaders are compiled once.
-    spent = [page.seek(seconds) for seconds in np.linspace(0.0, 10.0, 12)]
-    assert np.median(spent) < 0.2
-
-
 @pytest.mark.slow
 def test_a_film_shows_the_mission_to_its_end(driver, exported):
     said = []
