@@ -49,6 +49,7 @@ def main() -> None:
                 driver.save_screenshot(str(path))
                 print(path)
             driver.find_element("id", "mode").click()
+            time.sleep(1.0)
         print(f"shown within {max(spent[1:]):.3f} s; the first, just after the page was read, within {spent[0]:.3f} s")
     finally:
         driver.quit()

@@ -150,7 +150,9 @@ class TimelineRecorder(LeafSystem):
         elif name == "tfg":
             layer = dict(scene.surfaces(message))
             layer["kind"] = layer["kind"].astype(np.uint8)
-            layer["facing"] = layer["facing"].astype(np.float32)
+            estimate = self._Get(context, "map")
+            if estimate is not None and len(estimate.ids) == len(message.facing):
+                layer["facing"] = scene.tag_normals(message, estimate.ids).astype(np.float32)
             write("tfg", now, layer)
             write("frontiers", now, scene.frontiers(message))
             stars = scene.free_space(message)

@@ -108,7 +108,7 @@ def explore(
         robot: what it drives.
         name: what the run is called in titles and the folder's name; world_name the world's, the same by default.
         meshcat: where to draw it; None for no picture in Meshcat.
-        cockpit: the page that shows it and asks for something; None for none.
+        cockpit: the page that shows what is recorded, and asks for something; None for none.
         realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
         max_time: simulated s after which the outcome is time_limit, as it is when the robot's station ends.
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.

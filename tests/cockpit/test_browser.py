@@ -245,12 +245,6 @@ def test_dark_and_light(page):
     assert background("light") == light
 
 
-def test_any_time_is_shown_soon(page):
-    page.seek(1.0)  # Shaders are compiled once.
-    spent = [page.seek(seconds) for seconds in np.linspace(0.0, 10.0, 12)]
-    assert np.median(spent) < 0.2
-
-
 @pytest.mark.slow
 def test_a_film_shows_the_mission_to_its_end(driver, exported):
     said = []
@@ -293,7 +287,7 @@ class Live:
         return self.until(lambda: list(self.cockpit.requests()))
 
 
-@pytest.fixture(params=[True, False], ids=["simulated", "robot"])
+@pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.slow)], ids=["simulated", "robot"])
 def live(request, tmp_path):
     live = Live(tmp_path, simulated=request.param)
     with live.cockpit, live.writer:
@@ -347,8 +341,8 @@ def test_a_mission_under_way(driver, live):
         live.cockpit.at_stage(2)
         page.until("return element('clock').dataset.held === 'true'")
         page("element('clock-rate').value = '8'; element('clock-rate').dispatchEvent(new Event('change'))")
+        live.until(lambda: live.cockpit.clock.rate == 8.0)
         page.until("return element('clock-rate').value === '8'")
-        assert page("return fetch('state').then((answer) => answer.json()).then((state) => state.rate)") == 8.0
     else:
         for what, requests in (("hold", ["hold"]), ("resume", ["resume"]), ("step", ["resume"])):
             page.click(f"request-{what}")

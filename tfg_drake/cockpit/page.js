@@ -131,7 +131,18 @@ world.add(map);
 const Z = { free: 0, grid: 0.005, camera: 0.012, roadmap: 0.016, trail: 0.02, gains: 0.03, frontiers: 0.04,
   uncertainty: 0.05, path: 0.06, scan: 0.2, tags: 0.3 };
 const WALL_HEIGHT = 1.0, MAP_HEIGHT = 0.5;
-const BOX = new T.BoxGeometry(1, 1, 1), DISC = new T.CircleGeometry(1, 24), RING = new T.RingGeometry(0.86, 1, 32);
+// Few corners: without a graphics card every triangle is felt.
+const MANY = 2000;  // Of more than so many each is drawn with fewer still.
+const PLATE = new T.PlaneGeometry(1, 1), UPRIGHT = new T.PlaneGeometry(1, 1).rotateX(Math.PI / 2);
+const DISC = new T.CircleGeometry(1, 12), SQUARE = new T.PlaneGeometry(1.8, 1.8);
+/** A box without its bottom, and without its ends. */
+const [BOX, WALL] = [[0, 30], [12, 30]].map(([first, last]) => {
+  const box = new T.BoxGeometry(1, 1, 1);
+  box.setIndex([...box.index.array.slice(first, last)]);
+  box.clearGroups();
+  return box;
+});
+const OVAL = new T.CircleGeometry(1, 20), RING = new T.RingGeometry(0.86, 1, 24, 1);
 
 // name, words, swatch, shown at first, explanation.
 const LAYERS = [
@@ -164,6 +175,8 @@ function material(name, options = {}) {
     const made = new kind({ color: colour(name), side: T.DoubleSide });
     if (options.opacity) Object.assign(made, { transparent: true, opacity: options.opacity, depthWrite: false });
     if (options.above) made.depthTest = false;
+    if (options.shaded) made.vertexColors = true;
+    if (options.once) made.depthFunc = T.LessDepth;  // Where polygons overlap only the first is painted.
     made.userData.name = name;
     materials.set(key, made);
   }
@@ -176,9 +189,8 @@ function put(group, name, object) {
   if (old) {
     group.remove(old);
     old.traverse((part) => {
-      if (part.geometry && part.geometry !== BOX && part.geometry !== DISC && part.geometry !== RING)
-        part.geometry.dispose();
-      if (part.isInstancedMesh) part.dispose();
+      if (part.geometry) part.geometry.dispose();
+      if (part.isPoints && part.material !== scanLook) part.material.dispose();
     });
   }
   if (object) {
@@ -187,13 +199,37 @@ function put(group, name, object) {
   }
 }
 
-function instances(geometry, look, count, place, order = 0) {
+/** So many copies of a shape as one mesh, each placed by a matrix (16 numbers, by columns): with a graphics card and
+ * without one that is drawn sooner than as many meshes, or as instances. */
+function copies(shape, look, count, place, order = 0) {
   if (!count) return null;
-  const mesh = new T.InstancedMesh(geometry, look, count), m = mesh.instanceMatrix.array;
+  const corners = shape.attributes.position.array, normals = shape.attributes.normal.array, index = shape.index.array;
+  const size = corners.length / 3, points = new Float32Array(3 * size * count), faces = new Uint32Array(index.length * count);
+  const sides = look.isMeshLambertMaterial ? new Float32Array(points.length) : null, m = new Float32Array(16);
   for (let i = 0; i < count; i++) {
-    m[16 * i + 10] = m[16 * i + 15] = 1;
-    place(i, m, 16 * i);
+    m.fill(0);
+    m[10] = m[15] = 1;
+    place(i, m);
+    const first = 3 * size * i;
+    for (let k = 0; k < 3 * size; k += 3) {
+      const x = corners[k], y = corners[k + 1], z = corners[k + 2];
+      for (let r = 0; r < 3; r++) points[first + k + r] = m[r] * x + m[4 + r] * y + m[8 + r] * z + m[12 + r];
+    }
+    if (sides) {
+      // The columns are at right angles to each other: a normal goes where they do.
+      const [a, b, c] = [0, 4, 8].map((k) => 1 / (Math.hypot(m[k], m[k + 1], m[k + 2]) || 1));
+      for (let k = 0; k < 3 * size; k += 3) {
+        const x = normals[k] * a, y = normals[k + 1] * b, z = normals[k + 2] * c;
+        for (let r = 0; r < 3; r++) sides[first + k + r] = m[r] * x + m[4 + r] * y + m[8 + r] * z;
+      }
+    }
+    for (let k = 0; k < index.length; k++) faces[index.length * i + k] = index[k] + size * i;
   }
+  const geometry = new T.BufferGeometry();
+  geometry.setAttribute("position", new T.BufferAttribute(points, 3));
+  if (sides) geometry.setAttribute("normal", new T.BufferAttribute(sides, 3));
+  geometry.setIndex(new T.BufferAttribute(faces, 1));
+  const mesh = new T.Mesh(geometry, look);
   mesh.frustumCulled = false;
   mesh.renderOrder = order;
   return mesh;
@@ -202,34 +238,55 @@ function instances(geometry, look, count, place, order = 0) {
 /** Segments (n, 4) as boxes: width across, height up from z. */
 function boxes(segments, rows, width, height, z, look, order = 0) {
   const count = rows ? rows.length : segments.length / 4;
-  return instances(BOX, look, count, (i, m, o) => {
+  return copies(flat || height < 0.02 ? PLATE : count > MANY ? WALL : BOX, look, count, (i, m) => {
     const s = 4 * (rows ? rows[i] : i);
     const dx = segments[s + 2] - segments[s], dy = segments[s + 3] - segments[s + 1], length = Math.hypot(dx, dy);
     const c = length > 0 ? dx / length : 1, n = length > 0 ? dy / length : 0;
-    m[o] = c * (length + width); m[o + 1] = n * (length + width);
-    m[o + 4] = -n * width; m[o + 5] = c * width;
-    m[o + 10] = height;
-    m[o + 12] = 0.5 * (segments[s] + segments[s + 2]); m[o + 13] = 0.5 * (segments[s + 1] + segments[s + 3]);
-    m[o + 14] = z + 0.5 * height;
+    m[0] = c * (length + width); m[1] = n * (length + width);
+    m[4] = -n * width; m[5] = c * width;
+    m[10] = height;
+    m[12] = 0.5 * (segments[s] + segments[s + 2]); m[13] = 0.5 * (segments[s + 1] + segments[s + 3]);
+    m[14] = z + 0.5 * height;
   }, order);
 }
 
-function discs(points, rows, radius, z, look, order = 0, geometry = DISC) {
+function discs(points, rows, radius, z, look, order = 0, geometry = null) {
   const count = rows ? rows.length : points.length / 2;
-  return instances(geometry, look, count, (i, m, o) => {
+  if (flat && count > MANY && !geometry) return dots(points, rows, radius, z, look, order);
+  return copies(geometry ?? (count > MANY ? SQUARE : DISC), look, count, (i, m) => {
     const p = 2 * (rows ? rows[i] : i);
-    m[o] = m[o + 5] = radius;
-    m[o + 12] = points[p]; m[o + 13] = points[p + 1]; m[o + 14] = z;
+    m[0] = m[5] = radius;
+    m[12] = points[p]; m[13] = points[p + 1]; m[14] = z;
   }, order);
+}
+
+/** Discs from above as what a graphics library calls points: squares of so many pixels. */
+function dots(points, rows, radius, z, look, order) {
+  const count = rows ? rows.length : points.length / 2, vertices = new Float32Array(3 * count);
+  for (let i = 0; i < count; i++) {
+    const p = 2 * (rows ? rows[i] : i);
+    vertices[3 * i] = points[p];
+    vertices[3 * i + 1] = points[p + 1];
+    vertices[3 * i + 2] = z;
+  }
+  const geometry = new T.BufferGeometry();
+  geometry.setAttribute("position", new T.BufferAttribute(vertices, 3));
+  const pixels = (1.8 * radius * viewer.renderer.getPixelRatio()) / metresPerPixel();
+  const own = new T.PointsMaterial({ color: look.color, size: pixels, sizeAttenuation: false, vertexColors: look.vertexColors });
+  own.userData.name = look.userData.name;
+  const object = new T.Points(geometry, own);
+  object.frustumCulled = false;
+  object.renderOrder = order;
+  return object;
 }
 
 /** Ellipses of three standard deviations: a root of the covariance takes the unit circle there. */
-function ellipses(points, covariance, rows, z, look, order, geometry = DISC) {
-  return instances(geometry, look, rows.length, (i, m, o) => {
+function ellipses(points, covariance, rows, z, look, order, geometry = OVAL) {
+  return copies(geometry, look, rows.length, (i, m) => {
     const p = 2 * rows[i], c = 3 * rows[i];
     const a = Math.sqrt(Math.max(covariance[c], 1e-12)), b = covariance[c + 1] / a;
-    m[o] = 3 * a; m[o + 1] = 3 * b; m[o + 5] = 3 * Math.sqrt(Math.max(covariance[c + 2] - b * b, 0));
-    m[o + 12] = points[p]; m[o + 13] = points[p + 1]; m[o + 14] = z;
+    m[0] = 3 * a; m[1] = 3 * b; m[5] = 3 * Math.sqrt(Math.max(covariance[c + 2] - b * b, 0));
+    m[12] = points[p]; m[13] = points[p + 1]; m[14] = z;
   }, order);
 }
 
@@ -301,17 +358,19 @@ const draw = {
     for (const [name, value] of [["landmark", 0], ["doubtful", 1]]) {
       const some = rows(count, (i) => doubtful[i] === value);
       put(groups.map, name, flat ? discs(points, some, 1.5 * unit, MAP_HEIGHT + 0.02, material(name)) :
-        instances(BOX, material(name, { lit: true }), some.length, (i, m, o) => {
+        copies(UPRIGHT, material(name, { lit: true }), some.length, (i, m) => {
           const p = 2 * some[i], side = Math.max(0.2, 2.2 * unit);
           const fx = faces ? facing[p] : 1, fy = faces ? facing[p + 1] : 0;
-          m[o] = -fy * side; m[o + 1] = fx * side; m[o + 4] = -0.06 * fx; m[o + 5] = -0.06 * fy;
-          if (!fx && !fy) { m[o] = side; m[o + 5] = side; }
-          m[o + 10] = side;
-          m[o + 12] = points[p] + 0.05 * fx; m[o + 13] = points[p + 1] + 0.05 * fy; m[o + 14] = Z.tags + 0.1;
+          m[0] = -fy * side; m[1] = fx * side; m[4] = -fx; m[5] = -fy;
+          if (!fx && !fy) { m[0] = side; m[5] = 1; }
+          m[10] = side;
+          m[12] = points[p] + 0.08 * fx; m[13] = points[p + 1] + 0.08 * fy; m[14] = Z.tags + 0.1;
         }));
-      put(groups.uncertainty, name, ellipses(points, covariance, some, Z.uncertainty,
+      // What the tag's own symbol hides is not drawn.
+      const seen = some.filter((i) => 9 * (covariance[3 * i] + covariance[3 * i + 2]) > (1.4 * unit) ** 2);
+      put(groups.uncertainty, name, ellipses(points, covariance, seen, Z.uncertainty,
         material(name, { opacity: 0.18, above: true }), 3));
-      put(groups.uncertainty, `${name} outline`, ellipses(points, covariance, some, Z.uncertainty,
+      put(groups.uncertainty, `${name} outline`, ellipses(points, covariance, seen, Z.uncertainty,
         material(name, { opacity: 0.6, above: true }), 3, RING));
     }
   },
@@ -319,7 +378,8 @@ const draw = {
   tfg(record) {
     const { segments, kind } = arrays(record);
     ["edge", "wall_end", "bare_surface"].forEach((name, value) => {
-      const some = rows(kind.length, (i) => kind[i] === value), look = material(flat || value ? name : "edge_in_space", { lit: true });
+      const some = rows(kind.length, (i) => kind[i] === value), look = flat ? material(name) :
+        material(value ? name : "edge_in_space", { lit: true });
       put(groups.map, name, boxes(segments, some, Math.max(0.05, unit), MAP_HEIGHT, 0, look));
     });
   },
@@ -331,14 +391,16 @@ const draw = {
 
   gains(record) {
     const { points, share } = arrays(record);
-    const mesh = discs(points, null, 1.6 * unit, Z.gains, material("white"));
+    const mesh = discs(points, null, 1.6 * unit, Z.gains, material("white", { shaded: true }));
     if (mesh) {
-      const shades = new Float32Array(3 * share.length), shade = new T.Color();
+      const size = mesh.geometry.attributes.position.count / share.length, shade = new T.Color();
+      const shades = new Float32Array(3 * size * share.length), scale = COLOURS.gains.map((name) => new T.Color(name));
       for (let i = 0; i < share.length; i++) {
-        const scale = COLOURS.gains, place = share[i] * (scale.length - 1), k = Math.min(Math.floor(place), scale.length - 2);
-        shade.set(scale[k]).lerp(new T.Color(scale[k + 1]), place - k).toArray(shades, 3 * i);
+        const place = share[i] * (scale.length - 1), k = Math.min(Math.floor(place), scale.length - 2);
+        shade.lerpColors(scale[k], scale[k + 1], place - k);
+        for (let c = 0; c < size; c++) shade.toArray(shades, 3 * (size * i + c));
       }
-      mesh.instanceColor = new T.InstancedBufferAttribute(shades, 3);
+      mesh.geometry.setAttribute("color", new T.BufferAttribute(shades, 3));
     }
     put(groups.gains, "gains", mesh);
   },
@@ -373,10 +435,10 @@ const draw = {
   },
 
   people(record) {
-    put(world, "people", instances(new T.CylinderGeometry(0.25, 0.25, 1.6, 20).rotateX(Math.PI / 2).translate(0, 0, 0.8),
-      material("person", { lit: true }), arrays(record).points.length / 2, (i, m, o) => {
+    put(world, "people", copies(new T.CylinderGeometry(0.25, 0.25, 1.6, 20).rotateX(Math.PI / 2).translate(0, 0, 0.8),
+      material("person", { lit: true }), arrays(record).points.length / 2, (i, m) => {
         const { points } = arrays(record);
-        m[o] = m[o + 5] = 1; m[o + 12] = points[2 * i]; m[o + 13] = points[2 * i + 1];
+        m[0] = m[5] = 1; m[12] = points[2 * i]; m[13] = points[2 * i + 1];
       }));
   },
 
@@ -409,11 +471,14 @@ function addStars(record) {
   const { index, count, points } = arrays(record);
   let start = 0;
   for (let i = 0; i < index.length; i++) {
-    const star = (stars[index[i]] ??= { times: [], points: [] });
-    star.times.push(record.time);
+    const star = (stars[index[i]] ??= { times: [], points: [] }), before = seen.size;
     const mine = points.slice(2 * start, 2 * (start + count[i]));
-    star.points.push(mine);
-    if (star.times.length === 1) fill(mine);
+    fill(mine);
+    // One that shows nothing new is left out: there are many, one over the other.
+    if (star.times.length || seen.size > before) {
+      star.times.push(record.time);
+      star.points.push(mine);
+    }
     start += count[i];
   }
   area.times.push(record.time);
@@ -472,7 +537,7 @@ function freeMesh(t) {
   const geometry = new T.BufferGeometry();
   geometry.setAttribute("position", new T.BufferAttribute(place, 3));
   geometry.setIndex(new T.BufferAttribute(faces, 1));
-  const mesh = new T.Mesh(geometry, material("free"));
+  const mesh = new T.Mesh(geometry, material("free", { once: true }));
   mesh.frustumCulled = false;
   return mesh;
 }
@@ -1096,6 +1161,7 @@ let painted = null;
 function paint() {
   painted = dark.matches;
   for (const made of materials.values()) made.color.set(colour(made.userData.name));
+  redraw(Object.keys(drawn));
   for (const [name, look] of Object.entries(lookCache)) look.color.set(colour(name));
   scanLook.color.set(colour("scan"));
   for (const mark of document.querySelectorAll("i[data-colour]")) mark.style.background = colour(mark.dataset.colour);

@@ -38,6 +38,8 @@ Layer = Mapping[str, NDArray[Any]]
 
 # A star polygon is drawn anew when one of its corners has moved so far, m: less than a pixel of a whole building.
 STAR_TOLERANCE = 0.03
+# A shorter piece of surface has no direction, m.
+SHORT = 0.05
 # How many candidates besides the chosen one are explained.
 NEXT_BEST = 3
 
@@ -55,8 +57,24 @@ def landmarks(estimate: MapEstimate) -> Layer:
 
 
 def surfaces(tfg: TfgMap) -> Layer:
-    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a tag. facing: (n, 2), of each landmark."""
-    return {"segments": tfg.segments, "kind": tfg.segment_kind, "facing": tfg.facing}
+    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a tag."""
+    return {"segments": tfg.segments, "kind": tfg.segment_kind}
+
+
+def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:
+    """The normals (n, 2) of the tags with these ids (n,), ascending: of the longest surface that a tag is on or, where
+    it is on none, towards where it was seen from."""
+    normals = tfg.facing.copy()
+    along = tfg.segments[:, 2:] - tfg.segments[:, :2]
+    length = np.hypot(along[:, 0], along[:, 1])
+    order = np.argsort(length)[np.count_nonzero(length < SHORT) :]
+    # Every piece of surface was seen from its left.
+    left = np.stack([-along[order, 1], along[order, 0]], axis=1) / length[order, None]
+    # Of both ends of each, the shorter ones first: what is written last stays.
+    ends, left = tfg.segment_ids[order].ravel(), np.repeat(left, 2, axis=0)
+    there = np.isin(ends, ids)
+    normals[np.searchsorted(ids, ends[there])] = left[there]
+    return normals
 
 
 def frontiers(tfg: TfgMap) -> Layer:
