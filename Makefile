@@ -15,7 +15,7 @@ require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
-demo: $(VENV)/.demo  ## explore the paper's world at eight times real time, shown in Meshcat
+demo: $(VENV)/.demo  ## explore the paper's world at eight times real time, shown on a page
 	$(BIN)/tfg-drake explore paper --realtime-rate 8
 
 # Another Python is asked for by name (make test PYTHON=python3.12) and may be absent: that is no failure.
@@ -25,10 +25,10 @@ endif
 test:  ## run the test suite (PYTHON=python3.12: with that Python, if it is there)
 	@$(if $(skip),echo "skipped: $(skip)",$(MAKE) --no-print-directory suite)
 
-# Two at a time; a file's tests share what one of them has set up.
+# Three at a time: half of the time tests of robots wait. A file's tests share what one of them has set up.
 .PHONY: suite
 suite: $(VENV)/.test
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 3 --dist loadfile
 
 test-slow: $(VENV)/.test  ## run the tests that take minutes
 	$(BIN)/pytest -n 2 -m slow

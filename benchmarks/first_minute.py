@@ -30,12 +30,8 @@ from pathlib import Path
 
 HERE = Path(__file__).parents[1]
 MISSION = ["explore", "paper", "--seed", "0", "--realtime-rate", "8", "--max-time", "90"]
-HANDSHAKE = (
-    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
-)
-# Sent at every picture, and not before the first.
-MOVING = b"/tfg/map/scan"
+# What asks the page's server for the timeline, which comes as it grows.
+ASKING = b"GET /timeline?from=0 HTTP/1.0\r\nHost: localhost\r\n\r\n"
 # Time between two looks at the memory, s.
 SAMPLE = 0.2
 COLUMNS = {
@@ -50,14 +46,12 @@ COLUMNS = {
 
 
 def watch(port: int, times: list[float]) -> None:
-    """Notes when a moving part of the picture arrives, until there is no picture any more."""
+    """Notes when something new of the picture arrives, until there is no picture any more."""
     with socket.create_connection(("localhost", port)) as connection:
-        connection.sendall(HANDSHAKE)
-        end = b""
-        while data := connection.recv(1 << 20):
-            if MOVING in end + data:
-                times.append(time.monotonic())
-            end = data[-len(MOVING) :]
+        connection.sendall(ASKING)
+        connection.recv(1 << 20)  # that there will be something
+        while connection.recv(1 << 20):
+            times.append(time.monotonic())
 
 
 def tree(pid: int) -> list[int]:
@@ -105,7 +99,7 @@ def trial(checkout: Path, installed: bool) -> dict[str, float]:
             assert process.stdout is not None
             for line in process.stdout:
                 lines.append(time.monotonic())
-                if found := re.search(r"Meshcat: http://localhost:(\d+)", line):
+                if found := re.search(r"page: http://localhost:(\d+)", line):
                     threading.Thread(target=watch, args=(int(found[1]), pictures), daemon=True).start()
 
         listener = threading.Thread(target=listen)

@@ -1,12 +1,12 @@
-"""A mission whose picture gets what any web page or program on the computer may send to it.
+"""A mission whose page gets what any other page or program on the computer may send to it.
 
     python benchmarks/picture_faults.py --messages 1000
 
-Explores `house` in simulation, and on an emulated Kobuki in real time. To the port of the picture go, from a foreign
-origin: attempts to enable the wheels before they are enabled, after a STOP and in a pause, each of which must move
-nothing; the page's STOP, which must stop them; well-formed and malformed messages, random bytes within and instead of
-the handshake, while the robot drives. Prints how often the wheels moved when they must not, how the missions ended, and
-how often the picture was lost and came back.
+Explores `house` in simulation, and on an emulated Kobuki in real time. To the port of the page go, from a foreign
+origin and without the run's token: attempts to enable the wheels before they are enabled, after a STOP and in a pause,
+each of which must move nothing; a STOP, which must stop them; requests that are none, headers without end, random
+bytes, timelines that nobody reads, while the robot drives. Prints how often the wheels moved when they must not, and
+how the missions ended.
 """
 
 from __future__ import annotations
@@ -29,45 +29,42 @@ from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.hardware.emulation.emulator import Emulator
 
 CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore"]
-HANDSHAKE = (
-    b"GET / HTTP/1.1\r\nHost: pages.example\r\nOrigin: http://pages.example\r\nUpgrade: websocket\r\n"
-    b"Connection: Upgrade\r\nSec-WebSocket-Key: %s\r\nSec-WebSocket-Version: 13\r\n\r\n"
-)
-KEY = b"dGhlIHNhbXBsZSBub25jZQ=="
-# What a page might call a button that starts the wheels.
-STARTING = ("Enable", "enable", "Pause / resume", "Resume", "resume", "Start", "e", "KeyE", "KeyP")
+# What a page might ask for to start the wheels.
+STARTING = ("enable", "resume", "step", "rate", "recall", "Start")
+FOREIGN = "Host: localhost:{port}\r\nOrigin: http://pages.example\r\n"
 # Within so long a command of the wheels is over, and a request has come through, s.
 SETTLED = 2.0
-MALFORMED = b"\xc1"
 
 
-def frame(payload: bytes, opcode: int = 2) -> bytes:
-    """A masked WebSocket frame of a payload, with a mask of zeros."""
-    size = len(payload)
-    length = bytes([0x80 | size]) if size < 126 else bytes([0xFE]) + size.to_bytes(2, "big")
-    return bytes([0x80 | opcode]) + length + bytes(4) + payload
-
-
-def click(name: str) -> bytes:
-    """The message that a button was pressed."""
-    return b"\x82\xa4type\xa6button\xa4name" + bytes([0xA0 | len(name)]) + name.encode()
-
-
-def nonsense(rng: random.Random) -> tuple[bytes, ...]:
-    """What somebody sends instead of a button: after the handshake, within it, or in its stead."""
-    some = rng.randbytes(rng.randrange(1, 120))
-    welcome = HANDSHAKE % KEY
-    frames = (
-        some,
-        frame(some),
-        frame(MALFORMED),
-        frame(b""),
-        frame(b"\x91" * rng.choice((100, 10_000, 60_000))),  # lists in lists
-        frame(rng.choice((b"\xdb", b"\xdd", b"\xdf", b"\xc6")) + b"\xff\xff\xff\xff" + some),
-        frame(click(rng.choice(STARTING))),
-        frame(some, rng.randrange(16)),
+def asking(what: str, port: int, headers: str = FOREIGN, token: str = "guess") -> bytes:
+    """A request as another page or program sends it."""
+    body = json.dumps({"request": what})
+    head = (
+        f"POST /request HTTP/1.1\r\n{headers.format(port=port)}X-Token: {token}\r\nContent-Length: {len(body)}\r\n\r\n"
     )
-    return rng.choice(((some,), (HANDSHAKE % some,), *((welcome, one) for one in frames)))
+    return (head + body).encode()
+
+
+def nonsense(rng: random.Random, port: int) -> tuple[bytes, ...]:
+    """What somebody sends instead of a request."""
+    some = rng.randbytes(rng.randrange(1, 120))
+    return rng.choice(
+        (
+            (some,),
+            (b"GET " + some + b" HTTP/1.1\r\n\r\n",),
+            (b"POST /request HTTP/1.1\r\nContent-Length: 100\r\n\r\n", some),
+            (b"POST /request HTTP/1.1\r\nContent-Length: 99999999999\r\n\r\n", some),
+            (b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * rng.choice((10, 1000)),),
+            (
+                b"GET /timeline?from="
+                + rng.choice((b"0", b"-1", b"1e9", some))
+                + b" HTTP/1.1\r\nHost: localhost\r\n\r\n",
+            ),
+            (asking(rng.choice(STARTING), port),),
+            (asking(rng.choice(STARTING), port, "Host: rebound.example\r\n"),),
+            (asking(rng.choice(STARTING), port, "Host: localhost\r\n", "x" * rng.randrange(2000)),),
+        )
+    )
 
 
 def send(port: int, *data: bytes) -> bool:
@@ -79,7 +76,6 @@ def send(port: int, *data: bytes) -> bool:
                 for part in data:
                     connection.sendall(part)
                     connection.recv(65536)
-                    time.sleep(0.02)  # To leave with a scene unread would take back what was sent.
             return True
     except OSError:
         return False
@@ -113,7 +109,7 @@ class Mission:
     @property
     def port(self) -> int:
         """Of the picture."""
-        return int(re.findall(r":(\d+)$", self.wait_for("Meshcat: http"))[0])
+        return int(re.findall(r":(\d+)/", self.wait_for("page: http"))[0])
 
     def press(self, key: str) -> None:
         """A key on the terminal."""
@@ -121,16 +117,12 @@ class Mission:
         self.process.stdin.write(key)
         self.process.stdin.flush()
 
-    def count(self, words: str) -> int:
-        """Lines with these words."""
-        return sum(words in line for line in self.lines)
-
 
 def pester(mission: Mission, messages: int, seed: int) -> int:
     """Sends nonsense while the mission goes on; how much of it found somebody who listened."""
     rng, port, arrived = random.Random(seed), mission.port, 0
     while arrived < messages and mission.process.poll() is None:
-        came = send(port, *nonsense(rng))
+        came = send(port, *nonsense(rng, port))
         arrived += came
         time.sleep(0.01 if came else 0.1)
     return arrived
@@ -139,11 +131,9 @@ def pester(mission: Mission, messages: int, seed: int) -> int:
 def report(name: str, mission: Mission, folder: Path, arrived: int) -> None:
     """A line on how a mission ended."""
     summary = json.loads((folder / "summary.json").read_text())
-    lost, back = mission.count("the picture is lost"), mission.count("the picture is back")
     print(
         f"{name}: {summary['outcome']}, {summary['stages']} stages, {summary['landmarks_mapped']} landmarks, exit"
-        f" {mission.process.returncode}; {arrived} messages arrived; the picture was lost {lost} times, and back {back}"
-        " times",
+        f" {mission.process.returncode}; {arrived} messages arrived",
         flush=True,
     )
 
@@ -151,7 +141,7 @@ def report(name: str, mission: Mission, folder: Path, arrived: int) -> None:
 def simulated(messages: int, folder: Path) -> None:
     """A simulated mission to its end, with nonsense all the way."""
     mission = Mission("house", "--seed", "0", "--realtime-rate", "8", "--out", str(folder))
-    mission.wait_for("Meshcat: http")
+    mission.wait_for("page: http")
     arrived = pester(mission, messages, 0)
     mission.process.wait()
     report("simulated", mission, folder, arrived)
@@ -165,7 +155,9 @@ def moved(emulator: Emulator, since: float) -> bool:
 def attempt(emulator: Emulator, port: int, what: str) -> bool:
     """Tries to start the wheels from the page; whether they moved."""
     since = time.monotonic()
-    send(port, HANDSHAKE % KEY, b"".join(frame(click(name)) for name in STARTING))
+    for name in STARTING:
+        for headers in (FOREIGN, "Host: localhost:{port}\r\n"):
+            send(port, asking(name, port, headers))
     time.sleep(SETTLED)
     started = moved(emulator, since)
     print(f"    {what}: {'THE WHEELS MOVED' if started else 'the wheels stand'}", flush=True)
@@ -184,14 +176,14 @@ def emulated(messages: int, folder: Path) -> None:
         started = attempt(emulator, port, "before they are enabled")
         mission.press("e")
         _until(lambda: moved(emulator, time.monotonic() - 0.2))
-        send(port, HANDSHAKE % KEY, frame(click("STOP")))
+        send(port, asking("stop", port))
         time.sleep(SETTLED)
         stopped = not moved(emulator, time.monotonic() - 0.5)
         print(f"    STOP from the page: {'the wheels stand' if stopped else 'THE WHEELS MOVE'}", flush=True)
         started += attempt(emulator, port, "after the STOP")
         mission.press("e")
         _until(lambda: moved(emulator, time.monotonic() - 0.2))
-        send(port, HANDSHAKE % KEY, frame(click("Pause")))
+        mission.press("p")
         time.sleep(2.0 * SETTLED)
         started += attempt(emulator, port, "in a pause")
         mission.press("p")

@@ -2,15 +2,20 @@
 
     python benchmarks/real_mission.py kobuki --world house --simulated 3
     python benchmarks/real_mission.py ros2 --world house --simulated 3
+    python benchmarks/real_mission.py without_ros --world house --simulated 3
 
 Starts `tfg-drake kobuki emulate` or `tfg-drake ros2 emulate`, then `tfg-drake explore --robot` for that robot, enables
 the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by
 it as a simulated one is by its own truth: the explorer does not know it. Prints a line a run.
+
+`without_ros` is a Kobuki with an RPLidar and a camera of its own, as docs/first_run.md has it: the camera is calibrated
+and looked through first; on the way its stream ends and comes again, and the scanner's cable is pulled and put back.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 import subprocess
@@ -19,7 +24,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -33,23 +38,40 @@ CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
 FIELDS = ("outcome", "time", "distance", "mapped", "position", "heading", "landmarks", "aligned", "contacts")
 
 
+# When an operator enables a base again that stands until he does, s.
+ANEW = 2.0
+# What happens to the robot without ROS after it was enabled, s.
+INCIDENTS = ((60.0, "camera off"), (70.0, "camera on"), (110.0, "lidar unplug"), (115.0, "lidar plug"))
+
+
 class Emulator:
     """The emulated robot; truth: what it said of itself, a dictionary a report."""
 
-    def __init__(self, robot: str, world: str) -> None:
-        place = ["--world", world] if robot == "kobuki" else [world]
-        self._process = subprocess.Popen(
-            [*CLI, robot, "emulate", *place], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+    def __init__(self, robot: str, world: str, out: Path) -> None:
+        """out: a folder for what is calibrated."""
+        place = {
+            "kobuki": ["kobuki", "emulate", "--world", world],
+            "ros2": ["ros2", "emulate", world],
+            "without_ros": ["kobuki", "emulate", "--world", world, "--sensors"],
+        }[robot]
+        self._process = subprocess.Popen([*CLI, *place], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         lines = [self._process.stdout.readline().strip()]
-        while len(lines) < 2 or (robot == "ros2" and not lines[-1].startswith("/cmd_vel")):
+        count = 5 if robot == "without_ros" else 2
+        while len(lines) < count or (robot == "ros2" and not lines[-1].startswith("/cmd_vel")):
             lines.append(self._process.stdout.readline().strip())
-        # What explore is told to find it.
+        # What explore is told to find it, and what happens to it.
         self.arguments = ["--preset", "emulated"]
+        self.incidents: tuple[tuple[float, str], ...] = ()
         if robot == "kobuki":
             source = f"socket:{lines[1]}"
             self.arguments = ["--port", lines[0], "--tags", source, "--scan", source]
+        if robot == "without_ros":
+            device, _, scanner, camera, board = lines
+            self.arguments = ["--port", device, "--tags", camera, "--scan", scanner, *_calibrated(camera, board, out)]
+            self.incidents = INCIDENTS
+        # Held while an order is written.
+        self._lock = threading.Lock()
         self.truth: list[dict[str, Any]] = []
         for target in (self._listen, self._ask):
             threading.Thread(target=target, daemon=True).start()
@@ -59,20 +81,43 @@ class Emulator:
         self.truth += (json.loads(line) for line in self._process.stdout)
 
     def _ask(self) -> None:
-        assert self._process.stdin is not None
         while self._process.poll() is None:
-            self._process.stdin.write("report\n")
-            self._process.stdin.flush()
+            self._order("report")
             time.sleep(0.1)
+
+    def _order(self, line: str) -> None:
+        assert self._process.stdin is not None
+        with self._lock:
+            self._process.stdin.write(f"{line}\n")
+            self._process.stdin.flush()
+
+    def begin(self) -> None:
+        """From now on the incidents' times count."""
+        for after, line in self.incidents:
+            threading.Timer(after, self._order, (line,)).start()
 
     def close(self) -> None:
         self._process.terminate()
         self._process.wait()
 
 
+def _calibrated(camera: str, board: str, out: Path) -> list[str]:
+    """What explore is told of a camera, after it was calibrated and looked through."""
+    file, source = out / "camera.yaml", camera.removeprefix("camera:")
+    subprocess.run(
+        [*CLI, "camera", "calibrate", board, "--board", "9x6", "--square", "0.025", "--out", str(file)], check=True
+    )
+    check = ["--calibration", str(file), "--tag-size", "0.16", "--frames", "8", "--out", str(out / "seen.png")]
+    subprocess.run([*CLI, "camera", "check", source, *check], check=True)
+    settings = [f"calibration={file}", "x=0.05", "latency=0.15"]
+    return [word for setting in settings for word in ("--set", f"hardware.camera.{setting}")]
+
+
 def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> dict[str, Any]:
     """The figures of one mission in real time."""
-    emulator = Emulator(robot, world)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    emulator = Emulator(robot, world, out.parent)
+    robot = "kobuki" if robot == "without_ros" else robot
     arguments = [*emulator.arguments, "--max-time", f"{max_time:g}", "--set", f"hardware.max_speed={speed}"]
     command = [*CLI, "explore", "--robot", robot, *arguments, "--headless", "--out", str(out)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
@@ -81,8 +126,10 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
         for line in process.stdout:
             print(f"  {line.rstrip()}", flush=True)
             if line.startswith("nothing moves before"):
-                process.stdin.write("e")
-                process.stdin.flush()
+                _press(process.stdin)
+                emulator.begin()
+            if "until it is enabled anew" in line:  # on a busy machine odometry pauses
+                threading.Timer(ANEW, _press, (process.stdin,)).start()
     emulator.close()
     scene = MakeWorld(LoadScenario(world).world)
     origin = float(re.findall(r"time 0 is ([0-9.]+) s", (out / "log.txt").read_text())[0])
@@ -108,6 +155,13 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
         "aligned": metrics.landmark_rmse_aligned(p_WL, p_WL_true),
         "contacts": emulator.truth[-1]["contacts"],
     }
+
+
+def _press(keys: IO[str]) -> None:
+    """Enables the wheels, unless the mission is over."""
+    with contextlib.suppress(OSError, ValueError):
+        keys.write("e")
+        keys.flush()
 
 
 def simulated(world: str, speed: float, seed: int, max_time: float, out: Path) -> dict[str, Any]:
@@ -138,7 +192,7 @@ def line(name: str, figures: dict[str, Any]) -> str:
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("robot", choices=("kobuki", "ros2"))
+    parser.add_argument("robot", choices=("kobuki", "ros2", "without_ros"))
     parser.add_argument("--speed", type=float, default=0.3, help="limit of both, m/s")
     parser.add_argument("--world", default="house")
     parser.add_argument("--max-time", type=float, default=3600.0)

@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any
 
 import disk_full
-from picture_faults import HANDSHAKE, KEY, MALFORMED, STARTING, click, frame, send
+from picture_faults import STARTING, asking, send
 
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.hardware.emulation.emulated_base import FULL
@@ -201,7 +201,7 @@ class Explorer:
     @property
     def port(self) -> int:
         """Of its picture."""
-        return next(int(line.rsplit(":", 1)[1]) for _, line in self.lines if line.startswith("Meshcat: http"))
+        return next(int(re.findall(r":(\d+)/", line)[0]) for _, line in self.lines if line.startswith("page: http"))
 
     def press(self, key: str) -> None:
         assert self.process.stdin is not None
@@ -372,10 +372,10 @@ def _second_robot(_: Kobuki, explorer: Explorer) -> str:
 
 
 def _asked_from_outside(_: Kobuki, explorer: Explorer) -> None:
-    """The operator stops the robot, and a page of a foreign origin presses every button that could start it."""
+    """The operator stops the robot, and a page of a foreign origin asks for whatever could start it."""
     explorer.press(" ")
     for name in STARTING:
-        send(explorer.port, HANDSHAKE % KEY, frame(click(name)))
+        send(explorer.port, asking(name, explorer.port))
 
 
 def _full_disk(folder: Path) -> tuple[str, str]:
@@ -385,6 +385,7 @@ def _full_disk(folder: Path) -> tuple[str, str]:
     return wrong, lines[0] if lines else ""
 
 
+MALFORMED = b"POST /request HTTP/1.1\r\nContent-Length: 9\r\n\r\n\xc1"
 # What a scan must do for the robot to stand, and to go on by itself.
 BLIND: dict[str, Any] = {"stands": "ahead", "enabling": False}
 SLOW = BLIND | {"bound": SLOW_BOUND, "lasts": 4.0}
@@ -408,9 +409,9 @@ ROWS: tuple[Fault | Check, ...] = (
     Fault(2, "a foreign page enables", ShownKobuki, _asked_from_outside, _nothing, told=False, **LOCKED),
     Fault(
         3,
-        "malformed frame to the picture",
+        "malformed request to the page",
         ShownKobuki,
-        lambda _, explorer: "" if send(explorer.port, HANDSHAKE % KEY, frame(MALFORMED)) else "nobody listens",
+        lambda _, explorer: "" if send(explorer.port, MALFORMED) else "nobody listens",
         _nothing,
         enabling=False,
     ),

@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tfg_drake.diagrams.methods import Method
+    from tfg_drake.diagrams.missions.run import RunResult
     from tfg_drake.diagrams.scenario import Scenario
 
 # Tags nearer to each other than this would lie on top of one another, m.
@@ -56,6 +58,10 @@ Start = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to sta
 MaxTime = Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
+]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
+Host = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="Where the page is served; 0.0.0.0 for other computers, too.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")]
 
@@ -113,12 +119,19 @@ def explore(
     tags: Annotated[
         str | None,
         typer.Option(
-            metavar="SOURCE", help="A real robot's tags: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT."
+            metavar="SOURCE",
+            help="A real robot's tags: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT or camera:/dev/video0.",
         ),
     ] = None,
-    scan: Annotated[str | None, typer.Option(metavar="SOURCE", help="A real robot's laser scans, likewise.")] = None,
+    scan: Annotated[
+        str | None, typer.Option(metavar="SOURCE", help="Its scans, likewise, or rplidar:DEVICE or realsense:.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
-    headless: Annotated[bool, typer.Option("--headless", help="No picture in Meshcat.")] = False,
+    headless: Annotated[bool, typer.Option("--headless", help="No page that shows it.")] = False,
+    host: Host = "localhost",
+    page_port: Annotated[
+        int | None, typer.Option(metavar="N", help="The page's port [default: 7000 or the next that is free].")
+    ] = None,
     realtime_rate: Annotated[
         float, typer.Option(metavar="R", help="At most R simulated seconds a second; 0 for no limit.")
     ] = 0.0,
@@ -141,11 +154,13 @@ def explore(
         _bad_input(f"--robot {robot}: there is no scenario.yaml; name the folder of a run")
     scenario = scenario or ("paper" if replayed is None else str(Path(replayed) / "scenario.yaml"))
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
+    from tfg_drake.config import ROBOTS
+
     explore_command.check_robot(
         robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate
     )
-    with contextlib.ExitStack() as stack:
-        show = stack.enter_context(Screen())
+    with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
+        show: Callable[[str], None] = stack.enter_context(Screen())
         show("loading")
         # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
         placed = [world, tag_spacing, start]
@@ -166,11 +181,16 @@ def explore(
             read = [Path(file) for file in (scenario, world) if file is not None and Path(file).is_file()]
             explore_command.check_kept(out, replayed, read)
             _make_writable(out)
-        meshcat = None
-        if compilation is not None:
-            meshcat = explore_command.start_meshcat()
+        cockpit = None
+        if not headless:
+            from tfg_drake.diagrams.commands.page import open_page
+
             name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
-            explore_command.show_beginning(meshcat, loaded, name, compilation, show, _interrupted)
+            rate = realtime_rate if robot not in ROBOTS else None
+            cockpit = page_stack.enter_context(open_page(name, host, page_port, rate=rate))
+            show = explore_command.also_on_page(show, cockpit)
+        if compilation is not None:
+            explore_command.wait_for_beginning(compilation, show, _interrupted)
         explorer = _find_method(method, loaded)
         if explorer.needs_keys:
             if robot != "sim":
@@ -184,10 +204,8 @@ def explore(
 
         from tfg_drake.diagrams.missions import run
 
-        if meshcat is None and not headless:
-            meshcat = explore_command.start_meshcat()
         stack.enter_context(explore_command.remarks_on_screen())
-        opened = explore_command.open_robot(robot, loaded, explorer, meshcat, _interrupted, _interrupt)
+        opened = explore_command.open_robot(robot, loaded, explorer, _interrupted, _interrupt)
         driven, loaded = stack.enter_context(opened)
         try:
             result = run.explore(
@@ -196,7 +214,7 @@ def explore(
                 robot=driven,
                 name=explore_command.run_name(scenario, world, robot),
                 world_name=str(world or scenario) if driven.world_known else "unknown",
-                meshcat=meshcat,
+                cockpit=cockpit,
                 realtime_rate=realtime_rate,
                 max_time=max_time,
                 out_dir=out,
@@ -206,18 +224,52 @@ def explore(
             )
         except OSError as error:
             _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
-    rows = [*explore_command.table_rows(result.summary), *explore_command.unwritten_rows(result.unwritten)]
-    for name, value in [*rows, ("files", str(result.folder))]:
-        print(f"{name:<12}{value}")
-    if result.summary["outcome"] == "fault":
-        log = result.folder / "log.txt"
-        print(f"tfg-drake: {_one_line(result.summary['reason'])}; the traceback is in {log}", file=sys.stderr)
-    if meshcat is not None and sys.stdin.isatty() and sys.stdout.isatty():
-        wait_for_enter()
+        stack.close()
+        _tell(result)
+        if cockpit is not None and sys.stdin.isatty() and sys.stdout.isatty():
+            wait_for_enter()
     if as_json:
         print(json.dumps(result.summary), flush=True)
     kept = explore_command.is_kept(result.unwritten)
     raise typer.Exit(EXIT_CODES[result.summary["outcome"]] if kept else explore_command.NOT_WRITTEN)
+
+
+def _tell(result: RunResult) -> None:
+    """The closing table of a mission."""
+    from tfg_drake.cockpit.page import FILE_NAME
+
+    rows = [*explore_command.table_rows(result.summary), *explore_command.unwritten_rows(result.unwritten)]
+    rows += [("files", str(result.folder)), ("page", str(result.folder / FILE_NAME))]
+    for name, value in rows:
+        print(f"{name:<12}{value}", flush=True)
+    if result.summary["outcome"] == "fault":
+        log = result.folder / "log.txt"
+        print(f"tfg-drake: {_one_line(result.summary['reason'])}; the traceback is in {log}", file=sys.stderr)
+
+
+@app.command()
+def view(
+    run: RunArgument,
+    host: Host = "localhost",
+    port: Annotated[
+        int | None, typer.Option(metavar="N", help="The port [default: 7000 or the next that is free].")
+    ] = None,
+) -> None:
+    """Show a mission that has ended, or is under way, with a slider for the time."""
+    from tfg_drake.diagrams.commands.view import serve_run
+
+    serve_run(run, host, port)
+
+
+@app.command()
+def export(
+    run: RunArgument,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write: .html, .gif.")],
+) -> None:
+    """Write a mission as one page that needs nothing else, with a slider for the time, or as a film."""
+    from tfg_drake.diagrams.commands.view import export_run
+
+    export_run(run, out)
 
 
 @app.command()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -11,11 +11,15 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.mission.operation import Request
 from tfg_drake.storage.port_recording import PortWriter
+from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
 from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.pose_vector import PoseVector
+from tfg_drake.systems.pusher import Pusher
+from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
 if TYPE_CHECKING:
@@ -38,9 +42,13 @@ def MakeMissionDiagram(
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
     robot: Robot = SIMULATED,
     writer: PortWriter | None = None,
+    timeline: TimelineWriter | None = None,
+    operated: Sequence[Callable[[], Sequence[Request]]] = (),
+    pushed: Callable[[], int] | None = None,
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
-    """Station and explorer, with the picture if there is one, recorded if there is a writer, and under an operator if
-    the robot is real.
+    """Station and explorer, with the picture if there is one, recorded if there are writers, and under an operator if
+    the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. pushed: tells
+    of pushes, see Pusher.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
     it, and of the estimated one (PoseVector).
@@ -54,13 +62,18 @@ def MakeMissionDiagram(
 
     ConnectStation(builder, station, explorer)
 
-    if robot.real:
-        recalls = explorer.HasInputPort("recall")
-        operator = builder.AddNamedSystem("operator", Operator(robot.operated, recalls=recalls))
-        builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
+    if robot.real or operated:
+        recalls, sources = explorer.HasInputPort("recall"), [*robot.operated, *operated]
+        operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=not robot.real))
+        if station.HasInputPort("base.enable"):
+            builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
         for name in ("pause", "stop", "recall"):
             if explorer.HasInputPort(name):
                 builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
+
+    if pushed is not None and station.HasInputPort("truth.pushes"):
+        pusher = builder.AddNamedSystem("pusher", Pusher(pushed))
+        builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
 
     if robot.Announce is not None:
         robot.Announce(builder, station, explorer)
@@ -74,6 +87,8 @@ def MakeMissionDiagram(
 
     if writer is not None:
         PortRecorder.AddToBuilder(builder, station, explorer, writer)
+    if timeline is not None:
+        TimelineRecorder.AddToBuilder(builder, station, explorer, timeline)
     if visualizer is not None:
         visualizer.Connect(builder, station, explorer)
 

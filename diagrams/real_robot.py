@@ -19,30 +19,21 @@ from tfg_drake.hardware.keyboard import KEYS, Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
-from tfg_drake.systems.meshcat_buttons import MeshcatButtons
-from tfg_drake.systems.picture import Picture
 
 # Of the simulated mission that is run before a real one, s: some stages, as it does not look round for long first.
 REHEARSAL = 30.0
 
 
 @contextlib.contextmanager
-def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Robot, Scenario]]:
-    """The robot that scenario.hardware names, and the scenario within that robot's and its scanner's limits; closed at
-    the end.
+def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
+    """The robot that scenario.hardware names, and the scenario within the limits of robot, scanner and camera; closed
+    at the end.
 
-    Keys on standard input, buttons in Meshcat and those of the robot operate it. Raises DeviceError.
+    Keys on standard input and the robot's own buttons operate it. Raises DeviceError.
     """
     devices = open_devices(scenario.hardware, scenario.robot)
     with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
-        bounded = copy.deepcopy(scenario)
-        bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
-        bounded.robot.max_acceleration = devices.limits.acceleration
-        bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
-        bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
         operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
-        if meshcat is not None:
-            operated.append(MeshcatButtons(meshcat).requests)
         robot = Robot(
             scenario.hardware.robot,
             lambda scenario: MakeHardwareStation(scenario, devices),
@@ -52,7 +43,21 @@ def OpenRobot(scenario: Scenario, meshcat: Picture | None) -> Iterator[tuple[Rob
             Announce=_Announcer(devices),
             close=devices.close,
         )
-        yield robot, bounded
+        yield robot, Bounded(scenario, devices)
+
+
+def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
+    """The scenario within the limits of the robot, and of what its scanner and camera see."""
+    bounded = copy.deepcopy(scenario)
+    bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
+    bounded.robot.max_acceleration = devices.limits.acceleration
+    bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
+    bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
+    if devices.view is not None:
+        bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)
+        bounded.tags.range = min(scenario.tags.range, devices.view.range)
+        bounded.tags.max_incidence = min(scenario.tags.max_incidence, devices.view.max_incidence)
+    return bounded
 
 
 def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diagram], object] | None:

@@ -19,10 +19,12 @@ import yaml
 from pydrake.common.yaml import yaml_load_typed
 
 from tfg_drake.config import (
+    EYES,
     GAINS,
     GOAL_RULES,
     RISKS,
     ROBOTS,
+    CameraConfig,
     DisturbanceConfig,
     ExplorerConfig,
     GridConfig,
@@ -33,10 +35,12 @@ from tfg_drake.config import (
     RobotConfig,
     SafetyConfig,
     ScanConfig,
+    StationConfig,
     TagConfig,
     TagSensorConfig,
 )
 from tfg_drake.storage.yaml_text import parse_yaml
+from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
 from tfg_drake.world.world import World, WorldError, check_world
 
@@ -68,7 +72,10 @@ class Scenario:
     odometry: OdometryConfig = dataclasses.field(default_factory=OdometryConfig)
     tags: TagSensorConfig = dataclasses.field(default_factory=TagSensorConfig)
     scan: ScanConfig = dataclasses.field(default_factory=ScanConfig)
-    # What a simulated world does otherwise than the three sections above say; a real one goes by itself.
+    # What a simulated station is made of, and its camera, where it has one.
+    station: StationConfig = dataclasses.field(default_factory=StationConfig)
+    camera: CameraConfig = dataclasses.field(default_factory=CameraConfig)
+    # What a simulated world does otherwise than the sections tags, odometry and scan say; a real one goes by itself.
     reality: RealityConfig = dataclasses.field(default_factory=RealityConfig)
     safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
     # What moves the base besides its wheels.
@@ -110,6 +117,13 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "scan.field_of_view": (0.0, 2.0 * math.pi),
     "scan.resolution": (1e-4, math.pi),
     "scan.rate": (1.0, 1000.0),
+    "camera.width": (64.0, 4096.0),
+    "camera.height": (64.0, 4096.0),
+    "camera.mount_height": (0.0, math.inf),
+    "camera.tag_size": (0.0, math.inf),
+    "camera.tag_height": (0.0, math.inf),
+    "camera.wall_height": (0.0, math.inf),
+    "reality.camera.brightness": (0.0, math.inf),
     "safety.scan_timeout": (0.0, math.inf),
     "disturbances[].duration": (0.0, math.inf),
     "explorer.density": (0.0, math.inf),
@@ -120,6 +134,10 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.first_turns": (1.0, math.inf),
     "planner.collision_probability": (0.0, 0.5),
     "hardware.max_speed": (0.0, math.inf),
+    **{f"hardware.{camera}.tag_size": (0.0, 10.0) for camera in ("camera", "more_cameras[]")},
+    **{f"hardware.{camera}.decimation": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
+    **{f"hardware.{camera}.threads": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
+    "hardware.scanner.high": (0.0, math.inf),
     "grid.resolution": (0.01, math.inf),
     "grid.particles": (1.0, math.inf),
     "grid.update_period": (0.0, math.inf),
@@ -131,6 +149,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "explorer.gain": GAINS,
     "explorer.goal": GOAL_RULES,
     "planner.risk": RISKS,
+    "station.eyes": EYES,
     "hardware.robot": ROBOTS,
 }
 # The greatest whole number anywhere.
@@ -155,6 +174,11 @@ _SIGNED = (
     "disturbances[].ahead",
     "disturbances[].left",
     "disturbances[].turn",
+    *(
+        f"hardware.{sensor}.{key}"
+        for sensor in ("camera", "more_cameras[]", "scanner")
+        for key in ("x", "y", "yaw", "pitch", "roll")
+    ),
 )
 # Lists of a fixed length, and how to write them.
 _LENGTHS = {
@@ -222,6 +246,8 @@ def _Load(
             raise ScenarioError(f"{source}: base: {base} leads back to this file; break the circle")
         for one in base if isinstance(base, list) and base else [base]:
             defaults = _LoadBase(one, path, source, above, defaults)
+    if isinstance(tree.get("station"), dict) and tree["station"].get("eyes") == "camera":
+        defaults = _WithCamera(defaults or Scenario(), tree.get("camera") or {})
     # Unknown keys were refused above; what is left without a schema is `base`.
     scenario = yaml_load_typed(
         schema=Scenario, data=text, child_name=scenario_name, defaults=defaults, allow_yaml_with_no_schema=True
@@ -267,8 +293,20 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
         if dataclasses.is_dataclass(schema) or typing.get_origin(schema) is list:
             raise ScenarioError(f"{source}: {key} is a section; set one of its keys, or write a scenario file")
         setattr(owner, names[-1], None if value is None else _Given(schema)(value))
+        if key == "station.eyes" and value == "camera":
+            result = _WithCamera(result, {})
     _CheckWorld(result, "--set")
     return result
+
+
+def _WithCamera(scenario: Scenario, camera: dict[str, typing.Any]) -> Scenario:
+    """A copy of the scenario that sees with a camera, of which some keys are given, and believes its data sheets."""
+    given = {name: type(getattr(scenario.camera, name))(value) for name, value in camera.items()}
+    camera_config = dataclasses.replace(scenario.camera, **given)
+    tags, scan = camera_sheets(camera_config, scenario.tags, scenario.scan)
+    return dataclasses.replace(
+        scenario, station=StationConfig(eyes="camera"), camera=camera_config, tags=tags, scan=scan
+    )
 
 
 def MakeWorld(config: WorldConfig) -> World:
@@ -450,10 +488,41 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
         raise ScenarioError(f"{source}: {place}: must be at most {greatest:.6g}, is {number:g}")
 
 
+# What of the section reality is rendered, too; the rest says what ideal sensors do.
+_RENDERED = ("yaw", "ahead", "left")
+
+
+def _CheckEyes(scenario: Scenario, source: str) -> None:
+    """Refuses what a camera's station does not simulate: it would be left out without a word."""
+    if scenario.station.eyes != "camera":
+        return
+    reality, usual = scenario.reality, RealityConfig()
+    for section in ("tags", "scan"):
+        given, default = getattr(reality, section), getattr(usual, section)
+        for field in dataclasses.fields(given):
+            if field.name not in _RENDERED and getattr(given, field.name) != getattr(default, field.name):
+                place = f"reality.{section}.{field.name}"
+                raise ScenarioError(f"{source}: {place}: of ideal sensors; leave it out where station.eyes is camera")
+    if reality.changes:
+        raise ScenarioError(f"{source}: reality.changes: cannot be rendered; leave them out or set station.eyes=ideal")
+    if scenario.scan.least_range >= scenario.scan.range:
+        raise ScenarioError(f"{source}: scan.least_range: must be less than scan.range, {scenario.scan.range:g}")
+    try:
+        # OpenCV, which a robot without eyes of its own need not have.
+        import robotpy_apriltag  # noqa: F401
+
+        from tfg_drake.world.scene import check_drawn
+    except ModuleNotFoundError as error:
+        missing = f"{error.name} is not installed; get it with pip install -e '.[camera]'"
+        raise ScenarioError(f"{source}: station.eyes=camera: {missing}") from None
+    check_drawn(MakeWorld(scenario.world))
+
+
 def _CheckWorld(scenario: Scenario, source: str) -> None:
     try:
         world = MakeWorld(scenario.world)
         check_world(world, scenario.robot.radius)
+        _CheckEyes(scenario, source)
         worlds = successive(world, scenario.reality.changes)
         if scenario.reality.people:
             # What few missions need, and what takes a while to be imported.

@@ -42,6 +42,7 @@ def MakeTurtlebotStation(
         input_ports:
         - base.velocity_commanded
         - base.enable
+        - truth.pushes
         output_ports:
         - base.odometry
         - base.hazards
@@ -62,8 +63,11 @@ def MakeTurtlebotStation(
     LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
     made. truth.clearance: least distance of the outline to any wall so far, m. truth.people: a People message, where
-    there are some. truth.world: a WorldNow message, where something changes. A real robot's station has no truth, and
-    its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
+    there are some. truth.world: a WorldNow message, where something changes. truth.pushes: a Pushes message, what moves
+    the base besides its wheels; of a plant that can be pushed. A real robot's station has no truth, and its time must
+    keep to real time: Simulator.set_target_realtime_rate(1.0).
+
+    scenario.station.eyes says what it sees with: ideal sensors, or a camera whose images are rendered.
 
     All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
     RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
@@ -87,29 +91,32 @@ def MakeTurtlebotStation(
     wheels = builder.AddNamedSystem(
         "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )
-    tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
-    scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
+    eyes: list[System]
+    if scenario.station.eyes == "camera":
+        # Few missions need what this imports.
+        from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
+
+        camera = builder.AddNamedSystem("eyes", MakeRenderedEyes(scenario, world))
+        eyes, tag_sensor, scanner = [camera], camera, camera
+    else:
+        tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
+        scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
+        eyes = [tag_sensor, scanner]
 
     builder.Connect(safety_filter.GetOutputPort("velocity"), plant.GetInputPort("velocity_commanded"))
     builder.Connect(plant.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
     builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
     builder.Connect(wheels.GetOutputPort("odometry"), safety_filter.GetInputPort("odometry"))
-    for sensor in (wheels, tag_sensor, scanner):
+    for sensor in (wheels, *eyes):
         builder.Connect(plant.GetOutputPort("pose"), sensor.GetInputPort("pose"))
 
     _AddNoise(builder, "odometry_noise", wheels.GetInputPort("noise"), odometry.PERIOD)
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
-    _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
-    _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
-
-    # After those that every simulation has: what reality does besides leaves their numbers as they are.
-    if tag_sensor.has_tag_errors:
-        _AddNoise(builder, "tag_errors", tag_sensor.GetInputPort("tag_errors"), _ONCE)
-    if tag_sensor.has_frame_noise:
-        _AddNoise(builder, "frame_noise", tag_sensor.GetInputPort("frame_noise"), 1.0 / scenario.tags.rate)
-    if scanner.has_ray_faults:
-        port = scanner.GetInputPort("ray_faults")
-        _AddNoise(builder, "ray_faults", port, 1.0 / scenario.scan.rate, RandomDistribution.kUniform)
+    if scenario.station.eyes == "camera":
+        port = tag_sensor.GetInputPort("noise")
+        _AddNoise(builder, "image_noise", port, 1.0 / scenario.tags.rate, RandomDistribution.kUniform)
+    else:
+        _AddSensorNoise(builder, scenario, tag_sensor, scanner)
 
     walking = None
     if reality.people:
@@ -118,14 +125,14 @@ def MakeTurtlebotStation(
             builder, "people_numbers", walking.GetInputPort("numbers"), people.PERIOD, RandomDistribution.kUniform
         )
         builder.Connect(plant.GetOutputPort("pose"), walking.GetInputPort("pose"))
-        for system in (plant, tag_sensor, scanner):
+        for system in (plant, *eyes):
             builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
 
     changing = None
     if reality.changes:
         changing = builder.AddNamedSystem("world", ChangingWorld(world, reality.changes, scenario.robot.radius))
         builder.Connect(plant.GetOutputPort("pose"), changing.GetInputPort("pose"))
-        for system in (plant, tag_sensor, scanner, *([walking] if walking is not None else [])):
+        for system in (plant, *eyes, *([walking] if walking is not None else [])):
             builder.Connect(changing.GetOutputPort("world"), system.GetInputPort("world"))
 
     if meshcat is not None:
@@ -140,6 +147,9 @@ def MakeTurtlebotStation(
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
+    if plant.HasInputPort("pushes"):
+        pushes = builder.ExportInput(plant.GetInputPort("pushes"), "truth.pushes")
+        builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
     builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
     builder.ExportOutput(plant.GetOutputPort("hazards"), "base.hazards")
     builder.ExportOutput(safety_filter.GetOutputPort("enabled"), "base.enabled")
@@ -159,6 +169,20 @@ def MakeTurtlebotStation(
     station = builder.Build()
     station.set_name("station")
     return station
+
+
+def _AddSensorNoise(builder: DiagramBuilder, scenario: Scenario, tag_sensor: TagSensor, scanner: LaserScanner) -> None:
+    _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
+    _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
+
+    # After those that every simulation has: what reality does besides leaves their numbers as they are.
+    if tag_sensor.has_tag_errors:
+        _AddNoise(builder, "tag_errors", tag_sensor.GetInputPort("tag_errors"), _ONCE)
+    if tag_sensor.has_frame_noise:
+        _AddNoise(builder, "frame_noise", tag_sensor.GetInputPort("frame_noise"), 1.0 / scenario.tags.rate)
+    if scanner.has_ray_faults:
+        port = scanner.GetInputPort("ray_faults")
+        _AddNoise(builder, "ray_faults", port, 1.0 / scenario.scan.rate, RandomDistribution.kUniform)
 
 
 def _AddNoise(

@@ -21,6 +21,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from tfg_drake.hardware.announcements import Announcements
+from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message
 
@@ -53,8 +54,8 @@ class BaseState:
     lost_frames: int = 0
 
 
-Message = Odometry | LaserScan | Hazards | TagDetections | BaseState
-T = TypeVar("T", Odometry, LaserScan, Hazards, TagDetections, BaseState)
+Message = Odometry | LaserScan | Sweep | Hazards | TagDetections | BaseState
+T = TypeVar("T", Odometry, LaserScan, Sweep, Hazards, TagDetections, BaseState)
 
 # How long to wait for the process to find its robot, and to answer, s.
 START_TIMEOUT = 60.0
@@ -63,6 +64,8 @@ ANSWER_TIMEOUT = 5.0
 HELD_UP = 60.0
 # Messages of a kind that wait to be taken, at most: half a minute of the fastest.
 WAITING = 2000
+# Odometry that is remembered to look up where the robot was: ten seconds of the fastest.
+REMEMBERED = 500
 _NO_ANSWER = "the robot's process does not answer"
 
 
@@ -136,6 +139,7 @@ class Device:
         self._changed = threading.Condition()
         self._newest: dict[type, Message] = {}
         self._waiting: dict[type, collections.deque[Message]] = {}
+        self._odometry: collections.deque[Odometry] = collections.deque(maxlen=REMEMBERED)
         self._locked: str | None = "not enabled yet"
         self._remarks: list[str] = []
         self.heard = self._answers = 0
@@ -177,6 +181,12 @@ class Device:
                 assert isinstance(message, kind)
                 taken.append(message)
         return taken
+
+    def odometry_near(self, stamp: float) -> Odometry | None:
+        """The odometry that was stamped nearest to `stamp`, s; None where there is none, or none within a second."""
+        with self._changed:
+            nearest = min(self._odometry, key=lambda one: abs(one.stamp - stamp), default=None)
+        return nearest if nearest is not None and abs(nearest.stamp - stamp) < 1.0 else None
 
     @property
     def process_id(self) -> int:
@@ -276,6 +286,8 @@ class Device:
                         if isinstance(value, np.ndarray):
                             value.setflags(write=False)
                     self._newest[type(content)] = content
+                    if isinstance(content, Odometry):
+                        self._odometry.append(content)
                     self._waiting.setdefault(type(content), collections.deque(maxlen=WAITING)).append(content)
                 elif kind == "locked":
                     self._locked = content

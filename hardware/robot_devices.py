@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING
 
-from tfg_drake.config import HardwareConfig, RobotConfig
+from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
+from tfg_drake.hardware.cameras_source import CamerasSource
 from tfg_drake.hardware.device import Device, DeviceError
 from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.kobuki import driver as kobuki
@@ -12,10 +14,16 @@ from tfg_drake.hardware.ros import ros2, rosbridge
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
 from tfg_drake.hardware.sensor import Source
 from tfg_drake.hardware.sensor_source import SensorSource, SourceSpec, open_sources, parse_source
+from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.hardware.watchdog import Limits
+
+if TYPE_CHECKING:
+    from tfg_drake.vision.camera_view import CameraView
 
 # Whose mounts and topics hold where nobody says otherwise.
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
+# What a base without ROS may be given.
+_GIVE = {"tags": "camera:/dev/video0, socket:HOST:PORT", "scan": "rplidar:DEVICE, realsense:, socket:HOST:PORT"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,8 +31,8 @@ class RobotDevices:
     """base: a device. tags, scan: sources of TagDetections and LaserScan.
 
     limits: what the base's driver bounds the velocity by. publisher, frames: of a base on ROS, what publishes there,
-    and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. clock:
-    of the station that is made of them.
+    and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. view:
+    of a camera of our own, None of another one. clock: of the station that is made of them.
     """
 
     base: Device
@@ -34,6 +42,7 @@ class RobotDevices:
     publisher: SensorSource | None = None
     frames: Frames | None = None
     least_range: float = 0.0
+    view: CameraView | None = None
     clock: HostClock = dataclasses.field(default_factory=HostClock)
 
     def take_remarks(self) -> list[str]:
@@ -62,7 +71,10 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         preset = load_preset(config.preset or PRESET_OF[config.robot])
     except PresetError as error:
         raise DeviceError(str(error)) from None
+    cameras = _cameras(config)
     specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
+    if cameras:
+        specs["tags"] = cameras[0][0]
     parsed = {use: parse_source(spec) for use, spec in specs.items()}
     on_ros = config.robot != "kobuki"
     if on_ros:
@@ -71,26 +83,75 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     own = {"tags": on_ros and preset.topics.detections is not None, "scan": on_ros}
     for use in own:
         if use not in specs and not own[use]:
-            raise DeviceError(f"{config.robot}: no source of {use}; give --{use} socket:HOST:PORT or ros2:/TOPIC")
+            raise DeviceError(f"{config.robot}: no source of {use}; give --{use} {_GIVE[use]} or ros2:/TOPIC")
+    view = _view(cameras) if cameras else None
     graph = _graph(config)
     base = _open_base(config, preset, limits, graph)
+    opened: list[Device | Source] = [base]
     try:
         # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
-        sources = open_sources(specs, preset, graph)
+        sources = open_sources(specs, preset, graph, config)
+        opened += sources.values()
+        tags: list[Source] = [sources["tags"]]
+        for text, camera in cameras[1:]:
+            further = open_sources({"tags": text}, preset, None, dataclasses.replace(config, camera=camera))["tags"]
+            tags.append(further)
+            opened.append(further)
     except DeviceError:
-        base.close()
+        for one in opened:
+            one.close()
         raise
-    # What serves a socket says itself where nothing is known.
-    by_socket = "scan" in parsed and parsed["scan"].transport == "socket"
+    scanner = parsed["scan"].transport if "scan" in parsed else ""
+    scan: Source = sources["scan"]
     return RobotDevices(
         base,
-        sources["tags"],
-        sources["scan"],
+        CamerasSource(tags) if len(tags) > 1 else tags[0],
+        SweepSource(scan, base.odometry_near) if scanner == "rplidar" else scan,
         limits,
         sources.get("base"),
         preset.frames if on_ros else None,
-        0.0 if by_socket else preset.scanner.least_range,
+        _least_range(scanner, preset),
+        view,
     )
+
+
+def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
+    """The cameras of our own that tags come from, each as a source, and its configuration; raises DeviceError."""
+    if not config.tags.startswith("camera:"):
+        return []
+    # What an address holds besides stays its own.
+    texts = config.tags.replace(",camera:", "\ncamera:").split("\n")
+    known = [config.camera, *config.more_cameras]
+    if len(texts) > len(known):
+        raise DeviceError(
+            f"{texts[len(known)]}: nothing is known of it; give hardware.more_cameras an entry for each camera but the "
+            "first, in a scenario's file"
+        )
+    return list(zip(texts, known, strict=False))
+
+
+def _view(cameras: list[tuple[str, RobotCameraConfig]]) -> CameraView:
+    """What the cameras see together; raises DeviceError."""
+    from tfg_drake.hardware.camera_sensor import known_view
+
+    views = [(camera.yaw, known_view(text, camera)) for text, camera in cameras]
+    from tfg_drake.vision.camera_view import joint_view
+
+    return joint_view(views)
+
+
+def _least_range(scanner: str, preset: Preset) -> float:
+    """How near a scanner on a transport sees, m."""
+    if scanner == "rplidar":
+        from tfg_drake.hardware.rplidar.sweeps import LEAST_RANGE
+
+        return LEAST_RANGE
+    if scanner == "realsense":
+        from tfg_drake.hardware.realsense_sensor import LEAST_DEPTH
+
+        return LEAST_DEPTH
+    # What serves a socket says itself where nothing is known.
+    return 0.0 if scanner == "socket" else preset.scanner.least_range
 
 
 def _graph(config: HardwareConfig) -> SourceSpec | None:

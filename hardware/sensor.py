@@ -8,13 +8,14 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.hardware.host_clock import HostClock
+from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.messages import LaserScan, TagDetections, replace
 from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
 
 # As often as the SLAM estimator looks.
 PERIOD = 1.0 / 16.0
 
-T = TypeVar("T", LaserScan, TagDetections)
+T = TypeVar("T", LaserScan, Sweep, TagDetections)
 
 
 class Source(Protocol):

@@ -1,4 +1,4 @@
-"""Where tags and scans come from: `ros2:`, `rosbridge:` or `socket:`.
+"""Where tags and scans come from: ROS, a socket, or a camera and a scanner of this machine's own.
 
 Each connection has a process of its own: GTSAM holds the interpreter for seconds, and meanwhile nothing may be lost and
 no sender kept waiting; and what parses large messages must not share a process with the watchdog of the base.
@@ -12,11 +12,13 @@ import urllib.parse
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from tfg_drake.config import HardwareConfig
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, DriverConfig
 from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.messages import LaserScan, TagDetections
 
-T = TypeVar("T", LaserScan, TagDetections)
+T = TypeVar("T", LaserScan, Sweep, TagDetections)
 
 # What a source may be asked for, and what that is.
 KINDS = {"tags": TagDetections, "scan": LaserScan}
@@ -26,30 +28,44 @@ ROSBRIDGE_PORT = 9090
 _LOOK_EVERY, _SILENT_LOOKS = 0.1, 100
 # Before a process is started again, s: at first and at most.
 _BACK_OFF, _LONGEST_BACK_OFF = 0.2, 10.0
-_FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT"
+_FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:SOURCE, rplidar:DEVICE or realsense:"
+# Sensors that hang on this machine, what each is a source of, and what may be named of it.
+OWN = {"camera": "tags", "rplidar": "scan", "realsense": "scan"}
+_OWN_FORMS = {
+    "camera": "camera:/dev/video0, camera:http://HOST/STREAM or camera:FILE",
+    "rplidar": "rplidar:/dev/ttyUSB0",
+}
 
 
 @dataclasses.dataclass(frozen=True)
 class SourceSpec:
-    """Where a sensor is. transport: "ros2", "rosbridge" or "socket". topic: empty of a socket."""
+    """Where a sensor is. transport: "ros2", "rosbridge", "socket" or one of OWN. topic: on ROS. device: of OWN."""
 
     transport: str
     host: str = ""
     port: int = 0
     topic: str = ""
+    device: str = ""
 
     def __str__(self) -> str:
+        if self.transport in OWN:
+            return f"{self.transport}:{self.device}"
         if self.transport == "ros2":
             return f"ros2:{self.topic}" if self.topic else "ros2"
         return f"{self.transport}:{self.host}:{self.port}{self.topic}"
 
 
 def parse_source(text: str) -> SourceSpec:
-    """What `ros2:/TOPIC`, `rosbridge:HOST:PORT/TOPIC` or `socket:HOST:PORT` says; raises DeviceError.
+    """What `ros2:/TOPIC`, `rosbridge:HOST:PORT/TOPIC`, `socket:HOST:PORT` or, of a sensor of our own, its kind and
+    where it is say; raises DeviceError.
 
     Of rosbridge the port (9090) and the host (localhost) may be left out: `rosbridge:HOST/TOPIC`, `rosbridge:/TOPIC`.
     """
-    transport, _, rest = text.partition(":")
+    transport, colon, rest = text.partition(":")
+    if transport in OWN and colon:
+        if not rest and transport in _OWN_FORMS:
+            raise DeviceError(f"{text}: names no device; name the source as {_OWN_FORMS[transport]}")
+        return SourceSpec(transport, device=rest)
     if transport not in ("ros2", "rosbridge", "socket") or not rest:
         raise DeviceError(f"{text}: is no source; name one as {_FORMS}")
     if transport == "ros2":
@@ -159,10 +175,13 @@ class SensorSource:
             self._remarks.append(f"the process that reads {self._name} {what}{more}")
 
 
-def open_sources(specs: Mapping[str, str], preset: Preset, base: SourceSpec | None = None) -> dict[str, SensorSource]:
+def open_sources(
+    specs: Mapping[str, str], preset: Preset, base: SourceSpec | None = None, hardware: HardwareConfig | None = None
+) -> dict[str, SensorSource]:
     """The sources of "tags" and "scan", each as `parse_source` reads it; raises DeviceError, and leaves none open.
 
-    preset: of the robot, for the mounts of scanner and camera. base: the ROS graph that the robot's base is on. What
+    preset: of the robot, for the mounts of scanner and camera on ROS; hardware: for those of our own. An rplidar says
+    Sweep instead of LaserScan. base: the ROS graph that the robot's base is on. What
     specs do not name comes from the preset's topics there, and what the explorer knows is published there, by the
     source of "base". What has the same server, or ROS 2's graph, shares one source.
     """
@@ -170,6 +189,8 @@ def open_sources(specs: Mapping[str, str], preset: Preset, base: SourceSpec | No
     place: dict[str, SourceSpec] = {} if base is None else {"base": base}
     for use, text in specs.items():
         spec = parse_source(text)
+        if OWN.get(spec.transport, use) != use:
+            raise DeviceError(f"{text}: is a source of {OWN[spec.transport]}; give --{OWN[spec.transport]} {text}")
         place[use] = dataclasses.replace(spec, topic="")
         wanted.setdefault(place[use], []).append((use, spec.topic))
     if base is not None:
@@ -181,7 +202,7 @@ def open_sources(specs: Mapping[str, str], preset: Preset, base: SourceSpec | No
     try:
         for spec, topics in wanted.items():
             name = " and ".join((*(use for use, _ in topics), *(["the robot"] if not topics else [])))
-            opened[spec] = SensorSource(f"{name} of {spec}", _config(spec, topics, preset, spec == base))
+            opened[spec] = SensorSource(f"{name} of {spec}", _config(spec, topics, preset, spec == base, hardware))
     except DeviceError:
         for source in opened.values():
             source.close()
@@ -189,7 +210,15 @@ def open_sources(specs: Mapping[str, str], preset: Preset, base: SourceSpec | No
     return {use: opened[spec] for use, spec in place.items()}
 
 
-def _config(spec: SourceSpec, topics: list[tuple[str, str | Topic]], preset: Preset, base: bool) -> DriverConfig:
+def _config(
+    spec: SourceSpec,
+    topics: list[tuple[str, str | Topic]],
+    preset: Preset,
+    base: bool,
+    hardware: HardwareConfig | None,
+) -> DriverConfig:
+    if spec.transport in OWN:
+        return _own_config(spec, hardware or HardwareConfig())
     if spec.transport == "socket":
         from tfg_drake.hardware.socket_sensors import SocketConfig
 
@@ -198,3 +227,17 @@ def _config(spec: SourceSpec, topics: list[tuple[str, str | Topic]], preset: Pre
 
     host = spec.host if spec.transport == "rosbridge" else None
     return SensorConfig(tuple(topics), preset, base, host, spec.port)
+
+
+def _own_config(spec: SourceSpec, hardware: HardwareConfig) -> DriverConfig:
+    if spec.transport == "camera":
+        from tfg_drake.hardware.camera_sensor import CameraSensorConfig
+
+        return CameraSensorConfig(spec.device, hardware.camera)
+    if spec.transport == "rplidar":
+        from tfg_drake.hardware.rplidar.driver import RplidarConfig
+
+        return RplidarConfig(spec.device, hardware.scanner)
+    from tfg_drake.hardware.realsense_sensor import RealsenseConfig
+
+    return RealsenseConfig(spec.device, hardware.scanner)

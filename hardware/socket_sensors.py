@@ -8,10 +8,11 @@ import select
 import socket
 import time
 
-from tfg_drake.hardware.device import DeviceError, Message
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.kobuki.sensor_socket import message_of
-from tfg_drake.hardware.plausible import Refusals, judged
-from tfg_drake.hardware.watchdog import TICK, Limits
+from tfg_drake.hardware.plausible import judged
+from tfg_drake.hardware.sensor_reader import LONGEST_BACK_OFF, SensorReader
+from tfg_drake.hardware.watchdog import TICK
 from tfg_drake.messages import LaserScan, TagDetections
 
 # How long to wait for the server, and for its first lines, s.
@@ -19,8 +20,6 @@ PATIENCE = 5.0
 # A line that is longer than this is none, bytes.
 LONGEST_LINE = 1_000_000
 _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
-# Between two attempts to connect again, s: the first and the last.
-BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
 
 _NAMES = {LaserScan: "scan", TagDetections: "detections"}
 
@@ -38,33 +37,27 @@ class SocketConfig:
         return SocketDriver(self.host, self.port, self.kinds)
 
 
-class SocketDriver:
-    """Reads lines, and drives nothing; see tfg_drake.hardware.device.Driver. Lost connections are opened again.
+class SocketDriver(SensorReader):
+    """Reads lines; see tfg_drake.hardware.device.Driver. Lost connections are opened again.
 
     refusals: of lines that say no message.
     """
 
-    limits = Limits()
-
     def __init__(self, host: str, port: int, kinds: tuple[type[LaserScan] | type[TagDetections], ...]) -> None:
         """Waits for a message of each kind that is plausible; raises DeviceError."""
-        self.refusals = Refusals()
+        name = f"socket:{host}:{port}"
+        super().__init__(name, {kind: f"{_NAMES[kind]} of {name}" for kind in kinds})
         self._address, self._kinds = (host, port), kinds
-        self._name = f"socket:{host}:{port}"
-        self.sources = {kind: f"{_NAMES[kind]} of {self._name}" for kind in kinds}
-        self._remarks: list[str] = []
         self._pending = bytearray()
-        self._messages: list[Message] = []
         # The kinds that have arrived, and why what else arrived was of no use.
         self._arrived: set[type] = set()
         self._doubt = ""
         self._socket: socket.socket | None = None
-        self._back_off, self._retry = BACK_OFF, 0.0
         try:
             self._connect(PATIENCE)
         except OSError as error:
             raise DeviceError(
-                f"{self._name}: {error.strerror or error}: start what serves tags and scans there, or name the "
+                f"{self.name}: {error.strerror or error}: start what serves tags and scans there, or name the "
                 "HOST:PORT that it prints"
             ) from None
         end = time.monotonic() + PATIENCE
@@ -73,33 +66,21 @@ class SocketDriver:
         if missing := [_NAMES[kind] for kind in kinds if kind not in self._arrived]:
             self.close()
             why = f" ({self._doubt})" if self._doubt else ""
-            raise DeviceError(f"{self._name}: no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them")
+            raise DeviceError(f"{self.name}: no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them")
 
     def _connect(self, timeout: float) -> None:
         self._socket = socket.create_connection(self._address, timeout)
         self._socket.setblocking(False)
         self._pending.clear()  # of a line that the old connection began
-        self._back_off = BACK_OFF
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
         end = time.monotonic() + duration
         while (left := end - time.monotonic()) > 0.0:
             if self._socket is None:
-                self._reconnect(left)
+                self._connect_again(lambda: self._connect(LONGEST_BACK_OFF), left)
             elif select.select([self._socket], [], [], left)[0]:
                 self._receive()
-
-    def _reconnect(self, left: float) -> None:
-        if (wait := self._retry - time.monotonic()) > 0.0:
-            time.sleep(min(wait, left))
-            return
-        try:
-            self._connect(LONGEST_BACK_OFF)
-            self._remarks.append(f"{self._name}: connected again")
-        except OSError:
-            self._back_off = min(2.0 * self._back_off, LONGEST_BACK_OFF)
-            self._retry = time.monotonic() + self._back_off
 
     def _receive(self) -> None:
         assert self._socket is not None
@@ -112,7 +93,7 @@ class SocketDriver:
         if not data:
             self._socket.close()
             self._socket = None
-            self._remarks.append(f"{self._name}: the connection is lost; start what serves it again, it is looked for")
+            self._remark("the connection is lost; start what serves it again, it is looked for")
             return
         self._pending += data
         *lines, rest = self._pending.split(b"\n")
@@ -144,27 +125,7 @@ class SocketDriver:
 
     def _refuse(self, why: str) -> None:
         self._doubt = why
-        self.refusals.add(self._name, "line", f"lines are not used: {why}")
-
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        remarks, self._remarks = self._remarks, []
-        return [*remarks, *self.refusals.take()]
-
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        taken, self._messages = self._messages, []
-        return taken
-
-    def fault(self) -> str | None:
-        """None: there is nothing to stop."""
-        return None
-
-    def send(self, speed: float, turn_rate: float) -> None:
-        """There is nothing to drive."""
-
-    def show(self, enabled: bool) -> None:
-        """A sensor has nothing to show."""
+        self.refusals.add(self.name, "line", f"lines are not used: {why}")
 
     def close(self) -> None:
         """Ends the connection."""

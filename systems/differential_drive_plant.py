@@ -14,6 +14,7 @@ from tfg_drake.simulation.people import People, discs_at
 from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
+from tfg_drake.systems.pusher import disturbances_now
 from tfg_drake.world.world import World
 
 PERIOD = 1.0 / 32.0
@@ -29,6 +30,7 @@ class DifferentialDrivePlant(LeafSystem):
         - velocity_commanded
         - people
         - world
+        - pushes
         output_ports:
         - pose
         - hazards
@@ -37,7 +39,8 @@ class DifferentialDrivePlant(LeafSystem):
         - contacts_received
 
     velocity_commanded: forward speed (m/s) and turn rate (rad/s). people: a People message, left unconnected where
-    there are none. world: a WorldNow message, left unconnected where nothing changes. pose: x, y, theta of X_WB (m,
+    there are none. world: a WorldNow message, left unconnected where nothing changes. pushes: a Pushes message, left
+    unconnected where nobody pushes. pose: x, y, theta of X_WB (m,
     rad), then speed and turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often
     the base began to touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to
     any wall so far, m. contacts_received: how often somebody else began to touch it.
@@ -50,6 +53,7 @@ class DifferentialDrivePlant(LeafSystem):
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._people = declare_message_input(self, "people")
         self._changing = declare_message_input(self, "world")
+        self._pushes = declare_message_input(self, "pushes")
         self.DeclareDiscreteState(drive.initial_state(world.start, world.walls, robot))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Step)
         state = self.xd_ticket()
@@ -63,8 +67,9 @@ class DifferentialDrivePlant(LeafSystem):
     def _Step(self, context: Context, update: DiscreteValues) -> None:
         command, state = self._command.Eval(context), self._State(context)
         walls, moved = world_now(self._changing, context, self._world).walls, drive.UNMOVED
-        if self._disturbances:
-            moved = displacement(self._disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
+        disturbances = disturbances_now(self._disturbances, self._pushes, context)
+        if disturbances:
+            moved = displacement(disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
         after = drive.step(state, command, walls, self._robot, PERIOD, moved)
         if self._people.HasValue(context):
             discs = discs_at(eval_message(self._people, context, People), after[drive.TIME])

@@ -13,7 +13,8 @@ from tfg_drake.simulation.differential_drive import UNMOVED
 from tfg_drake.simulation.disturbance import displacement
 from tfg_drake.simulation.odometry import TIME, initial_state, integrate, message, run_errors
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_output
+from tfg_drake.systems.ports import declare_message_input, declare_message_output
+from tfg_drake.systems.pusher import disturbances_now
 
 PERIOD = 1.0 / 16.0
 
@@ -28,11 +29,13 @@ class Odometry(LeafSystem):
         - pose
         - noise
         - run_errors
+        - pushes
         output_ports:
         - odometry
 
     pose: x, y, theta, v, w of the plant. noise: 2 standard normal numbers, fresh every PERIOD. run_errors: 3 standard
-    normal numbers, the same all along. odometry: an Odometry message; X_OB is 0 at the start X_WS (3,).
+    normal numbers, the same all along. pushes: a Pushes message, left unconnected where nobody pushes. odometry: an
+    Odometry message; X_OB is 0 at the start X_WS (3,).
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class Odometry(LeafSystem):
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", 2, RandomDistribution.kGaussian)
         self._run_errors = self.DeclareVectorInputPort("run_errors", 3, RandomDistribution.kGaussian)
+        self._pushes = declare_message_input(self, "pushes")
         self.DeclareDiscreteState(initial_state(X_WS))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Integrate)
         declare_message_output(
@@ -65,5 +69,6 @@ class Odometry(LeafSystem):
         state = context.get_discrete_state_vector().value()
         errors = run_errors(self._run_errors.Eval(context), self._config)
         noise, pose, now = self._noise.Eval(context), self._pose.Eval(context), context.get_time()
-        moved = displacement(self._disturbances, state[TIME], now) if self._disturbances else UNMOVED
+        disturbances = disturbances_now(self._disturbances, self._pushes, context)
+        moved = displacement(disturbances, state[TIME], now) if disturbances else UNMOVED
         update.set_value(integrate(state, now, pose, errors, noise, self._config, moved, self._reality))

@@ -1,4 +1,4 @@
-"""The operator, by keyboard, buttons in Meshcat or buttons of the robot, as a system."""
+"""The operator, by keyboard, the page's buttons or buttons of the robot, as a system."""
 
 from __future__ import annotations
 
@@ -34,12 +34,15 @@ class Operator(LeafSystem):
     The requests come from outside the context: a run in which there were any repeats only with the same ones.
     """
 
-    def __init__(self, sources: Sequence[Callable[[], Sequence[Request]]], *, recalls: bool = True) -> None:
+    def __init__(
+        self, sources: Sequence[Callable[[], Sequence[Request]]], *, recalls: bool = True, enabled: bool = False
+    ) -> None:
         """sources: each returns the requests since it was last called. recalls: the mission knows what a recall is;
-        where it does not a recall ends it."""
+        where it does not a recall ends it. enabled: the base may move from the beginning, as a simulated one may."""
         super().__init__()
-        self._sources, self._recalls = tuple(sources), recalls
-        self._state = self.DeclareAbstractState(AbstractValue.Make(Operation()))
+        self._sources, self._recalls, self._enabled = tuple(sources), recalls, enabled
+        beginning = requested(Operation(), "enable") if enabled else Operation()
+        self._state = self.DeclareAbstractState(AbstractValue.Make(beginning))
         depends = {self.abstract_state_ticket(self._state)}
         for name, calc in (
             ("enable", lambda operation: operation.enabling),
@@ -59,7 +62,8 @@ class Operator(LeafSystem):
         if context.get_time() < 0.5 * PERIOD:
             # What was asked for before the mission began was not meant for it, unless it was to stop.
             requests = [request for request in requests if request in ("stop", "end")]
-            _log.info("nothing moves before it is enabled")
+            if not self._enabled:
+                _log.info("nothing moves before it is enabled")
         if not self._recalls:
             requests = ["end" if request == "recall" else request for request in requests]
         if "stop" in requests or "end" in requests:

@@ -39,7 +39,7 @@ class Picture:
     """A Meshcat that may be lost: one malformed message from anywhere ends Drake's server, and all that is called then
     raises.
 
-    Whoever draws in it or reads its buttons does so within `attempt`. It is for the thread that made it.
+    Whoever draws in it does so within `attempt`. It is for the thread that made it.
     """
 
     def __init__(self, meshcat: Meshcat) -> None:
@@ -49,7 +49,6 @@ class Picture:
         self._port = meshcat.port()
         self._again = 0.0  # when to open it again where it is lost, s of time.monotonic()
         self.opened = 1
-        self.advice = ""  # to an operator, where the picture is lost
 
     @property
     def meshcat(self) -> Meshcat:
@@ -76,7 +75,7 @@ class Picture:
     def _lose(self, error: BaseException) -> None:
         if self._meshcat is not None:
             reason = " ".join(str(error).split()) or type(error).__name__
-            _log.warning("the picture is lost: %s; the mission goes on%s", reason, self.advice)
+            _log.warning("the picture is lost: %s; the mission goes on", reason)
         self._meshcat = None
         self._again = time.monotonic() + PAUSE
 

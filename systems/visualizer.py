@@ -14,10 +14,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
 from tfg_drake.geometry.se2 import transform
-from tfg_drake.grid.frontier import FREE as FREE_CELL
-from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
-from tfg_drake.grid.frontier import classify
-from tfg_drake.grid.runs import row_runs
 from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
@@ -30,12 +26,29 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
 )
+from tfg_drake.pictures import scene
 from tfg_drake.pictures.caption import HEIGHT as CAPTION_HEIGHT
 from tfg_drake.pictures.caption import WIDTH as CAPTION_WIDTH
 from tfg_drake.pictures.caption import Colour, caption_gltf, gain_colours, render_caption
 from tfg_drake.pictures.drawing import Mesh as Triangles
-from tfg_drake.pictures.drawing import discs, ellipses, outline_segments, polyline_segments, ribbons
-from tfg_drake.pictures.palette import BARE_SURFACE, DOUBTFUL, EDGE, FRONTIER, LANDMARK, WALL, WALL_END
+from tfg_drake.pictures.drawing import discs, ellipses, outline_segments, ribbons
+from tfg_drake.pictures.palette import (
+    BARE_SURFACE,
+    DOUBTFUL,
+    EDGE,
+    FREE,
+    FRONTIER,
+    GHOST,
+    LANDMARK,
+    OCCUPIED,
+    PATH,
+    PERSON,
+    ROADMAP,
+    ROBOT,
+    SCAN,
+    WALL,
+    WALL_END,
+)
 from tfg_drake.simulation.people import RADIUS, People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.picture import Picture, picture_of
@@ -51,16 +64,6 @@ CAPTION_INTERVAL = 0.5
 CAPTIONS = 8
 # Width over height of the narrowest window that shows the whole first view.
 ASPECT = 1.5
-
-ROADMAP: Colour = (0.945, 0.955, 0.97)
-PATH: Colour = (0.84, 0.15, 0.16)
-SCAN: Colour = (0.36, 0.72, 0.90)
-ROBOT: Colour = (0.10, 0.22, 0.42)
-GHOST: Colour = (0.45, 0.48, 0.53)
-PERSON: Colour = (0.62, 0.64, 0.68)
-
-FREE: Colour = (0.955, 0.965, 0.945)
-OCCUPIED: Colour = (0.16, 0.18, 0.22)
 
 LEGEND = (
     ("true wall", WALL, "line"),
@@ -287,43 +290,46 @@ class TfgVisualizer(LeafSystem):
         if "grid" in changed:
             self._ShowGrid(now["grid"])
         if "path" in changed:
-            self._ShowRibbons("map/path/line", polyline_segments(now["path"].points), 0.8 * self._unit, "path", PATH)
+            self._ShowRibbons("map/path/line", scene.path(now["path"])["segments"], 0.8 * self._unit, "path", PATH)
 
     def _ShowWalls(self, world: World | None) -> None:
         walls = world.walls if world is not None else np.zeros((0, 4))
         self._ShowRibbons("walls", walls, 1.2 * self._unit, "walls", WALL)
 
     def _ShowLandmarks(self, estimate: MapEstimate) -> None:
-        doubtful = estimate.is_doubtful
+        layer = scene.landmarks(estimate)
+        doubtful = layer["doubtful"]
         for some, name, colour in ((~doubtful, "landmarks", LANDMARK), (doubtful, "doubtful", DOUBTFUL)):
-            p_ML, covariance = estimate.p_ML[some], estimate.landmark_covariance[some]
+            p_ML, covariance = layer["points"][some], layer["covariance"][some]
             self._ShowTriangles(f"map/{name}", discs(p_ML, 1.3 * self._unit, _Z["landmarks"]), colour)
-            outlines = outline_segments(ellipses(p_ML, covariance))
+            outlines = outline_segments(ellipses(p_ML, covariance[:, [0, 1, 1, 2]].reshape(-1, 2, 2)))
             self._ShowLines(f"map/ellipses/{name}", outlines, "ellipses", colour)
 
     def _ShowSurfaces(self, tfg: TfgMap) -> None:
+        layer = scene.surfaces(tfg)
         for kind, (name, colour) in enumerate((("edge", EDGE), ("end", WALL_END), ("bare", BARE_SURFACE))):
-            pieces = tfg.segments[tfg.segment_kind == kind]
+            pieces = layer["segments"][layer["kind"] == kind]
             self._ShowRibbons(f"map/surfaces/{name}", pieces, self._unit, "surfaces", colour)
-        self._ShowTriangles("map/frontiers", discs(tfg.frontiers, 1.1 * self._unit, _Z["frontiers"]), FRONTIER)
+        bars = scene.frontiers(tfg)["segments"]
+        self._ShowRibbons("map/frontiers", bars, 1.6 * self._unit, "frontiers", FRONTIER)
 
     def _ShowRoadmap(self, roadmap: Roadmap) -> None:
-        self._ShowLines("map/roadmap", roadmap.points[roadmap.edges].reshape(-1, 4), "roadmap", ROADMAP)
+        layer = scene.roadmap_lines(roadmap)
+        self._ShowLines("map/roadmap", layer["points"][layer["edges"]].reshape(-1, 4), "roadmap", ROADMAP)
 
     def _ShowChoice(self, choice: GoalChoice, roadmap: Roadmap) -> None:
-        best = max(float(np.max(choice.gain, initial=0.0)), 1e-9)
-        shade = gain_colours(np.clip(choice.gain / best, 0.0, 1.0))
-        candidates = discs(roadmap.points[choice.candidates], 1.1 * self._unit, _Z["candidates"], corners=10)
-        self._ShowTriangles("map/candidates", candidates, np.repeat(shade, 10, axis=0))
+        layer = scene.gains(choice, roadmap)
+        candidates = discs(layer["points"], 1.1 * self._unit, _Z["candidates"], corners=10)
+        self._ShowTriangles("map/candidates", candidates, np.repeat(gain_colours(layer["share"]), 10, axis=0))
 
     def _ShowGoal(self, choice: GoalChoice) -> None:
-        goal = choice.p_MG[None] if choice.verdict == "goal" else np.zeros((0, 2))
-        self._ShowRibbons("map/path/goal", _circles(goal, 4.0 * self._unit), 0.8 * self._unit, "path", PATH)
+        ring = _circles(scene.goal(choice)["points"], 4.0 * self._unit)
+        self._ShowRibbons("map/path/goal", ring, 0.8 * self._unit, "path", PATH)
 
     def _ShowGrid(self, grid: GridMap) -> None:
-        cells = classify(grid)
-        for kind, name, colour in ((FREE_CELL, "free", FREE), (OCCUPIED_CELL, "occupied", OCCUPIED)):
-            self._ShowRibbons(f"map/grid/{name}", row_runs(grid, cells == kind), grid.resolution, name, colour)
+        layer = scene.grid_cells(grid)
+        for name, colour in (("free", FREE), ("occupied", OCCUPIED)):
+            self._ShowRibbons(f"map/grid/{name}", layer[name], grid.resolution, name, colour)
 
     # What changes all the time
 
@@ -333,9 +339,7 @@ class TfgVisualizer(LeafSystem):
         if pose is not None:
             self._meshcat.SetTransform("/tfg/map/robot", _planar(pose_at(pose, context.get_time())))
         if pose is not None and scan is not None and math.isfinite(scan.stamp):
-            hit = np.isfinite(scan.ranges) & (scan.ranges < scan.range_max)
-            rays = scan.ranges[hit, None] * np.stack([np.cos(scan.angles[hit]), np.sin(scan.angles[hit])], axis=1)
-            points = transform(pose_at(pose, scan.stamp), rays)
+            points = scene.scan_points(scan, pose)["points"]
             self._ShowTriangles("map/scan", discs(points, 0.6 * self._unit, _Z["scan"], corners=6), SCAN)
         if mission is not None:
             self._meshcat.SetProperty("/tfg/map/path", "visible", mission.drives)

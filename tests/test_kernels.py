@@ -42,6 +42,7 @@ def test_every_kernel_is_in_the_table_or_part_of_one_that_is(dispatchers):
     assert not missing, f"the table lacks these; {MEND}"
 
 
+@pytest.mark.slow
 def test_the_commands_call_nothing_that_the_table_lacks(compiled):
     done = subprocess.run([sys.executable, str(REHEARSAL)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, ""), f"{done.stderr[-2000:]}\n{MEND}"

@@ -18,6 +18,8 @@ GAINS = ("exact", "limit", "paper", "authors")
 GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier", "random")
 # The real robots, by what their base speaks.
 ROBOTS = ("kobuki", "ros2", "rosbridge")
+# What a simulated robot sees tags and walls with: sensors as the paper's, or a camera whose images are rendered.
+EYES = ("ideal", "camera")
 # What a planned path's collision probability is bounded of.
 RISKS = ("point", "path")
 
@@ -105,6 +107,33 @@ class ScanConfig:
 
 
 @dataclasses.dataclass
+class StationConfig:
+    """What the simulated station is made of."""
+
+    # What it sees with, one of EYES. Saying `camera` also sets in the sections tags and scan what such a camera's data
+    # sheet says; what is set after that holds.
+    eyes: str = "ideal"
+
+
+@dataclasses.dataclass
+class CameraConfig:
+    """The camera that sees colour and depth, where `station.eyes` is one, and the building that it looks at.
+
+    How much of the surroundings it sees, how far and how often, say the sections tags (colour) and scan (depth).
+    """
+
+    # Pixels.
+    width: int = 640
+    height: int = 480
+    # The lens above the floor, m.
+    mount_height: float = 0.3
+    # Sides of the tags' black squares, their centres above the floor, and the walls' height, m.
+    tag_size: float = 0.16
+    tag_height: float = 0.3
+    wall_height: float = 2.5
+
+
+@dataclasses.dataclass
 class SafetyConfig:
     """The filter between any controller and the base."""
 
@@ -119,6 +148,44 @@ class SafetyConfig:
     reflex_turn_rate: float = 0.4
     # The corridor kept free ahead is this much wider than the base on either side, m.
     side_margin: float = 0.03
+
+
+@dataclasses.dataclass
+class RobotCameraConfig:
+    """The camera of `--tags camera:`, where it sits on the robot, and the tags that it looks for."""
+
+    # The calibration's file, OpenCV's YAML or ROS's camera_info.
+    calibration: str = ""
+    # Side of the tags' black square, m, and their family.
+    tag_size: float = 0.16
+    family: str = "tag36h11"
+    # Where it sits in the body frame, m and rad; pitch is downward, roll clockwise as it looks.
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    # How old an image is when it arrives, s, where neither camera nor stream says when it was taken.
+    latency: float = 0.0
+    # Tags are looked for in an image so many times smaller; 1 sees smaller ones in four times the time.
+    decimation: float = 2.0
+    # Threads of the detector.
+    threads: int = 1
+
+
+@dataclasses.dataclass
+class RobotScannerConfig:
+    """The scanner of `--scan rplidar:` or the depth camera of `--scan realsense:`."""
+
+    # Where it sits in the body frame, m and rad: x ahead, z above the floor; pitch is downward.
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.3
+    yaw: float = 0.0
+    pitch: float = 0.0
+    # A depth camera's scan is of what stands in this band of heights above the floor, m.
+    low: float = 0.05
+    high: float = 0.5
 
 
 @dataclasses.dataclass
@@ -137,9 +204,15 @@ class HardwareConfig:
     # rosbridge: HOST:PORT of the server.
     bridge: str = "localhost:9090"
     # Where tags and scans come from: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, or empty for the topics
-    # of the preset; a kobuki has none of its own.
+    # of the preset; a kobuki has none of its own. Tags also from camera:SOURCE, or several of them with commas between,
+    # scans from rplidar:DEVICE or realsense:[SERIAL].
     tags: str = ""
     scan: str = ""
+    # What a preset says of sensors on ROS, of those of our own.
+    camera: RobotCameraConfig = dataclasses.field(default_factory=RobotCameraConfig)
+    # Of the second camera and those after it, where tags come from several: camera:SOURCE,camera:SOURCE.
+    more_cameras: list[RobotCameraConfig] = dataclasses.field(default_factory=list)
+    scanner: RobotScannerConfig = dataclasses.field(default_factory=RobotScannerConfig)
 
 
 @dataclasses.dataclass
@@ -257,6 +330,18 @@ class ScanRealityConfig:
 
 
 @dataclasses.dataclass
+class CameraRealityConfig:
+    """What a rendered camera does besides showing what is there."""
+
+    # How long a frame is exposed, s: meanwhile the robot turns, and the image is blurred by so much.
+    exposure_time: float = 0.0
+    # Grey levels are so many times those of a good exposure: below 1 it is dark, above 1 there is glare.
+    brightness: float = 1.0
+    # Standard deviation of a pixel's white noise, grey levels.
+    noise: float = 2.0
+
+
+@dataclasses.dataclass
 class RealityConfig:
     """What the simulated world does otherwise than the sections `tags`, `odometry` and `scan` say, which are what the
     explorer believes. None of it is told."""
@@ -264,6 +349,7 @@ class RealityConfig:
     tags: TagRealityConfig = dataclasses.field(default_factory=TagRealityConfig)
     odometry: OdometryRealityConfig = dataclasses.field(default_factory=OdometryRealityConfig)
     scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
+    camera: CameraRealityConfig = dataclasses.field(default_factory=CameraRealityConfig)
     # How many people walk about in the building.
     people: int = 0
     # How long it takes, s, to choose a goal, and to plan a path, until they are known to the others.

@@ -183,7 +183,6 @@ def _need_packages(*, interrupts: bool = True) -> None:
     # OpenCV would tell in many lines what is told in one.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
-        import cv2  # noqa: F401
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")

@@ -16,6 +16,7 @@ from tfg_drake import kernels
 from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
+    from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.missions.mission import Progress
     from tfg_drake.diagrams.robots import Robot
@@ -81,7 +82,6 @@ def open_robot(
     name: str,
     scenario: Scenario,
     method: Method,
-    meshcat: Any,
     interrupted: threading.Event,
     on_signal: Callable[[int, Any], None],
 ) -> Iterator[tuple[Robot, Scenario]]:
@@ -116,7 +116,7 @@ def open_robot(
         return
     with contextlib.ExitStack() as stack:
         try:
-            opened = stack.enter_context(OpenRobot(scenario, meshcat))
+            opened = stack.enter_context(OpenRobot(scenario))
         except DeviceError as error:
             bad_input(str(error))
         print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
@@ -158,32 +158,22 @@ def remarks_on_screen() -> Iterator[None]:
             logger.removeHandler(handler)
 
 
-def start_meshcat() -> Any:
-    """The picture, its address printed."""
-    from tfg_drake.systems.picture import Picture, open_meshcat
+def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[str], None]:
+    """What is shown on the screen before the mission begins is on the page, too."""
 
-    picture = Picture(open_meshcat())
-    print(f"Meshcat: {picture.meshcat.web_url()}", flush=True)
-    return picture
+    def both(word: str) -> None:
+        show(word)
+        if not cockpit.begun:
+            cockpit.word = word
+
+    return both
 
 
-def show_beginning(
-    meshcat: Any,
-    scenario: Scenario,
-    title: str,
-    compilation: kernels.Compilation,
-    show: Callable[[str], object],
-    interrupted: threading.Event,
+def wait_for_beginning(
+    compilation: kernels.Compilation, show: Callable[[str], object], interrupted: threading.Event
 ) -> None:
-    """Shows the picture as it is before the mission, until there are the kernels that it begins with."""
-    from tfg_drake.diagrams.scenario import MakeWorld
-    from tfg_drake.systems.visualizer import TfgVisualizer
-
-    world = MakeWorld(scenario.world)
-    picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, title)
+    """Until there are the kernels that a mission begins with."""
     while not (compilation.ready or interrupted.is_set()):
-        picture.word = compilation.word
-        picture.ShowBeginning()
         show(compilation.word)
         time.sleep(0.1)
 

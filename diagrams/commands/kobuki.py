@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -16,10 +17,14 @@ import typer
 from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
+    from tfg_drake.diagrams.scenario import Scenario
     from tfg_drake.hardware.device import BaseState, Device
     from tfg_drake.hardware.emulation.emulator import Emulator
     from tfg_drake.messages import Hazards, Odometry
+    from tfg_drake.world.world import World
 
+# Standard deviation of a range of the emulated scanner, m.
+LIDAR_NOISE = 0.01
 # How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
 
@@ -115,8 +120,14 @@ def emulate(
     world: Annotated[
         str, typer.Option(metavar="none|SCENARIO", help="Where it stands: on an empty plane, or in a scenario.")
     ] = "none",
+    sensors: Annotated[
+        bool, typer.Option("--sensors", help="With an RPLidar on a device of its own, and a camera in the network.")
+    ] = False,
 ) -> None:
     """Emulate a Kobuki until Ctrl-C; prints its device, then the address that serves its tags and scans.
+
+    With --sensors it prints three lines more: the scanner and the camera, as explore is told them, and where the camera
+    is shown a chessboard.
 
     Lines on standard input make things happen to it, see docs/kobuki_emulator.md. At the end it prints its true pose.
     """
@@ -126,14 +137,17 @@ def emulate(
         signal.signal(number, signal.default_int_handler)
     # In the background of a terminal its input ends, or the whole program would be stopped.
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-    with contextlib.suppress(KeyboardInterrupt), _emulator(world) as emulator:
+    with contextlib.suppress(KeyboardInterrupt), _emulator(world) as emulator, contextlib.ExitStack() as stack:
         try:
             print(emulator.device, flush=True)
             print("{}:{}".format(*emulator.sensors), flush=True)
+            own = stack.enter_context(_own_sensors(emulator, world)) if sensors else {}
             with contextlib.suppress(OSError):
                 for line in sys.stdin or ():
                     try:
-                        if answer := order(emulator, line):
+                        if obey := own.get(" ".join(line.split())):
+                            obey()
+                        elif answer := order(emulator, line):
                             print(answer, flush=True)
                     except ValueError as error:
                         print(f"tfg-drake: {error}", file=sys.stderr, flush=True)
@@ -142,16 +156,53 @@ def emulate(
             print(json.dumps(emulator.report()), flush=True)
 
 
+@contextlib.contextmanager
+def _own_sensors(emulator: Emulator, name: str) -> Iterator[dict[str, Callable[[], None]]]:
+    """An RPLidar and a camera on the base, told; what may be ordered of them, by the order's words."""
+    from tfg_drake.hardware.emulation.emulator import empty_plane
+    from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
+    from tfg_drake.world.world import WorldError
+
+    try:
+        from tfg_drake.diagrams.emulated_camera import EmulatedCamera
+    except ImportError as error:
+        bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
+    world = empty_plane() if name == "none" else _world(name)
+    try:
+        seen = EmulatedCamera(world, lambda: emulator.base.pose)
+    except WorldError as error:
+        bad_input(f"{name}: {error}")
+    lidar = RplidarEmulator(world.walls, lambda: emulator.base.pose, noise=LIDAR_NOISE)
+    with contextlib.closing(seen) as camera, lidar:
+        for line in (f"rplidar:{lidar.device}", f"camera:{camera.url}", camera.board):
+            print(line, flush=True)
+        yield {
+            "camera off": lambda: camera.switch(False),
+            "camera on": lambda: camera.switch(True),
+            "lidar unplug": lidar.unplug,
+            "lidar plug": lidar.plug,
+        }
+
+
 def _emulator(world: str) -> Emulator:
     from tfg_drake.hardware.emulation.emulator import Emulator
 
     if world == "none":
         return Emulator()
+    scenario = _scenario(world)
+    return Emulator(_world(world), scenario.robot, scenario.tags, scenario.scan, scenario.seed)
 
-    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, ScenarioError
+
+def _world(name: str) -> World:
+    from tfg_drake.diagrams.scenario import MakeWorld
+
+    return MakeWorld(_scenario(name).world)
+
+
+def _scenario(name: str) -> Scenario:
+    from tfg_drake.diagrams.scenario import LoadScenario, ScenarioError
 
     try:
-        scenario = LoadScenario(world)
+        return LoadScenario(name)
     except ScenarioError as error:
         bad_input(str(error))
-    return Emulator(MakeWorld(scenario.world), scenario.robot, scenario.tags, scenario.scan, scenario.seed)

@@ -30,11 +30,13 @@ from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.mission.manual_drive import Pressed
+from tfg_drake.pictures import scene
 from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.port_recording import PortWriter
+from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.cpu_meter import CpuMeter
 from tfg_drake.world.changing import world_at
 from tfg_drake.world.world import World
@@ -42,6 +44,8 @@ from tfg_drake.world.world import World
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
+    from tfg_drake.cockpit.server import Cockpit
+    from tfg_drake.mission.clock import Clock
     from tfg_drake.systems.picture import Picture
     from tfg_drake.systems.visualizer import TfgVisualizer
 
@@ -70,6 +74,9 @@ REAL_STEP = 0.25
 # the next: the picture moves every second.
 SLOWEST = 0.15
 SLOW_STEP = 0.125
+# Where a page is open its wishes are looked at so often, simulated s, and while the clock is held, s of wall time.
+WATCHED_STEP = 0.125
+HELD_INTERVAL = 0.05
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
 AREA_INTERVAL = 5.0
 # A robot that observes this near to its goal was there, m.
@@ -124,15 +131,22 @@ class Mission:
         title: str,
         robot: Robot = SIMULATED,
         writer: PortWriter | None = None,
+        timeline: TimelineWriter | None = None,
+        cockpit: Cockpit | None = None,
     ) -> None:
-        """writer: where the station's ports are recorded; see `explore` for the others."""
+        """writer: where the station's ports are recorded, timeline: where the picture is; see `explore` for the
+        others."""
         self._cpu_start, self.meter = time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._X_WS = self.world.start if self.world is not None else None
         self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
-        self._scenario, self._writer = scenario, writer
+        self._scenario, self._writer, self._timeline, self._cockpit = scenario, writer, timeline, cockpit
+        self._clock = cockpit.clock if cockpit is not None else None
+        self._clock_version = -1  # what the simulator knows of it
+        if timeline is not None:
+            self._begin_timeline(timeline, title)
         self._visualizer: TfgVisualizer | None = None
         if meshcat is not None:
             # Only a picture needs what this imports.
@@ -141,6 +155,7 @@ class Mission:
             X_WM = np.zeros(3) if self._X_WS is None else self._X_WS
             self._visualizer = TfgVisualizer(meshcat, self.world, X_WM, scenario.robot.radius, title)
         self._word = ""  # what else is done
+        self._recorder: System | None = None  # of the timeline
         self._context: Context | None = None  # until the diagram is built
 
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
@@ -186,8 +201,7 @@ class Mission:
                 elif kernels is not None:
                     step = SLOW_STEP
                 boundary = step * (math.floor(self.time / step) + 1.0)
-                status = self._simulator.AdvanceTo(min(boundary, max_time, self.robot.end_time))
-                terminated = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
+                terminated = self._advance(min(boundary, max_time, self.robot.end_time), interrupted)
                 self._observe(write)
                 if keep is not None:
                     keep()
@@ -214,6 +228,41 @@ class Mission:
         if on_progress is not None and self._context is not None:
             on_progress(self._progress(self.wall_time))
 
+    def _advance(self, boundary: float, interrupted: threading.Event) -> bool:
+        """Simulates up to a time, s, or less when interrupted; whether the mission has ended by itself. Whoever looks
+        on may hold the clock meanwhile or change its speed, at instants that change nothing."""
+        clock = self._clock
+        while self.time < boundary and not interrupted.is_set():
+            ahead = math.inf
+            if clock is not None:
+                if self._is_held(clock, interrupted):
+                    break
+                if self._cockpit is not None and self._cockpit.watched:
+                    ahead = WATCHED_STEP * (math.floor(self.time / WATCHED_STEP) + 1.0)
+            status = self._simulator.AdvanceTo(min(boundary, ahead))
+            if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
+                return True
+        return False
+
+    def _is_held(self, clock: Clock, interrupted: threading.Event) -> bool:
+        """Does what is wanted of the clock, waiting while it is held; whether somebody has interrupted it then."""
+        clock.at_stage(self._eval(self._explorer, "mission", MissionStatus).stage)
+        if clock.version == self._clock_version:
+            return False
+        if clock.held:
+            self._record_now()
+            while clock.held and not interrupted.wait(HELD_INTERVAL):
+                pass
+        self._clock_version = clock.version
+        self._simulator.set_target_realtime_rate(clock.rate)
+        self._simulator.ResetStatistics()  # or it would make up for the time that it stood
+        return interrupted.is_set()
+
+    def _record_now(self) -> None:
+        """Writes the timeline as everything is now."""
+        if self._recorder is not None and self._context is not None:
+            self._recorder.ForcedPublish(self._recorder.GetMyContextFromRoot(self._context))
+
     def begin(self, monitor: Callable[[Context], EventStatus] | None = None) -> None:
         """Build the diagram, to be advanced step by step instead of by `run`. monitor: as there."""
         self._build(monitor)
@@ -234,11 +283,15 @@ class Mission:
     def say(self, word: str) -> None:
         """From now on picture and progress say what else is done, "" for nothing."""
         self._word = word
+        if self._cockpit is not None:
+            self._cockpit.word = word
         if self._visualizer is not None:
             self._visualizer.word = word
 
     def show(self) -> None:
         """Draws the picture as everything is now, what is said included."""
+        if self.outcome != "fault":
+            self._record_now()
         if self._visualizer is None:
             return
         if self._context is None or self.outcome == "fault":
@@ -359,6 +412,9 @@ class Mission:
             self.method.MakeExplorer,
             self.robot,
             self._writer,
+            self._timeline,
+            (self._cockpit.requests,) if self._cockpit is not None else (),
+            self._cockpit.pushes if self._cockpit is not None else None,
         )
         self._simulator = Simulator(diagram)
         if monitor is not None:
@@ -366,9 +422,27 @@ class Mission:
         if truth_log is not None:
             self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
         self._explorer = diagram.GetSubsystemByName("explorer")
+        if self._timeline is not None:
+            self._recorder = diagram.GetSubsystemByName("timeline_recorder")
         self.meter.attach(self._explorer)
         self._context = self._simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self._scenario.seed))
+
+    def _begin_timeline(self, timeline: TimelineWriter, title: str) -> None:
+        """What stays as it is: the true world, the robot, and what its sensors reach."""
+        scenario, robot = self._scenario, self._scenario.robot
+        told = {
+            "title": title,
+            "radius": robot.radius,
+            "rule": scenario.explorer.goal,
+            "simulated": not self.robot.real,
+        }
+        camera = {"range": scenario.tags.range, "field_of_view": scenario.tags.field_of_view}
+        layer = scene.walls(self.world) if self.world is not None else {}
+        timeline.write("world", 0.0, layer, **told, camera=camera)
+        if self._X_WS is not None:
+            timeline.write("frame", 0.0, {"pose": self._X_WS.astype(np.float32)})
+        timeline.flush()
 
     def _spent(self, names: tuple[str, ...]) -> float:
         """CPU seconds that the explorer has spent on some of what it does."""
@@ -388,6 +462,8 @@ class Mission:
     def _observe(self, write: Callable[[str], object]) -> None:
         """Take note of where the mission stands."""
         self.status = self._eval(self._explorer, "mission", MissionStatus)
+        if self._cockpit is not None:
+            self._cockpit.at_stage(self.status.stage)
         self.pose = self._eval(self._explorer, "pose", PoseEstimate)
         self.tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
         self.grid = self._look("grid", GridMap)
@@ -406,6 +482,8 @@ class Mission:
             self.stages.append(record)
             if self._visualizer is not None:
                 self._visualizer.PlaceMap(self.X_WM)
+            if self._timeline is not None:
+                self._timeline.write("frame", self.time, {"pose": self.X_WM.astype(np.float32)})
             write(json.dumps(record) + "\n")
             _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
         self._choice = self._look("goal", GoalChoice)

@@ -2,8 +2,9 @@
 
 A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
 trajectory.tum (in W), truth.tum where the truth is known, keys.csv of a drive by hand, ports.mcap (what the station's
-ports carried), figure.png, scenario.yaml (resolved) and log.txt. The map is there while it grows. A file that cannot be
-written, as to a full disk, ends no mission.
+ports carried), timeline.tfg (what the mission looked like), mission.html (the page that shows it), figure.png,
+scenario.yaml (resolved) and log.txt. The map is there while it grows. A file that cannot be written, as to a full disk,
+ends no mission.
 """
 
 from __future__ import annotations
@@ -18,10 +19,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydrake.common import FindResourceOrThrow
 from pydrake.common.yaml import yaml_dump_typed
 from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
+from tfg_drake.cockpit.page import FILE_NAME as PAGE
+from tfg_drake.cockpit.page import export_page
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.missions.mission import Mission, Progress
 from tfg_drake.diagrams.missions.report import write_report
@@ -33,16 +37,35 @@ from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
+from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
+from tfg_drake.storage.timeline import TimelineWriter
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
+    from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.missions.fork import Fork
     from tfg_drake.systems.picture import Picture
 
 # A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
 QUICKLY_KEPT = 0.02
 KEPT_SHARE = 0.01
+
+# What the page's last card says of the summary.
+TOLD_AT_THE_END = (
+    "outcome",
+    "reason",
+    "sim_time_s",
+    "distance_m",
+    "stages",
+    "landmarks_mapped",
+    "landmarks_reachable",
+    "landmark_rmse_m",
+    "landmark_rmse_aligned_m",
+    "position_error_m",
+    "area_coverage",
+    "contacts",
+)
 
 _log = logging.getLogger("tfg_drake.run")
 
@@ -67,6 +90,7 @@ def explore(
     name: str = "scenario",
     world_name: str | None = None,
     meshcat: Meshcat | Picture | None = None,
+    cockpit: Cockpit | None = None,
     realtime_rate: float = 0.0,
     max_time: float = 3600.0,
     out_dir: Path | None = None,
@@ -83,7 +107,8 @@ def explore(
         method: what explores.
         robot: what it drives.
         name: what the run is called in titles and the folder's name; world_name the world's, the same by default.
-        meshcat: where to show it; None for no picture.
+        meshcat: where to draw it; None for no picture in Meshcat.
+        cockpit: the page that shows it and asks for something; None for none.
         realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
         max_time: simulated s after which the outcome is time_limit, as it is when the robot's station ends.
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
@@ -110,12 +135,18 @@ def explore(
     ):
         write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
-        title = name if method.name == "tfg" else f"{name}, {method.name}"
+        title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:
             writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name)) if record else None
+            timeline = None
+            if record:
+                watched = (lambda: cockpit.watched) if cockpit is not None else (lambda: False)
+                timeline = stack.enter_context(TimelineWriter(folder.path / TIMELINE, watched))
+            if cockpit is not None and timeline is not None:
+                cockpit.follow(folder.path / TIMELINE)
             folder.keep_reserve()
             stop = interrupted if interrupted is not None else stack.enter_context(_interrupts())
-            mission = Mission(scenario, method, meshcat, f"{title}, seed {scenario.seed}", robot, writer)
+            mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit)
             folder.append("stages.jsonl", "")
             keep = _Keeper(mission, folder) if record else None
             mission.run(
@@ -132,11 +163,24 @@ def explore(
             summary = write_report(mission, scenario, folder, name, world_name or name)
             mission.say(mission.outcome.replace("_", " "))
             mission.show()
+            if timeline is not None:
+                told = {name: summary[name] for name in TOLD_AT_THE_END}
+                timeline.write("end", mission.time, {}, **told, folder=str(folder.path))
+        if timeline is not None:
+            page = lambda path: export_page(folder.path / TIMELINE, path, title, viewer_script())  # noqa: E731
+            folder.attempt(PAGE, page)
+        if timeline is not None and timeline.failure is not None:
+            folder.unwritten[TIMELINE] = timeline.failure.strerror or str(timeline.failure)
         if writer is not None and writer.failure is not None:
             folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent)
+
+
+def viewer_script() -> str:
+    """Meshcat's viewer, as Drake ships it."""
+    return Path(FindResourceOrThrow("drake/geometry/meshcat.js")).read_text(encoding="utf-8")
 
 
 class _Keeper:

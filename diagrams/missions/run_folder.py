@@ -18,6 +18,8 @@ RESULTS: tuple[str, ...] = (
     "log.txt",
     "stages.jsonl",
     "ports.mcap",
+    "timeline.tfg",
+    "mission.html",
     "map.npz",
     "grid.npz",
     "summary.json",

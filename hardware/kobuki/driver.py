@@ -10,12 +10,14 @@ import time
 from tfg_drake.hardware.device import BaseState, Device, DeviceError, Message
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki import payloads as p
+from tfg_drake.hardware.kobuki.codec import BAUD_RATE
 from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.kobuki.guardian import Guardian
-from tfg_drake.hardware.kobuki.serial_port import open_port
+from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.watchdog import TICK, Limits
 from tfg_drake.messages import Hazards, Odometry
 
+KOBUKI = SerialDevice("the base", "0403:6001", "kobuki")
 # Between two attempts to connect, s: until then a base whose cable was pulled drives on.
 RETRY = 0.5
 # Between two requests of the versions, s.
@@ -106,7 +108,7 @@ class KobukiDriver:
 
     def _connect(self, now: float) -> None:
         try:
-            self._connection = Connection(open_port(self._path), now, self._reckoning)
+            self._connection = Connection(open_port(self._path, BAUD_RATE, KOBUKI), now, self._reckoning)
         except DeviceError as error:
             self._retry(str(error))
 

@@ -9,7 +9,6 @@ and whether what comes out is plausible is judged elsewhere. `stamp` is always t
 from __future__ import annotations
 
 import base64
-import dataclasses
 import math
 import reprlib
 from collections.abc import Mapping
@@ -17,12 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.datasets.square_pnp import square_centers
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
+from tfg_drake.hardware.sweep import Sweep, scan_of
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.mount import CameraMount
+from tfg_drake.vision.sighting import LEAST_RANGE, TagNoise, in_plane
+from tfg_drake.vision.tag_position import tag_positions
 
 # A robot whose odometry tells no more motion than this has not turned a wheel: m or m/s, and rad/s.
 REST, REST_TURN_RATE = 1e-5, 1e-3
@@ -44,14 +47,6 @@ LOW_CHARGE, DANGEROUS_CHARGE, GREATEST_SHARE = 0.15, 0.05, 1.5
 _CHARGING = 1
 # A ROS stamp is below that (the year 2242), s. Between two rays of a sweep lies less, s.
 _LAST_STAMP, _RAY_TIME = 2**33, 1.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Calibration:
-    """Of a camera's rectified image, pixels. focal: along x and y. centre: (x, y) of its axis."""
-
-    focal: tuple[float, float]
-    centre: tuple[float, float]
 
 
 def field(message: Any, path: str) -> Any:
@@ -153,23 +148,13 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
     ranges[too_near] = least
 
     n = len(ranges)
-    after_middle = (np.arange(n) - 0.5 * (n - 1)) * between
-    reach = np.where(np.isfinite(ranges), ranges, greatest)
-    direction = first + step * np.arange(n) + scanner.yaw
-    x, y = scanner.x + reach * np.cos(direction), scanner.y + reach * np.sin(direction)
-    turned = V_B[1] * after_middle
-    ahead = V_B[0] * after_middle
-    px, py = ahead + np.cos(turned) * x - np.sin(turned) * y, np.sin(turned) * x + np.cos(turned) * y
-    angles = wrap_angle(np.arctan2(py, px))
-    hit = np.isfinite(ranges)
-    ranges[hit] = np.hypot(px, py)[hit]
-    order = np.argsort(angles, kind="stable")
-    order = order[np.diff(angles[order], prepend=-math.inf) > 1e-9]
+    after_middle = np.asarray((np.arange(n) - 0.5 * (n - 1)) * between, dtype=float)
+    directions = np.asarray(first + step * np.arange(n) + scanner.yaw, dtype=float)
     middle = stamp - (float(after_middle[0]) if n else 0.0)
-    return LaserScan(middle, angles[order], ranges[order], greatest, scanner.sigma)
+    return scan_of(Sweep(middle, directions, ranges, after_middle, scanner.x, scanner.y, greatest, scanner.sigma), V_B)
 
 
-def calibration(camera_info: Any) -> Calibration:
+def calibration(camera_info: Any) -> CameraCalibration:
     """sensor_msgs/CameraInfo of either ROS: what its P says of the rectified image."""
     P = list(_sequence(camera_info, "p" if _has(camera_info, "p") else "P", 12))
     if len(P) != 12:
@@ -177,10 +162,11 @@ def calibration(camera_info: Any) -> Calibration:
     fx, cx, fy, cy = (_bounded(P[i], "camera_info's P", _WIDEST_IMAGE) for i in (0, 2, 5, 6))
     if not (fx >= 1.0 and fy >= 1.0):
         raise ValueError("camera_info holds no calibration (its P is zero)")
-    return Calibration((fx, fy), (cx, cy))
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return CameraCalibration(0, 0, K, "plumb_bob", np.zeros(0))
 
 
-def apriltag_detections(message: Any, calibrated: Calibration, stamp: float, camera: Camera) -> TagDetections:
+def apriltag_detections(message: Any, calibrated: CameraCalibration, stamp: float, camera: Camera) -> TagDetections:
     """apriltag_msgs/AprilTagDetectionArray: corners in the rectified image.
 
     The optical frame is REP 103's: z forward, x right, y down. Standard deviations are those of camera.corner_sigma
@@ -189,29 +175,11 @@ def apriltag_detections(message: Any, calibrated: Calibration, stamp: float, cam
     found = list(_sequence(message, "detections", MOST_TAGS))
     ids = np.array([_tag_id(field(one, "id")) for one in found], dtype=np.int64)
     pixels = np.array([_corners(one) for one in found]).reshape(-1, 4, 2)
-    focal = np.array(calibrated.focal)
-    corners = (pixels - calibrated.centre) / focal
-    p_CT, covariance = square_centers(corners, np.full(len(ids), camera.tag_size))
-    covariance = covariance * (camera.corner_sigma / focal.mean()) ** 2
-
-    # Rows: the body's x and y as directions in the optical frame; pitch is downward.
-    cy, sy, cp, sp = math.cos(camera.yaw), math.sin(camera.yaw), math.cos(camera.pitch), math.sin(camera.pitch)
-    R_BC = np.array([[sy, -cy * sp, cy * cp], [-cy, -sy * sp, sy * cp]])
-    p_BT = p_CT @ R_BC.T + [camera.x, camera.y]
-    covariance = R_BC @ covariance @ R_BC.T
-    distance = np.hypot(p_BT[:, 0], p_BT[:, 1])
-    good = (p_CT[:, 2] > 0.0) & (distance > 0.0)
-    p_BT, covariance, distance = p_BT[good], covariance[good], distance[good]
-    along = p_BT / distance[:, None]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    return TagDetections(
-        stamp=stamp,
-        ids=ids[good],
-        range=distance,
-        bearing=np.arctan2(p_BT[:, 1], p_BT[:, 0]),
-        sigma_range=np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along)),
-        sigma_bearing=np.sqrt(np.einsum("ni,nij,nj->n", across, covariance, across)) / distance,
-    )
+    p_CT, unit = tag_positions(pixels, np.full(len(ids), camera.tag_size), calibrated)
+    mount = CameraMount(camera.x, camera.y, yaw=camera.yaw, pitch=camera.pitch)
+    sighting = in_plane(p_CT, unit, mount, TagNoise(pixels=camera.corner_sigma, place=0.0))
+    good = sighting[0] > LEAST_RANGE
+    return TagDetections(stamp, ids[good], *(column[good] for column in sighting))
 
 
 def _tag_id(value: Any) -> int:

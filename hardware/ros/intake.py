@@ -5,16 +5,21 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tfg_drake.hardware.camera_sensor import tell
 from tfg_drake.hardware.device import Message
 from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.ros import conversions
-from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, Preset, Topic
 from tfg_drake.hardware.ros.stamps import SENSOR_SILENCE, ClockJump, StampClock
 from tfg_drake.messages import FloatArray, Hazards, Odometry, replace
+from tfg_drake.vision.calibration import CameraCalibration
+
+if TYPE_CHECKING:
+    from tfg_drake.hardware.ros.images import ImageTags
 
 # No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset.
 FASTEST, LEAP = 1.5, 0.5
@@ -47,7 +52,12 @@ class Intake:
         self._odometry_told: Odometry | None = None
         self._X_OR = (0.0, 0.0, 0.0)
         self._hazards = Hazards(-math.inf, 0, 0, 0)
-        self._camera: conversions.Calibration | None = None
+        # What the camera says of itself, and that of it which apriltag_msgs need.
+        self._camera_info: Any = None
+        self._camera: CameraCalibration | None = None
+        # Whether tags are looked for in images, and what does.
+        self._images = any(topic.type in (IMAGE, COMPRESSED_IMAGE) for _, topic in topics)
+        self._eyes: ImageTags | None = None
         self._fault: str | None = None
         self.alarm: str | None = None
         self._remarks: list[str] = []
@@ -71,13 +81,14 @@ class Intake:
 
     def _take_in(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
         if key == "camera_info":
-            self._camera = conversions.calibration(message)
+            self._camera_info = message
+            self._camera = None if self._images else conversions.calibration(message)
         elif key == "battery":
             # Of now, whatever its stamp: nothing is reckoned with it.
             state = conversions.battery(message, arrival)
             self.alarm = _ALARMS.get(state.charger or state.battery_level)
             self._messages.append(state)
-        elif key == "detections" and topic.type.startswith("apriltag") and self._camera is None:
+        elif key == "detections" and not topic.type.endswith("PointCloud2") and self._camera_info is None:
             pass  # the camera says its calibration with its first image
         elif (stamp := self._host_stamp(key, topic, message, arrival)) is None:
             pass
@@ -109,8 +120,19 @@ class Intake:
             return self._hazards
         if topic.type == "sensor_msgs/msg/PointCloud2":
             return conversions.plain_detections(message, stamp)
+        if self._images:
+            return self._looked_at(topic, message, stamp)
         assert self._camera is not None
         return conversions.apriltag_detections(message, self._camera, stamp, self._preset.camera)
+
+    def _looked_at(self, topic: Topic, message: Any, stamp: float) -> Message:
+        if self._eyes is None:
+            from tfg_drake.hardware.ros.images import ImageTags  # which needs OpenCV
+
+            self._eyes = ImageTags(topic.type, topic.name, self._preset.camera)
+        seen = self._eyes.sighting(message, self._camera_info, stamp)
+        tell(self.refusals, topic.name, seen.remarks)
+        return seen.detections
 
     def _continued(self, topic: Topic, told: Odometry) -> Odometry:
         """The odometry, going on where it was when the base has begun to count anew."""

@@ -31,7 +31,8 @@ class Topic:
 
 @dataclasses.dataclass(frozen=True)
 class Topics:
-    """The topics of one robot; those of tags, hazards and battery may be absent. camera_info: for apriltag_msgs."""
+    """The topics of one robot; those of tags, hazards and battery may be absent. camera_info: for apriltag_msgs; images
+    have their own beside them."""
 
     odometry: Topic
     scan: Topic
@@ -115,6 +116,8 @@ class Preset:
     discovery: str = "subnet"
 
 
+# What tags may be looked for in.
+IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 # The types that a topic may have, by its key in `topics`.
 TYPES = {
     "odometry": ("nav_msgs/msg/Odometry",),
@@ -128,7 +131,7 @@ TYPES = {
         "turtlebot3_msgs/msg/SensorState",
     ),
     "battery": ("sensor_msgs/msg/BatteryState",),
-    "detections": ("apriltag_msgs/msg/AprilTagDetectionArray", "sensor_msgs/msg/PointCloud2"),
+    "detections": ("apriltag_msgs/msg/AprilTagDetectionArray", "sensor_msgs/msg/PointCloud2", IMAGE, COMPRESSED_IMAGE),
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
 }
 QOS = ("sensor_data", "reliable")

@@ -10,7 +10,7 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.ros import graph_driver
 from tfg_drake.hardware.ros.announcer import Announcer
 from tfg_drake.hardware.ros.graph_driver import Graph, GraphDriver
-from tfg_drake.hardware.ros.preset import TYPES, Preset, Topic
+from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, TYPES, Preset, Topic
 from tfg_drake.hardware.watchdog import TICK, Limits
 from tfg_drake.messages import LaserScan, TagDetections
 
@@ -70,6 +70,9 @@ class SensorDriver(GraphDriver):
                 if preset.topics.camera_info is None:
                     raise DeviceError(f"{graph.label}: corners of tags say nothing without the preset's camera_info")
                 needed.append(("camera_info", preset.topics.camera_info))
+            needed += [
+                ("camera_info", _beside(topic)) for _, topic in needed if topic.type in (IMAGE, COMPRESSED_IMAGE)
+            ]
             if base:
                 needed.append(("clock", preset.topics.odometry))
             for _, topic in needed:
@@ -116,3 +119,17 @@ class SensorDriver(GraphDriver):
         """Leaves the graph."""
         self._announcer.close()
         super().close()
+
+
+def _beside(image: Topic) -> Topic:
+    """The camera_info of a topic of images, in the same namespace, as image_transport has it; raises DeviceError where
+    there is nothing that sees."""
+    try:
+        import robotpy_apriltag  # noqa: F401
+    except ImportError as error:
+        raise DeviceError(
+            f"{image.name}: {error.name} is not installed, tags cannot be found in images; get it with pip install -e "
+            "'.[camera]'"
+        ) from None
+    name = image.name.removesuffix("/compressed").rpartition("/")[0]
+    return Topic(f"{name}/camera_info", TYPES["camera_info"][0])

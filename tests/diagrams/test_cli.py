@@ -1,7 +1,9 @@
 import dataclasses
 import json
 import math
+import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -38,6 +40,7 @@ def room(tmp_path):
         ("explore --tag-spacing 1e-4", "--tag-spacing 0.0001: must be 0.05 m at least; tags are no smaller"),
         ("compare --set seed=5", "--set seed=5: the seeds are 0 to one less than --seeds; leave it out"),
         ("explore --seed -1", "--seed -1: must be between 0 and 2147483647"),
+        ("explore --page-port 70000", "port 70000: must be between 1 and 65535"),
         ("explore --start 1,2", "--start 1,2: must be X,Y,YAW in metres and radians, such as 1.5,2,0"),
         ("explore --start a,b,c", "--start a,b,c: must be X,Y,YAW in metres and radians, such as 1.5,2,0"),
         ("explore --start 1,2,inf", "--start 1,2,inf: must be finite"),
@@ -70,7 +73,7 @@ def test_a_shell_completes_commands(call, monkeypatch):
     monkeypatch.setenv("_TFG_DRAKE_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", "tfg-drake ex")
     monkeypatch.setenv("COMP_CWORD", "1")
-    assert call() == (0, "explore\n", "")
+    assert call() == (0, "explore\nexport\n", "")
 
 
 @pytest.mark.parametrize(
@@ -124,8 +127,24 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
     # Before the table, on a slow machine, come lines of progress.
-    names = [line[:12].strip() for line in out.splitlines()[-9:-1]]
-    assert names == ["outcome", "time", "driven", "landmarks", "pose error", "coverage", "safety", "files"]
+    names = [line[:12].strip() for line in out.splitlines()[-10:-1]]
+    assert names == ["outcome", "time", "driven", "landmarks", "pose error", "coverage", "safety", "files", "page"]
+
+
+def test_a_mission_has_a_page_and_prints_its_address_first(call, room, tmp_path):
+    code, out, err = call("explore", room, "--max-time", "1", "--page-port", "17432", "--out", str(tmp_path / "run"))
+    assert (code, err) == (0, "")
+    lines = [line for line in out.splitlines() if not line.startswith("loading")]
+    assert any(re.fullmatch(r"page: http://localhost:17432/#token=[\w-]{20,}", line) for line in lines[:2])
+    assert lines[-1] == f"page        {tmp_path / 'run' / 'mission.html'}"
+
+
+def test_a_port_that_somebody_else_has(call, room, tmp_path):
+    with socket.create_server(("127.0.0.1", 17433)):
+        code, out, err = call("explore", room, "--page-port", "17433", "--out", str(tmp_path / "run"))
+    assert (code, out) == (2, "")
+    complaint = "localhost, port 17433: the page cannot be served there: address already in use; name another"
+    assert err == f"tfg-drake: {complaint}\n"
 
 
 def test_a_run_in_another_world_has_the_name_of_its_file(call, tmp_path):

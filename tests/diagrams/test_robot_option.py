@@ -18,14 +18,18 @@ SOCKETS = ["--tags", "socket:127.0.0.1:1", "--scan", "socket:127.0.0.1:1"]
         (["--tags", "ros2:/tags"], f"--tags ros2:/tags: is for a real robot; give --robot {ROBOTS} too"),
         (["--robot", "kobuki", "--world", "house"], "--world: is for a simulated robot; leave it out"),
         (["--robot", "ros2", "--realtime-rate", "2"], "--realtime-rate: a real robot's time is real; leave it out"),
-        (["--robot", "kobuki"], "kobuki: no source of tags; give --tags socket:HOST:PORT or ros2:/TOPIC"),
+        (
+            ["--robot", "kobuki"],
+            "kobuki: no source of tags; give --tags camera:/dev/video0, socket:HOST:PORT or ros2:/TOPIC",
+        ),
         (
             ["--robot", "kobuki", "--tags", "socket:localhost:5"],
-            "kobuki: no source of scan; give --scan socket:HOST:PORT or ros2:/TOPIC",
+            "kobuki: no source of scan; give --scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC",
         ),
         (
             ["--robot", "kobuki", "--tags", "serial:x"],
-            "serial:x: is no source; name one as ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT",
+            "serial:x: is no source; name one as ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, "
+            "camera:SOURCE, rplidar:DEVICE or realsense:",
         ),
         (
             ["--robot", "kobuki", *SOCKETS],

@@ -120,8 +120,8 @@ def test_world_and_config_are_inverse():
         ("robot: {radios: 1}", "robot.radios: unknown key; did you mean radius?"),
         (
             "wheels: {}",
-            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, reality, safety,"
-            " disturbances, explorer, planner, drive, grid, hardware",
+            "wheels: unknown key; the sections are seed, world, robot, odometry, tags, scan, station, camera, reality,"
+            " safety, disturbances, explorer, planner, drive, grid, hardware",
         ),
         ("disturbances: [{duration: 0}]", "disturbances[0].duration: must be greater than 0, is 0"),
         ("drive: [[1, 2, 3]]", "drive[0]: expected 2 numbers [x, y], found 3"),

@@ -1,14 +1,19 @@
 """Which devices a configuration opens, and with what preset, without any."""
 
+import math
+
 import pytest
 
-from tfg_drake.config import HardwareConfig, RobotConfig
+from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
 from tfg_drake.hardware import robot_devices
+from tfg_drake.hardware.cameras_source import CamerasSource
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import open_devices
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.sensor_source import SourceSpec
+from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.hardware.watchdog import Limits
+from tfg_drake.vision.calibration import pinhole, save_calibration
 
 TAGS, SCAN = "ros2:/detections", "ros2:/scan"
 
@@ -28,8 +33,8 @@ def opened(monkeypatch):
     """What the base and the sources were opened with."""
     given = {"source": Nothing(), "base": Nothing()}
 
-    def sources(specs, preset, graph):
-        given["specs"], given["sensors"], given["graph"] = specs, preset, graph
+    def sources(specs, preset, graph, hardware):
+        given["specs"], given["sensors"], given["graph"], given["hardware"] = specs, preset, graph, hardware
         return dict.fromkeys(("tags", "scan") if graph is None else ("tags", "scan", "base"), given["source"])
 
     def base(config, preset, limits, graph):
@@ -81,6 +86,59 @@ def test_how_near_the_scanner_sees_is_the_presets_but_for_a_socket(opened):
     for scan, least in ((SCAN, 0.45), (socket, 0.0)):
         config = HardwareConfig(robot="kobuki", tags=TAGS, scan=scan)
         assert open_devices(config, RobotConfig()).least_range == least
+
+
+def test_a_robot_without_ros_sees_as_its_own_sensors_do(opened, tmp_path):
+    """Its scans are made of sweeps by the base's odometry; how wide and far it sees tags says the calibration."""
+    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+    save_calibration(tmp_path / "camera.yaml", pinhole(640, 480, 500.0))
+    config = HardwareConfig(robot="kobuki", tags="camera:0", scan="rplidar:/dev/ttyUSB0")
+    config.camera.calibration = str(tmp_path / "camera.yaml")
+    opened["base"].odometry_near = lambda stamp: None
+    devices = open_devices(config, RobotConfig())
+    assert opened["hardware"] is config
+    assert isinstance(devices.scan, SweepSource)
+    assert devices.least_range == 0.15
+    assert devices.view.range == pytest.approx(0.16 * 500.0 / 24.0)
+    assert devices.view.field_of_view == pytest.approx(2.0 * math.atan(319.5 / 500.0))
+    config.scan = "realsense:"
+    depth = open_devices(config, RobotConfig())
+    assert (depth.scan, depth.least_range) == (opened["source"], 0.3)
+
+
+def test_several_cameras(opened, tmp_path):
+    """Each has a source, a calibration and a mount of its own; they see together."""
+    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+    save_calibration(tmp_path / "camera.yaml", pinhole(640, 480, 500.0))
+    cameras = [RobotCameraConfig(str(tmp_path / "camera.yaml"), yaw=yaw) for yaw in (0.5, -0.5)]
+    config = HardwareConfig(robot="kobuki", tags="camera:0,camera:http://host/a,b", scan=SCAN, camera=cameras[0])
+    with pytest.raises(DeviceError) as error:
+        open_devices(config, RobotConfig())
+    assert str(error.value) == (
+        "camera:http://host/a,b: nothing is known of it; give hardware.more_cameras an entry for each camera but the "
+        "first, in a scenario's file"
+    )
+    config.more_cameras = cameras[1:]
+    devices = open_devices(config, RobotConfig())
+    assert isinstance(devices.tags, CamerasSource)
+    assert opened["specs"] == {"tags": "camera:http://host/a,b"}
+    assert opened["hardware"].camera is cameras[1]
+    assert devices.view.field_of_view == pytest.approx(2.0 * (0.5 + math.atan(319.5 / 500.0)))
+
+
+def test_a_camera_without_a_calibration_opens_no_base(opened):
+    config = HardwareConfig(robot="kobuki", tags="camera:0", scan="rplidar:/dev/ttyUSB0")
+    with pytest.raises(DeviceError, match=r"^camera:0: (has no calibration|\w+ is not installed)"):
+        open_devices(config, RobotConfig())
+    assert "driven" not in opened
+
+
+def test_a_base_without_sources(opened):
+    with pytest.raises(DeviceError) as error:
+        open_devices(HardwareConfig(robot="kobuki", tags=TAGS), RobotConfig())
+    assert str(error.value) == (
+        "kobuki: no source of scan; give --scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
+    )
 
 
 def test_the_lowest_limit_holds(opened):

@@ -32,13 +32,18 @@ PRESET = load_preset("turtlebot2")
         ("rosbridge:/scan", SourceSpec("rosbridge", "localhost", 9090, "/scan")),
         ("rosbridge:[::1]:9090/scan", SourceSpec("rosbridge", "::1", 9090, "/scan")),
         ("socket:127.0.0.1:5000", SourceSpec("socket", "127.0.0.1", 5000)),
+        ("camera:/dev/video0", SourceSpec("camera", device="/dev/video0")),
+        ("camera:http://10.0.0.7:8080/stream", SourceSpec("camera", device="http://10.0.0.7:8080/stream")),
+        ("rplidar:/dev/ttyUSB0", SourceSpec("rplidar", device="/dev/ttyUSB0")),
+        ("realsense:", SourceSpec("realsense")),
     ],
 )
 def test_sources(text, spec):
     assert parse_source(text) == spec
+    assert text.partition(":")[0] == str(spec).partition(":")[0]
 
 
-FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT"
+FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:SOURCE, rplidar:DEVICE or realsense:"
 
 
 @pytest.mark.parametrize(
@@ -55,12 +60,31 @@ FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC or socket:HOST:PORT"
         ),
         ("socket:5000", "socket:5000: 5000 is no HOST:PORT; name the source as socket:HOST:PORT"),
         ("socket:host:99999", f"socket:host:99999: host:99999 is no HOST:PORT; name the source as {FORMS}"),
+        (
+            "camera:",
+            "camera:: names no device; name the source as camera:/dev/video0, camera:http://HOST/STREAM or camera:FILE",
+        ),
+        ("rplidar:", "rplidar:: names no device; name the source as rplidar:/dev/ttyUSB0"),
         ("socket:h:5/scan", "socket:h:5/scan: h:5/scan is no HOST:PORT; name the source as socket:HOST:PORT"),
     ],
 )
 def test_sources_that_are_none(text, line):
     with pytest.raises(DeviceError) as error:
         parse_source(text)
+    assert str(error.value) == line
+
+
+@pytest.mark.parametrize(
+    ("use", "text", "line"),
+    [
+        ("scan", "camera:0", "camera:0: is a source of tags; give --tags camera:0"),
+        ("tags", "rplidar:/dev/ttyUSB0", "rplidar:/dev/ttyUSB0: is a source of scan; give --scan rplidar:/dev/ttyUSB0"),
+        ("tags", "realsense:", "realsense:: is a source of scan; give --scan realsense:"),
+    ],
+)
+def test_a_sensor_that_gives_something_else(use, text, line):
+    with pytest.raises(DeviceError) as error:
+        open_sources({use: text}, PRESET)
     assert str(error.value) == line
 
 

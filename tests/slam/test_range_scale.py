@@ -9,6 +9,8 @@ from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, unknown_
 
 WALLS = np.array([[4.0, -6.0, 5.0, 6.0], [-6.0, 5.0, 6.0, 5.0], [-6.0, -5.0, 6.0, -5.0], [-5.0, -6.0, -5.0, 6.0]])
 ANGLES = np.linspace(-1.08, 1.08, 249)
+# Those of the columns of an image.
+COLUMNS = np.arctan(np.linspace(np.tan(-1.08), np.tan(1.08), 249))
 
 
 def inwards(walls, distance):
@@ -19,28 +21,31 @@ def inwards(walls, distance):
     return walls + distance * np.hstack([normal, normal])
 
 
-def frame(rng, scale, stamp=0.0, noise=1.0, stray=0, before=0.01):
+def frame(rng, scale, stamp=0.0, noise=1.0, stray=0, before=0.01, angles=ANGLES):
     """A frame of twelve tags, before their walls, and the scan of its instant, from a random place."""
     origin, heading = rng.uniform(-2.0, 2.0, 2), rng.uniform(-np.pi, np.pi)
-    ranges = cast_rays(WALLS, origin, ANGLES + heading, 10.0)
+    ranges = cast_rays(WALLS, origin, angles + heading, 10.0)
     bearing = rng.uniform(-1.0, 1.0, 12)
     distance = cast_rays(inwards(WALLS, before), origin, bearing + heading, 10.0)
     distance[:stray] *= rng.uniform(0.3, 0.8, stray)
     sigma = 0.02 + 0.01 * distance
     z = scale * distance + noise * sigma * rng.normal(size=12)
     bearing = bearing + noise * 0.01 * rng.normal(size=12)
-    scan = LaserScan(stamp, ANGLES, ranges + noise * 0.015 * rng.normal(size=len(ANGLES)), 10.0, 0.015)
+    scan = LaserScan(stamp, angles, ranges + noise * 0.015 * rng.normal(size=len(angles)), 10.0, 0.015)
     return TagDetections(stamp, np.arange(12), z, bearing, sigma, np.full(12, 0.01)), scan
 
 
-@pytest.mark.parametrize(("true", "stray"), [(1.0, 0), (1.01, 0), (0.985, 0), (1.01, 3)])
-def test_the_scale_is_found_to_two_parts_in_a_thousand(true, stray):
+@pytest.mark.parametrize(
+    ("true", "stray", "angles"),
+    [(1.0, 0, ANGLES), (1.01, 0, ANGLES), (0.985, 0, ANGLES), (1.01, 3, ANGLES), (1.0, 0, COLUMNS), (1.01, 0, COLUMNS)],
+)
+def test_the_scale_is_found_to_two_parts_in_a_thousand(true, stray, angles):
     errors, sigmas = [], []
     for seed in range(10):
         rng = np.random.default_rng(seed)
         scale = unknown_scale()
         for _ in range(100):
-            scale = compare(scale, *frame(rng, true, stray=stray))
+            scale = compare(scale, *frame(rng, true, stray=stray, angles=angles))
         errors.append(scale.mean[0] - (true - 1.0))
         sigmas.append(scale.sigma)
     assert np.abs(errors).max() < 0.005

@@ -1,4 +1,4 @@
-"""The picture may fail, and any web page may press its buttons: a mission goes on, and no wheel starts."""
+"""The picture in Meshcat may fail: a mission goes on."""
 
 import time
 
@@ -7,9 +7,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from tests.systems.web_page import WebPage
-from tfg_drake.mission.operation import Operation, requested
 from tfg_drake.systems import picture as module
-from tfg_drake.systems.meshcat_buttons import MeshcatButtons
 from tfg_drake.systems.picture import Picture, open_meshcat
 from tfg_drake.systems.visualizer import TfgVisualizer
 
@@ -29,43 +27,8 @@ def until(condition):
         time.sleep(0.02)
 
 
-def asked(buttons, page, *names):
-    """The requests that come of a page's clicks, the last of which is a STOP."""
-    for name in names:
-        page.click(name)
-    requests = []
-
-    def stopped():
-        requests.extend(buttons.requests())
-        return "stop" in requests
-
-    until(stopped)
-    return requests
-
-
-def test_no_page_starts_the_wheels(picture):
-    buttons = MeshcatButtons(picture)
-    page = WebPage(picture.meshcat.port())
-    assert page.answer.startswith("HTTP/1.1 101")  # Meshcat asks nobody where he comes from.
-    names = ["Enable", "Pause", "Pause / resume", "Pause", "Resume", "enable", "STOP"]
-    operation = requested(requested(Operation(), "enable"), "pause")
-    for request in asked(buttons, page, *names):
-        operation = requested(operation, request)
-    assert operation.enabling == 0
-    assert operation.enablings == 1
-    assert operation.paused
-
-
-def test_pressing_pause_twice_is_not_resuming(picture):
-    buttons = MeshcatButtons(picture)
-    page = WebPage(picture.meshcat.port())
-    requests = asked(buttons, page, "Pause", "Pause", "STOP")
-    assert sorted(requests) == ["hold", "hold", "stop"]
-
-
-def test_a_lost_picture_comes_back_with_its_scene_and_its_buttons(picture, caplog):
+def test_a_lost_picture_comes_back_with_its_scene(picture, caplog):
     port = picture.meshcat.port()
-    buttons = MeshcatButtons(picture)
     simulator = Simulator(TfgVisualizer(picture, None, np.zeros(3), 0.18, "test"))
     simulator.AdvanceTo(0.5)
     page = WebPage(port)
@@ -79,13 +42,10 @@ def test_a_lost_picture_comes_back_with_its_scene_and_its_buttons(picture, caplo
     assert picture.meshcat.port() == port
     for path in ("caption", "map/robot", "truth"):
         assert picture.meshcat.HasPath(f"/tfg/{path}"), path
-    assert buttons.requests() == []  # They are there again before anybody presses them.
-    page = WebPage(port)
-    assert asked(buttons, page, "Enable", "STOP") == ["stop"]
     remarks = [record.getMessage() for record in caplog.records if record.name == "tfg_drake.picture"]
     reason = "Meshcat's internal websocket thread exited unexpectedly"
     assert remarks == [
-        f"the picture is lost: {reason}; the mission goes on, STOP is on the terminal (space)",
+        f"the picture is lost: {reason}; the mission goes on",
         f"the picture is back at http://localhost:{port}",
     ]
 

@@ -25,10 +25,6 @@ class WebPage:
         masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(payload))
         self._socket.sendall(bytes([0x82, 0x80 | len(payload)]) + mask + masked)
 
-    def click(self, name: str) -> None:
-        """What Meshcat's own page sends for a button."""
-        self.send(b"\x82\xa4type\xa6button\xa4name" + bytes([0xA0 | len(name)]) + name.encode())
-
     def close(self) -> None:
         """Leave."""
         self._socket.close()

@@ -1,10 +1,10 @@
 """Tags rendered by OpenCV's warps, an oracle that knows nothing of the code under test. Without the packages that see,
 whoever imports this is skipped."""
 
+import cv2
 import numpy as np
 import pytest
 
-cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install -e '.[camera]'")
 pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
 
 # Pixels of a tag's texture a cell, and how many times finer than the image it is rendered.

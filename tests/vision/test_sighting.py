@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from tests.vision.rendering import corners_of, projected, render
 from tfg_drake.datasets import tagslam
 from tfg_drake.messages import replace
-from tfg_drake.vision.calibration import CameraCalibration, pinhole
+from tfg_drake.vision.calibration import pinhole
 from tfg_drake.vision.mount import CameraMount, mount_of
 from tfg_drake.vision.sighting import TagNoise, TagSizes, nothing_sighted, sighted
 from tfg_drake.vision.tag_detector import TagDetector, TagsInImage
@@ -169,9 +169,7 @@ def recorded(shared_data):
         if not (stamps[0] <= t <= stamps[-1]) or int(tag) not in places:
             continue
         one = setup.camera(name)
-        K = np.eye(3)
-        K[0, 0], K[1, 1], K[0, 2], K[1, 2] = one["intrinsics"]
-        camera = CameraCalibration(1280, 1024, K, one["model"], one["coefficients"])
+        camera = replace(one["calibration"], width=1280, height=1024)
         R, p = rotations(t).as_matrix(), np.array([np.interp(t, stamps, p_WR[:, k]) for k in range(3)])
         # A body that is level and looks along W's x axis at the rig.
         mount = mount_of(R @ one["R_RC"], R @ one["p_RC"])

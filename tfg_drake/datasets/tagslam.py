@@ -20,10 +20,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import Rows, ShortRowError
-from tfg_drake.datasets.square_pnp import square_centers, undistort
 from tfg_drake.datasets.text import GREATEST, find_file, parse_numbers, read_text
 from tfg_drake.messages import FloatArray, IntArray, Odometry
 from tfg_drake.storage.yaml_text import parse_yaml
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.tag_position import tag_positions
 
 # Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
 CORNER_NOISE = 0.5
@@ -34,6 +35,8 @@ JUMP_SPEED = 1.0
 JUMP_TURN_RATE = 1.5
 # A tag must be this far from the rig in the plane for its bearing to mean anything, m.
 LEAST_RANGE = 0.3
+# Kalibr's names of lens models, and OpenCV's.
+_MODELS = {"equidistant": "equidistant", "radtan": "plumb_bob"}
 
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "xy")
@@ -83,14 +86,14 @@ class _Setup:
         try:
             for name, camera in cameras.items():
                 model = str(camera["distortion_model"])
-                if model not in ("equidistant", "radtan"):
+                if model not in _MODELS:
                     complaint = f"{name} has distortion_model {model}; equidistant and radtan are known"
                     raise DatasetError(f"{self.files['cameras']}: {complaint}")
+                fx, fy, cx, cy = _numbers(camera["intrinsics"], 4)
+                K, coefficients = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]], camera["distortion_coeffs"]
                 self.cameras[name] = {
                     "names": {name, *str(camera.get("tagtopic", "")).split("/")},
-                    "model": model,
-                    "intrinsics": _numbers(camera["intrinsics"], 4),
-                    "coefficients": _numbers(camera["distortion_coeffs"], 4),
+                    "calibration": CameraCalibration(0, 0, np.array(K), _MODELS[model], _numbers(coefficients, 4)),
                 }
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise _incomplete(self.files["cameras"], error) from error
@@ -170,14 +173,10 @@ def _detections(
     covariance = np.zeros((len(table), 3, 3))
     for camera in setup.cameras.values():
         rows = np.flatnonzero(np.array([name in camera["names"] for name in names], dtype=bool) & inside & trusted)
-        corners = undistort(
-            table[rows, 3:].reshape(-1, 4, 2), camera["intrinsics"], camera["model"], camera["coefficients"]
-        )
         sizes = np.array([setup.sizes.get(int(tag), setup.default_size) for tag in ids[rows]])
-        p_CT, unit = square_centers(corners, sizes)
-        sigma = CORNER_NOISE / float(np.mean(camera["intrinsics"][:2]))
+        p_CT, unit = tag_positions(table[rows, 3:].reshape(-1, 4, 2), sizes, camera["calibration"])
         p_RT[rows] = p_CT @ camera["R_RC"].T + camera["p_RC"]
-        covariance[rows] = sigma**2 * (camera["R_RC"] @ unit @ camera["R_RC"].T)
+        covariance[rows] = CORNER_NOISE**2 * (camera["R_RC"] @ unit @ camera["R_RC"].T)
 
     kept = np.flatnonzero(inside & trusted)
     at = table[kept, 0]

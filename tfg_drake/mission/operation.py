@@ -7,8 +7,9 @@ from typing import Literal
 from tfg_drake.messages import message, replace
 
 # enable: let the base move, also after a stop. stop: the emergency stop. pause: pause the mission, or resume it.
-# hold: pause it. recall: explore no more, and come home where the mission is to end there. end: end the mission.
-Request = Literal["enable", "stop", "pause", "hold", "recall", "end"]
+# hold: pause it. resume: go on with it. recall: explore no more, and come home where the mission is to end there.
+# end: end the mission.
+Request = Literal["enable", "stop", "pause", "hold", "resume", "recall", "end"]
 
 
 @message
@@ -37,8 +38,8 @@ def requested(operation: Operation, request: Request) -> Operation:
         return replace(operation, enabling=0)
     if request == "pause":
         return replace(operation, paused=not operation.paused)
-    if request == "hold":
-        return replace(operation, paused=True)
+    if request in ("hold", "resume"):
+        return replace(operation, paused=request == "hold")
     if request == "recall":
         return replace(operation, recalled=True)
     return replace(operation, enabling=0, ended=True)

@@ -11,3 +11,54 @@ BARE_SURFACE: Colour = (0.93, 0.60, 0.22)
 LANDMARK: Colour = (0.07, 0.53, 0.44)
 DOUBTFUL: Colour = (0.64, 0.18, 0.66)
 FRONTIER: Colour = (0.10, 0.36, 0.88)
+PATH: Colour = (0.84, 0.15, 0.16)
+SCAN: Colour = (0.36, 0.72, 0.90)
+ROBOT: Colour = (0.10, 0.22, 0.42)
+GHOST: Colour = (0.45, 0.48, 0.53)
+PERSON: Colour = (0.62, 0.64, 0.68)
+ROADMAP: Colour = (0.945, 0.955, 0.97)
+FREE: Colour = (0.955, 0.965, 0.945)
+OCCUPIED: Colour = (0.16, 0.18, 0.22)
+
+
+def css(colour: Colour) -> str:
+    """A colour as a page names it, such as #10357a."""
+    return "#" + "".join(f"{round(255 * part):02x}" for part in colour)
+
+
+# The page's, by what they are for: on a light ground and, where another one is needed, on a dark one.
+LIGHT: dict[str, Colour] = {
+    "wall": WALL,
+    "edge": EDGE,
+    "edge_in_space": (0.42, 0.46, 0.54),
+    "wall_end": WALL_END,
+    "bare_surface": BARE_SURFACE,
+    "landmark": LANDMARK,
+    "doubtful": DOUBTFUL,
+    "frontier": FRONTIER,
+    "path": PATH,
+    "scan": SCAN,
+    "robot": ROBOT,
+    "truth": GHOST,
+    "person": PERSON,
+    "roadmap": (0.80, 0.83, 0.88),
+    "free": (0.985, 0.99, 0.98),
+    "ground": (0.915, 0.925, 0.94),
+    "trail": (0.93, 0.55, 0.40),
+    "camera": (0.98, 0.80, 0.25),
+}
+DARK: dict[str, Colour] = LIGHT | {
+    "wall": (0.33, 0.36, 0.41),
+    "edge": (0.86, 0.88, 0.91),
+    "wall_end": (0.60, 0.63, 0.68),
+    "landmark": (0.20, 0.78, 0.64),
+    "doubtful": (0.85, 0.42, 0.88),
+    "frontier": (0.36, 0.60, 1.00),
+    "path": (1.00, 0.36, 0.34),
+    "robot": (0.42, 0.62, 0.95),
+    "truth": (0.62, 0.66, 0.72),
+    "roadmap": (0.22, 0.25, 0.31),
+    "free": (0.145, 0.165, 0.195),
+    "ground": (0.075, 0.085, 0.105),
+    "trail": (0.80, 0.45, 0.32),
+}

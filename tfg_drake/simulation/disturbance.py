@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from tfg_drake.config import DisturbanceConfig
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import FloatArray, message
 
 
 def displacement(disturbances: Sequence[DisturbanceConfig], begin: float, end: float) -> FloatArray:
@@ -23,3 +24,15 @@ def displacement(disturbances: Sequence[DisturbanceConfig], begin: float, end: f
             felt = one.turn if one.gyro_feels else 0.0
             total += overlap / one.duration * np.array([one.ahead, one.left, one.turn, felt])
     return total
+
+
+@message
+class Pushes:
+    """How the base was pushed so far, besides what the scenario says."""
+
+    pushes: tuple[DisturbanceConfig, ...] = ()
+
+
+def push(time: float) -> DisturbanceConfig:
+    """Somebody pushes the base half a metre to its left and turns it by 30 degrees, from a time on, s."""
+    return DisturbanceConfig(time=time, duration=0.5, left=0.5, turn=math.pi / 6.0)

@@ -82,14 +82,17 @@ def _moments(information: FloatArray, vector: FloatArray) -> tuple[float, float,
 
 
 @njit(cache=True)
-def _surface(at: float, step: float, ranges: FloatArray) -> tuple[float, float]:
-    """Distance (m) to the surface at a fraction of rays `at`, and the tangent of the incidence; nan without a surface.
+def _surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
+    """Distance (m) to the surface at a bearing (rad), and the tangent of the incidence; nan without a surface.
 
-    One over the range is a sinusoid of the angle along a line, straight over a few rays.
+    One over the range is a sinusoid of the angle along a line, straight over a few rays, whose angles are evenly spaced
+    or nearly so: those of a depth image are the closer together the farther from its middle.
     """
-    first = math.floor(at) - RAYS + 1
+    first = np.searchsorted(angles, bearing) - RAYS
     if not (first >= 0 and first + 2 * RAYS <= len(ranges)):
         return math.nan, math.nan
+    step = (angles[first + 2 * RAYS - 1] - angles[first]) / (2 * RAYS - 1)
+    middle = 0.5 * (angles[first + RAYS - 1] + angles[first + RAYS])
     total, slope = 0.0, 0.0
     for i in range(first, first + 2 * RAYS):
         if not np.isfinite(ranges[i]) or ranges[i] <= 0.0:
@@ -99,7 +102,7 @@ def _surface(at: float, step: float, ranges: FloatArray) -> tuple[float, float]:
         total += 1.0 / ranges[i]
         slope += (i - first - RAYS + 0.5) / ranges[i]
     slope /= RAYS * (4 * RAYS * RAYS - 1) / 6.0
-    inverse = total / (2 * RAYS) + slope * (at - first - RAYS + 0.5)
+    inverse = total / (2 * RAYS) + slope * (bearing - middle) / step
     return 1.0 / inverse, abs(slope) / (step * inverse)
 
 
@@ -116,13 +119,11 @@ def _compare(
     sigma_scan: float,
 ) -> tuple[FloatArray, FloatArray, int]:
     """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and their number."""
-    step = angles[1] - angles[0]
     r, o, _ = _moments(information, vector)
     determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
     more, more_vector, pairs = information.copy(), vector.copy(), 0
     for k in range(len(range_)):
-        at = (bearing[k] - angles[0]) / step
-        distance, slant = _surface(at, step, ranges)
+        distance, slant = _surface(bearing[k], angles, ranges)
         if not slant < STEEPEST:
             continue
         lever = -math.sqrt(1.0 + slant * slant)

@@ -14,6 +14,9 @@ import numpy as np
 
 from tfg_drake.vision.image import Image
 
+# After what silence a stream is given up, s.
+SILENT = 3
+
 
 class FrameError(ValueError):
     """A source without images; the message is one line."""
@@ -49,6 +52,28 @@ def frames(source: str) -> Iterator[Frame]:
     yield from _video(source, path.is_file())
 
 
+def open_capture(source: str, size: tuple[int, int] | None = None) -> cv2.VideoCapture:
+    """The video, stream or camera as OpenCV opens it, open or not; "0" is the first camera.
+
+    size: (width, height) that a camera is to give, pixels. A stream that falls silent is given up after SILENT s.
+    """
+    if source.isdigit() or source.startswith("/dev/"):
+        capture = cv2.VideoCapture(int(source) if source.isdigit() else source, cv2.CAP_V4L2)
+        # Or what is seen is old where looking takes longer than a frame.
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        if size is not None:
+            # Uncompressed, large images come slowly over USB 2.
+            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+            capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        return capture
+    if "://" in source:
+        within = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 1000 * SILENT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 1000 * SILENT]
+        # One thread: several would hold images back.
+        return cv2.VideoCapture(source, cv2.CAP_FFMPEG, [*within, cv2.CAP_PROP_N_THREADS, 1])
+    return cv2.VideoCapture(source)
+
+
 def is_live(source: str) -> bool:
     """Whether frames come when they are taken, not when they are asked for."""
     return not (Path(source).is_dir() or Path(source).is_file())
@@ -77,10 +102,11 @@ def _read(file: Path) -> Image | None:
         image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
     except (OSError, cv2.error):
         return None
-    return None if image is None else _rgb(image)
+    return None if image is None else rgb(image)
 
 
-def _rgb(image: Image) -> Image:
+def rgb(image: Image) -> Image:
+    """OpenCV's image (h, w, 3) with red first."""
     return np.ascontiguousarray(image[..., ::-1])
 
 
@@ -93,10 +119,7 @@ def _stamp(file: Path, count: int) -> float:
 
 
 def _video(source: str, is_file: bool) -> Iterator[Frame]:
-    capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
-    if not is_file:
-        # Or what is seen is old where looking takes longer than a frame.
-        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    capture = open_capture(source)
     try:
         count = 0
         while True:
@@ -104,7 +127,7 @@ def _video(source: str, is_file: bool) -> Iterator[Frame]:
             if not found:
                 break
             stamp = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC) if is_file else time.time()
-            yield Frame(stamp, str(count), _rgb(image))
+            yield Frame(stamp, str(count), rgb(image))
             count += 1
     finally:
         capture.release()

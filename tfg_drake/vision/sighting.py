@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, TagDetections, message
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
-from tfg_drake.vision.tag_detector import TagsInImage
 from tfg_drake.vision.tag_position import tag_positions
+
+if TYPE_CHECKING:
+    # Only who detects tags needs the detector's package.
+    from tfg_drake.vision.tag_detector import TagsInImage
 
 # A corner so near to the image's edge may lie beyond it, pixels.
 EDGE = 1.0
@@ -77,7 +81,7 @@ def sighted(
         return Sighting(_message(stamp, tags, np.zeros(len(tags.ids), dtype=bool)), (remark,))
     side = np.array([sizes.of(int(i), family) or np.nan for i, family in zip(tags.ids, tags.families, strict=True)])
     p_CT, unit = tag_positions(tags.corners, side, calibration)
-    distance, bearing, sigma_range, sigma_bearing = _in_plane(p_CT, unit, mount, noise)
+    distance, bearing, sigma_range, sigma_bearing = in_plane(p_CT, unit, mount, noise)
     last = np.array([tags.width - 1.0, tags.height - 1.0])
     cut_off = np.asarray(((tags.corners < EDGE) | (tags.corners > last - EDGE)).any(axis=(1, 2)))
     counts = dict(zip(*np.unique(tags.ids, return_counts=True), strict=True))
@@ -106,10 +110,11 @@ def nothing_sighted() -> Sighting:
     return Sighting(TagDetections(-np.inf, np.zeros(0, dtype=np.int64), none, none, none, none), ())
 
 
-def _in_plane(
+def in_plane(
     p_CT: FloatArray, unit: FloatArray, mount: CameraMount, noise: TagNoise
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Range (n,), bearing (n,) and their standard deviations of points p_CT (n, 3) with covariances for unit noise."""
+    """Range (n,), m, and bearing (n,), rad, from the body, and their standard deviations, of points p_CT (n, 3), m, in
+    the camera's frame. unit: (n, 3, 3), their covariance for corners that err by one pixel."""
     R_BC = mount.R_BC[:2]
     p_BT = p_CT @ R_BC.T + mount.p_BC[:2]
     covariance = noise.pixels**2 * (R_BC @ unit @ R_BC.T) + noise.place**2 * np.eye(2)

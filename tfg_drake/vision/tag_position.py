@@ -13,6 +13,8 @@ from tfg_drake.vision.calibration import CameraCalibration
 SQUARE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
 # The sides of a tag, at a corner, span more than that, square pixels: its cells are pixels at the least.
 LEAST_TURN = 9.0
+# No lens sees a corner farther out on the plane z = 1 (89.4 degrees).
+WIDEST = 100.0
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
 
 
@@ -28,7 +30,8 @@ def tag_positions(
     """
     centres, covariance = np.full((len(corners), 3), np.nan), np.full((len(corners), 3, 3), np.nan)
     points, on_pixels = lens.undistorted(corners, calibration), lens.on_pixels(corners, calibration)
-    for i in np.flatnonzero(np.isfinite(points).all(axis=(1, 2)) & np.isfinite(on_pixels).all(axis=(1, 2, 3))):
+    seen = (np.abs(points) <= WIDEST).all(axis=(1, 2)) & (sizes > 0.0) & (sizes < np.inf)
+    for i in np.flatnonzero(seen & np.isfinite(on_pixels).all(axis=(1, 2, 3))):
         turns = _turns(corners[i])
         if not (turns > LEAST_TURN).all() and not (turns < -LEAST_TURN).all():
             continue

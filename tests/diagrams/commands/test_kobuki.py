@@ -1,12 +1,15 @@
 """tfg-drake kobuki, as a user calls it."""
 
 import dataclasses
+import itertools
 import json
+import math
 import re
 import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +46,47 @@ def test_emulate_prints_device_and_address_and_ends_with_the_truth(how):
         process.wait()
     assert at_the_end.pop("stamp") >= truth.pop("stamp")
     assert at_the_end == truth
+
+
+def test_emulate_with_sensors_of_its_own(tmp_path):
+    """A scanner and a camera that drivers open as those of a robot, and what can happen to them."""
+    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+    from tfg_drake.config import RobotCameraConfig, RobotScannerConfig
+    from tfg_drake.hardware.camera_sensor import CameraDriver
+    from tfg_drake.hardware.rplidar.driver import RplidarDriver
+    from tfg_drake.vision.calibration import pinhole, save_calibration
+    from tfg_drake.vision.camera_sheet import focal_length
+    from tfg_drake.vision.chessboard import board_corners
+    from tfg_drake.vision.frames import frames
+
+    command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "kobuki", "emulate", "--world", "house", "--sensors"]
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = subprocess.Popen(command, text=True, bufsize=1, **pipes)
+    try:
+        _, _, scanner, camera, board = (process.stdout.readline().strip() for _ in range(5))
+        lidar = RplidarDriver(scanner.removeprefix("rplidar:"), RobotScannerConfig())
+        swept = lidar.take()[0]
+        assert 150 < np.isfinite(swept.ranges).sum() < 500
+        save_calibration(tmp_path / "camera.yaml", pinhole(640, 480, focal_length(640, math.radians(65.0))))
+        eyes = CameraDriver(camera.removeprefix("camera:"), RobotCameraConfig(str(tmp_path / "camera.yaml")))
+        seen, said, end = [], [], time.monotonic() + 60.0
+        while not seen and time.monotonic() < end:
+            eyes.spin(0.1)
+            seen += eyes.take()
+        assert {94, 95} <= set(seen[0].ids.tolist())
+        assert any(board_corners(frame.image, 9, 6) is not None for frame in itertools.islice(frames(board), 3))
+        process.stdin.write("camera off\nlidar unplug\n")
+        while len(said) < 2 and time.monotonic() < end:
+            lidar.spin(0.05)
+            eyes.spin(0.05)
+            said += [*lidar.remarks(), *eyes.remarks()]
+        assert sum("the connection is lost" in one or "no more images" in one for one in said) == 2
+        lidar.close()
+        eyes.close()
+    finally:
+        process.terminate()
+        process.wait(timeout=60.0)
+    assert process.stderr.read() == ""
 
 
 def test_an_unknown_world(call):

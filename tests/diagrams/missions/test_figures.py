@@ -15,6 +15,7 @@ def test_stages_hold_what_belongs_together_and_end_when_told():
     assert abs(p_MB[0]).max() < 0.01
 
 
+@pytest.mark.slow
 def test_the_command_writes_every_figure_and_names_it(tmp_path, monkeypatch, capsys):
     stages_of = figures.stages_of
     monkeypatch.setattr(figures, "stages_of", lambda scenario, _: stages_of(scenario, lambda stage, time: stage == 2))

@@ -10,11 +10,14 @@ from pydrake.geometry import Meshcat, MeshcatParams
 
 from tfg_drake.diagrams import mission_diagram
 from tfg_drake.diagrams.methods import FindMethod, Method
-from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions import mission, run
 from tfg_drake.diagrams.missions.run_folder import make_run_folder
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
+from tfg_drake.mission.clock import Clock
+from tfg_drake.storage.port_recording import read_recording
+from tfg_drake.storage.timeline import read_timeline
 from tfg_drake.storage.trajectory import read_tum
 
 ROOM = """
@@ -86,7 +89,8 @@ def test_stages_are_written_line_by_line(finished):
 
 
 def test_the_folder_is_whole(finished):
-    names = "figure.png log.txt map.npz ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum truth.tum"
+    names = "figure.png log.txt map.npz mission.html ports.mcap scenario.yaml stages.jsonl summary.json timeline.tfg"
+    names += " trajectory.tum truth.tum"
     assert sorted(path.name for path in finished.folder.iterdir()) == names.split()
     assert (finished.folder / "figure.png").read_bytes().startswith(b"\x89PNG")
     saved = load_map(finished.folder / "map.npz")
@@ -183,7 +187,8 @@ def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
     assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
     assert list(summary) == FIELDS
     # Of the truth nothing is known.
-    names = "figure.png log.txt ports.mcap scenario.yaml stages.jsonl summary.json trajectory.tum"
+    names = "figure.png log.txt mission.html ports.mcap scenario.yaml stages.jsonl summary.json timeline.tfg"
+    names += " trajectory.tum"
     assert sorted(path.name for path in tmp_path.iterdir()) == names.split()
     assert "Traceback (most recent call last)" in (tmp_path / "log.txt").read_text()
 
@@ -245,6 +250,68 @@ def test_a_scripted_drive_maps_what_it_passes(tmp_path):
     assert summary["outcome"] in ("complete", "stuck")
     assert summary["landmarks_mapped"] > 10
     assert summary["position_error_m"]["max"] < 0.1
+
+
+class Restless:
+    """A page that holds the clock again and again, lets it go and changes its speed, and asks for nothing else."""
+
+    class Clock(Clock):
+        looks = 0
+
+        @property
+        def version(self):
+            self.looks += 1
+            return self.looks // 40
+
+        @version.setter
+        def version(self, _):
+            pass
+
+        @property
+        def held(self):
+            self.looks += 1
+            return self.looks % 40 < 2
+
+        @held.setter
+        def held(self, _):
+            pass
+
+    def __init__(self):
+        self.clock, self.watched, self.followed, self.word, self.stages = self.Clock(), True, [], "", []
+        self.follow, self.at_stage, self.requests = self.followed.append, self.stages.append, lambda: []
+        self.pushes = lambda: 0
+
+
+def test_who_only_looks_on_and_holds_the_clock_changes_nothing(finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(mission, "HELD_INTERVAL", 0.001)
+    page = Restless()
+    result = run.explore(room(), name="room", out_dir=tmp_path, cockpit=page)
+    assert page.clock.looks > 300
+    assert page.followed == [tmp_path / "timeline.tfg"]
+    assert page.stages[-1] == finished.summary["stages"]
+    assert {k: v for k, v in result.summary.items() if k not in MACHINE} == {
+        k: v for k, v in finished.summary.items() if k not in MACHINE
+    }
+    for name in ("stages.jsonl", "trajectory.tum", "truth.tum", "map.npz"):
+        assert (tmp_path / name).read_bytes() == (finished.folder / name).read_bytes(), name
+    ports = [read_recording(folder) for folder in (tmp_path, finished.folder)]
+    for name in ports[0].messages:
+        assert len(ports[0].messages[name]) == len(ports[1].messages[name])
+        assert np.array_equal(ports[0].log_times[name], ports[1].log_times[name])
+
+
+def test_what_a_run_looked_like_is_in_its_folder(finished):
+    records = read_timeline(finished.folder)
+    layers = {record.layer for record in records}
+    assert {"world", "map", "tfg", "free", "roadmap", "gains", "path", "pose", "truth", "scan", "end"} <= layers
+    stages = [record.told["stage"] for record in records if record.layer == "map"]
+    assert stages == list(range(finished.summary["stages"] + 1))
+    last = [record for record in records if record.layer == "mission"][-1]
+    assert last.told["outcome"] == "complete"
+    assert records[-1].layer == "end"
+    assert records[-1].told["landmarks_mapped"] == finished.summary["landmarks_mapped"]
+    page = (finished.folder / "mission.html").read_text()
+    assert "room, seed 3" in page
 
 
 @pytest.mark.parametrize("name", ["grid-nearest", "scripted"])

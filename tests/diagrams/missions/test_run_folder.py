@@ -227,7 +227,7 @@ def test_a_disk_that_fills_up_ends_neither_the_mission_nor_the_map(tmp_path):
     done = subprocess.run([sys.executable, "-c", LIMITED, str(tmp_path), ROOM], capture_output=True, text=True)
     outcome, stages, unwritten = json.loads(done.stdout.splitlines()[-1])
     assert outcome in ("complete", "time_limit")
-    assert unwritten == ["ports.mcap"]
+    assert unwritten == ["ports.mcap", "timeline.tfg"]
     assert load_map(tmp_path / "map.npz").stage == stages > 1
     lines = (tmp_path / "stages.jsonl").read_text().splitlines()
     assert [json.loads(line)["stage"] for line in lines] == list(np.arange(1, stages + 1))

@@ -375,7 +375,7 @@ def test_a_pulled_cable_put_back(emulator, driving):
         ("silent", "no answer at 115200 baud; switch the base on, or name its port"),
         ("garbage", "what answers there is no Kobuki at 115200 baud; name the base's port"),
         ("firmware", "firmware 2.0.1 is not supported; flash the base with a version 1.x"),
-        ("folder", "is a folder; name the base's serial port"),
+        ("folder", "is a folder; name the serial port of the base"),
     ],
     ids=lambda text: text if " " not in text else "",
 )

@@ -1,5 +1,6 @@
 """A program that drives the robot for ever, to be killed or frozen: `python driving_parent.py TRANSPORT [PORT]`."""
 
+import contextlib
 import sys
 import time
 
@@ -15,12 +16,10 @@ else:
     from tfg_drake.hardware.ros.rosbridge import connect
 
     device = connect(preset, port=int(sys.argv[2]))
-for _attempt in range(20):  # on a loaded machine odometry may pause, and a robot without any is not enabled
-    try:
-        device.enable()
-        break
-    except DeviceError:
-        time.sleep(0.5)
 while True:
+    # On a loaded machine odometry may pause: a robot without any is not enabled, or locked again.
+    if device.locked:
+        with contextlib.suppress(DeviceError):
+            device.enable()
     device.command(0.0, 0.5)
     time.sleep(0.02)

@@ -1,0 +1,31 @@
+"""The page of a mission, as the commands open it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+from tfg_drake.cockpit.server import Cockpit
+from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.missions.run import viewer_script
+
+MOST_PORT = 65535
+
+
+@contextlib.contextmanager
+def open_page(title: str, host: str, port: int | None, **given: Any) -> Iterator[Cockpit]:
+    """The page of a mission, its address printed; see `Cockpit`, for what is given, too.
+
+    Raises BadInput where it cannot be served.
+    """
+    if port is not None and not 1 <= port <= MOST_PORT:
+        bad_input(f"port {port}: must be between 1 and {MOST_PORT}")
+    try:
+        cockpit = Cockpit(viewer_script(), title, host=host, port=port, **given)
+    except OSError as error:
+        where = host if port is None else f"{host}, port {port}"
+        bad_input(f"{where}: the page cannot be served there: {(error.strerror or str(error)).lower()}; name another")
+    print(f"page: {cockpit.address}", flush=True)
+    with cockpit:
+        yield cockpit

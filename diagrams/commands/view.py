@@ -1,0 +1,69 @@
+"""What the commands view and export do with a run's folder."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from tfg_drake.cockpit.browser import BrowserMissing, film_page
+from tfg_drake.cockpit.page import export_page
+from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter
+from tfg_drake.diagrams.commands.page import open_page
+from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.missions.run import viewer_script
+from tfg_drake.diagrams.missions.run_folder import claimed
+from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError
+
+
+def serve_run(run: Path, host: str, port: int | None) -> None:
+    """Serve the page of a run until the user has seen enough. Raises BadInput where there is nothing to serve."""
+    given = {"timeline": _timeline(run), "live": is_under_way(run), "controls": False}
+    with open_page(run.resolve().name, host, port, **given):
+        wait_for_enter()
+
+
+def export_run(run: Path, out: Path) -> None:
+    """Write a run as one page or, in a browser, as a film. Raises BadInput where that cannot be."""
+    suffix = out.suffix.lower()
+    if suffix not in (".html", ".gif"):
+        bad_input(f"{out}: unknown format; name a file that ends in .html or .gif")
+    timeline = _timeline(run)
+    try:
+        if suffix == ".gif":
+            _film(timeline, out, run.resolve().name)
+        else:
+            export_page(timeline, out, run.resolve().name, viewer_script())
+    except (TimelineError, BrowserMissing) as error:
+        bad_input(str(error))
+    except OSError as error:
+        bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
+
+
+def _film(timeline: Path, out: Path, title: str) -> None:
+    with tempfile.TemporaryDirectory() as folder, Screen() as show:
+        page = Path(folder) / "page.html"
+        export_page(timeline, page, title, viewer_script())
+        write_atomic(out, film_page(page, show))
+
+
+def _timeline(run: Path) -> Path:
+    timeline = run / FILE_NAME if run.is_dir() else run
+    try:
+        with timeline.open("rb") as file:
+            begins = file.read(len(MAGIC))
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        bad_input(f"{timeline}: {reason}; name the folder of a mission that this version has recorded")
+    if begins != MAGIC:
+        bad_input(f"{timeline}: is no timeline of this version; run the mission again")
+    return timeline
+
+
+def is_under_way(run: Path) -> bool:
+    """Whether a mission is writing the run."""
+    try:
+        with claimed(run if run.is_dir() else run.parent):
+            return False
+    except OSError:
+        return True

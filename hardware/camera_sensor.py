@@ -1,0 +1,172 @@
+"""A camera and the tags that it sees, as a sensor's process reads it; see tfg_drake.hardware.device."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tfg_drake.config import RobotCameraConfig
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.plausible import Refusals
+from tfg_drake.hardware.remarks import Remark, Spells, begun
+from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.messages import TagDetections
+
+if TYPE_CHECKING:
+    from tfg_drake.vision.calibration import CameraCalibration
+    from tfg_drake.vision.camera_view import CameraView
+    from tfg_drake.vision.image import Image
+
+# How long to wait for the first image, s.
+PATIENCE = 10.0
+# Fewer images a second are told, counted over so many seconds. Tags are mapped all the same.
+LOW_RATE, COUNTED = 4.0, 3.0
+# Images whose mean is below or above are too dark or too bright, grey levels; one pixel in so many is looked at.
+DARK, BRIGHT, _SPARSE = 25.0, 230.0, 16
+# How long something must last to be told, s: light and rate; no tag in sight.
+LASTS, WITHOUT_TAG = 2.0, 30.0
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraSensorConfig:
+    """What the process is told. source: as tfg_drake.vision.frames.frames has it."""
+
+    source: str
+    camera: RobotCameraConfig
+
+    def open(self) -> CameraDriver:
+        """The driver; raises DeviceError."""
+        return CameraDriver(self.source, self.camera)
+
+
+class CameraDriver(SensorReader):
+    """Finds tags in the newest image; see tfg_drake.hardware.device.Driver. A camera that was unplugged or a stream
+    that ended is opened again.
+
+    refusals: of tags that were left out, and why.
+    """
+
+    def __init__(self, source: str, camera: RobotCameraConfig) -> None:
+        """Waits for an image of the calibration's size; raises DeviceError."""
+        name = f"camera:{source}"
+        super().__init__(name, {TagDetections: f"tags of {name}"})
+        self._calibration = known_calibration(self.name, camera)
+        from tfg_drake.hardware.frame_reader import FrameReader
+        from tfg_drake.vision.mount import CameraMount
+        from tfg_drake.vision.sighting import TagSizes
+        from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
+
+        self._sizes = TagSizes(camera.tag_size)
+        self._mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch, camera.roll)
+        self._family = camera.family
+        try:
+            self._detector = TagDetector(DetectorConfig((camera.family,), camera.threads, camera.decimation))
+        except ValueError as error:
+            raise DeviceError(f"{self.name}: {error}") from None
+        self._spells: Spells = {}
+        # When images were looked at in the last COUNTED seconds, and since when they come, s; whether a tag was seen in
+        # the newest.
+        self._looked: collections.deque[float] = collections.deque()
+        self._dark = self._bright = self._tag_seen = False
+        size = self._calibration.width, self._calibration.height
+        self._reader = FrameReader(source, size, camera.latency)
+        frame = self._reader.first(PATIENCE)
+        if frame is None:
+            self.close()
+            why = self._reader.error or f"no image in {PATIENCE:.0f} s; is it there, and free?"
+            raise DeviceError(f"{self.name}: {why.removeprefix(f'{source}: ')}")
+        height, width = frame.image.shape[:2]
+        if (width, height) != size:
+            self.close()
+            raise DeviceError(
+                f"{self.name}: images of {width} x {height} pixels, the calibration is of {size[0]} x {size[1]}; "
+                "calibrate the camera as it is used"
+            )
+        self._begin = time.monotonic()
+
+    def spin(self, duration: float) -> None:
+        """Looks at what arrives, for `duration` s, or as long as it takes to look at one image."""
+        from tfg_drake.vision.sighting import sighted
+
+        frame = self._reader.take(duration)
+        now = time.monotonic()
+        if frame is not None:
+            seen = sighted(self._detector.detect(frame.image), frame.stamp, self._calibration, self._sizes, self._mount)
+            self._messages.append(seen.detections)
+            tell(self.refusals, self.name, seen.remarks)
+            self._looked.append(now)
+            self._judge_light(frame.image)
+            self._tag_seen = bool(len(seen.detections.ids))
+        while self._looked and (self._looked[0] < now - COUNTED or self._reader.error):
+            self._looked.popleft()
+        if self._reader.error:
+            self._begin = now
+        self._spells, names = begun(self._spells, holds := self._holding(now), now)
+        for line in (*self._reader.take_remarks(), *(holds[name].line for name in names)):
+            self._remark(line)
+
+    def _judge_light(self, image: Image) -> None:
+        mean = float(image[::_SPARSE, ::_SPARSE].mean())
+        self._dark, self._bright = mean < DARK, mean > BRIGHT
+
+    def _holding(self, now: float) -> dict[str, Remark]:
+        rate = len(self._looked) / COUNTED
+        if not rate:  # that there are no images is told by who reads them
+            return {}
+        holds = {}
+        if rate < LOW_RATE and now - self._begin > COUNTED:
+            why = f"fewer than {LOW_RATE:g}: more light, smaller images or another cable may help"
+            holds["rate"] = Remark(f"{rate:.1f} images a second, {why}", LASTS)
+        if self._dark:
+            holds["dark"] = Remark("images are dark; switch on a light, or take the cap off", LASTS)
+        if self._bright:
+            holds["bright"] = Remark("images are too bright; lower the exposure", LASTS)
+        if not self._tag_seen:
+            line = f"no tag of {self._family} in sight for {WITHOUT_TAG:.0f} s"
+            holds["no tag"] = Remark(line, WITHOUT_TAG)
+        return holds
+
+    def close(self) -> None:
+        """Lets go of the camera."""
+        self._reader.close()
+
+
+def tell(refusals: Refusals, source: str, remarks: Sequence[str]) -> None:
+    """Has the operator told what was left out of an image, each kind once."""
+    for remark in remarks:
+        if "edge of the image" not in remark:  # as happens to every tag that is passed
+            refusals.add(source, "margin" if "margin" in remark else remark, remark)
+
+
+def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration:
+    """The calibration of the camera that is called `name`; raises DeviceError."""
+    # What OpenCV and FFmpeg would say in their own words is said here in ours.
+    os.environ.update(OPENCV_LOG_LEVEL="SILENT", OPENCV_FFMPEG_LOGLEVEL="-8")
+    try:
+        import robotpy_apriltag  # noqa: F401
+    except ImportError as error:
+        raise DeviceError(f"{name}: {error.name} is not installed; get it with pip install -e '.[camera]'") from None
+    from tfg_drake.vision.calibration import CalibrationError, load_calibration
+
+    if not camera.calibration:
+        raise DeviceError(
+            f"{name}: has no calibration; make one with tfg-drake camera calibrate, and give --set "
+            "hardware.camera.calibration=FILE"
+        )
+    try:
+        return load_calibration(Path(camera.calibration))
+    except CalibrationError as error:
+        raise DeviceError(f"{name}: {error}") from None
+
+
+def known_view(name: str, camera: RobotCameraConfig) -> CameraView:
+    """What the camera sees; raises DeviceError."""
+    calibration = known_calibration(name, camera)
+    from tfg_drake.vision.camera_view import camera_view
+
+    return camera_view(calibration, camera.tag_size)

@@ -1,0 +1,49 @@
+"""A chessboard before a camera that is not there, to calibrate it by."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tfg_drake.messages import FloatArray
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.image import Image
+
+# Inner corners along and down, side of a square, m.
+COLUMNS, ROWS, SQUARE = 9, 6, 0.025
+# Pixels of a square's side in the board's own picture, how many times finer than the image it is drawn, and the grey
+# level beside it.
+_CELL, _FINER, _BESIDE = 40, 3, 128
+# How far it is tilted to any side and turned, rad, how near and far it is held, m, and how far from the middle, as a
+# share of the distance.
+_TILT, _TURN, _NEAR, _FAR, _ASIDE = 0.5, 0.3, 0.32, 0.45, 0.22
+
+
+def board_view(calibration: CameraCalibration, number: int) -> Image:
+    """The image (h, w) of the board held in one of many ways, by a camera without distortion."""
+    chance = np.random.default_rng(number)
+    R = Rotation.from_euler("xyz", [*chance.uniform(-_TILT, _TILT, 2), chance.uniform(-_TURN, _TURN)]).as_matrix()
+    z = chance.uniform(_NEAR, _FAR)
+    p = np.append(chance.uniform(-_ASIDE, _ASIDE, 2) * z, z)
+    # The squares' outer corners, a square beyond the inner ones.
+    inner = np.array([COLUMNS - 1, ROWS - 1])
+    outer = np.array([[-1, -1], [COLUMNS, -1], [COLUMNS, ROWS], [-1, ROWS]]) - 0.5 * inner
+    seen = _projected(np.column_stack([outer * SQUARE, np.zeros(4)]) @ R.T + p, calibration)
+    drawn = (np.array([[1, 1], [COLUMNS + 2, 1], [COLUMNS + 2, ROWS + 2], [1, ROWS + 2]]) * _CELL - 0.5).astype(float)
+    size = calibration.width * _FINER, calibration.height * _FINER
+    H = cv2.getPerspectiveTransform(drawn.astype(np.float32), ((seen + 0.5) * _FINER - 0.5).astype(np.float32))
+    large = cv2.warpPerspective(_board(), H, size, borderValue=_BESIDE)
+    small = cv2.resize(large, (calibration.width, calibration.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8)
+
+
+def _board() -> Image:
+    """White, a square wide, round the squares."""
+    squares = (np.add.outer(np.arange(ROWS + 1), np.arange(COLUMNS + 1)) % 2 * 255).astype(np.uint8)
+    return np.pad(np.kron(squares, np.ones((_CELL, _CELL), dtype=np.uint8)), _CELL, constant_values=255)
+
+
+def _projected(points: FloatArray, calibration: CameraCalibration) -> FloatArray:
+    homogeneous = points @ calibration.matrix.T
+    return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])

@@ -1,0 +1,180 @@
+"""An RPLidar on a pseudo-terminal, in real time: a stand-in for the scanner that needs no scanner."""
+
+from __future__ import annotations
+
+import math
+import random
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from tfg_drake.config import ScanConfig
+from tfg_drake.geometry.se2 import compose, wrap_angle
+from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
+from tfg_drake.hardware.rplidar import codec
+from tfg_drake.hardware.rplidar.codec import Node
+from tfg_drake.messages import FloatArray
+from tfg_drake.simulation.laser_scanner import scan
+
+# Rays a second, and revolutions, as an A1 has them.
+RAYS, TURNS = 2000.0, 5.5
+# It sends this often, s.
+_STEP = 0.01
+# Rays that are cast from one place: a step's.
+_BLOCK = 20
+
+
+class RplidarEmulator:
+    """The scanner behind a pseudo-terminal, from `with` or start() until close().
+
+    device: the path that a driver opens; it is there while the cable is plugged in. model: 1 of an A1, 2 of an A2.
+    stuck: it obeys, but sends no ray. lost: share of the bytes of rays that never arrive. health: "good", "failed", or
+    "hung": failed until it is reset. duty: of its motor, as it was told. scanning: whether it sends rays.
+    """
+
+    def __init__(
+        self,
+        walls: FloatArray,
+        pose: Callable[[], FloatArray],
+        X_BS: FloatArray | None = None,
+        noise: float = 0.0,
+        model: int = 1,
+        seed: int = 0,
+    ) -> None:
+        """walls: (n, 4) in W, m. pose: the robot's true X_WB (3,) now. X_BS: (3,) where the scanner sits. noise:
+        standard deviation of a range, m. seed: of noise and lost bytes."""
+        self._walls, self._pose = walls, pose
+        self._X_BS = np.zeros(3) if X_BS is None else X_BS
+        self._config = ScanConfig(range=12.0, least_range=0.15, noise=noise)
+        self.model = model
+        self.stuck, self.scanning, self.lost, self.duty = False, False, 0.0, 0
+        self.health = "good"
+        self._noise, self._chance = np.random.default_rng(seed), random.Random(seed)
+        self._heard = bytearray()
+        # Rays so far.
+        self._rays = 0
+        # Where the robot was with the last of them.
+        self._last = pose()
+        self._folder = tempfile.TemporaryDirectory(prefix="rplidar-")
+        self.device = str(Path(self._folder.name) / "rplidar")
+        self._line: PseudoTerminal | None = None
+        # Held while the line is used.
+        self._lock = threading.Lock()
+        self.plug()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="rplidar-emulator", daemon=True)
+
+    def start(self) -> None:
+        """Switches it on. All kernels are compiled before time begins to count."""
+        self._measured(np.zeros(1), self._pose())
+        self._last = self._pose()
+        self._thread.start()
+
+    def plug(self) -> None:
+        """Puts the cable in, where it is out."""
+        with self._lock:
+            if self._line is None:
+                self._line = PseudoTerminal(Path(self.device))
+
+    def unplug(self) -> None:
+        """Pulls the cable, which is its supply, too."""
+        with self._lock:
+            if self._line is not None:
+                self._line.close()
+            self._line, self.scanning = None, False
+
+    def close(self) -> None:
+        """Switches it off and pulls the cable."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.unplug()
+        self._folder.cleanup()
+
+    def __enter__(self) -> RplidarEmulator:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        begin, sent = time.monotonic(), 0
+        while not self._stop.wait(_STEP):
+            due = int((time.monotonic() - begin) * RAYS)
+            with self._lock:
+                if self._line is not None:
+                    self._obey(self._line)
+                    if self.scanning and not self.stuck and due > sent:
+                        self._line.write(self._turned(due - sent))
+                if not self.scanning:
+                    self._last = self._pose()
+            sent = due
+
+    def _obey(self, line: PseudoTerminal) -> None:
+        self._heard += line.read()
+        while len(self._heard) >= 2:
+            if self._heard[0] != 0xA5:
+                del self._heard[0]
+                continue
+            command, length = self._heard[1], 2
+            if command & 0x80:  # with a payload
+                if len(self._heard) < 3 or len(self._heard) < self._heard[2] + 4:
+                    return
+                length = self._heard[2] + 4
+            payload = bytes(self._heard[3 : length - 1])
+            del self._heard[:length]
+            line.write(self._answer(command, payload))
+
+    def _answer(self, command: int, payload: bytes) -> bytes:
+        if command == codec.GET_INFO:
+            return codec.descriptor(command) + bytes((self.model << 4 | 8, 29, 1, 7)) + bytes(16)
+        if command == codec.GET_HEALTH:
+            failed = self.health != "good"
+            return codec.descriptor(command) + bytes((codec.FAILED if failed else 0, 1 if failed else 0, 0))
+        if command == codec.RESET:
+            self.scanning = False
+            self.health = "good" if self.health == "hung" else self.health
+            return b"RP LIDAR System.\r\n"
+        if command == codec.STOP:
+            self.scanning = False
+        elif command == codec.MOTOR:
+            self.duty = int.from_bytes(payload, "little")
+        elif command == codec.SCAN and self.health == "good":
+            self.scanning = True
+            return codec.descriptor(command)
+        return b""
+
+    def _turned(self, count: int) -> bytes:
+        """The next rays."""
+        per_turn = RAYS / TURNS
+        turns = (self._rays + np.arange(count)) / per_turn
+        self._rays += count
+        # However long ago the last rays were: the robot moved on evenly.
+        begin, end = self._last, self._pose()
+        self._last, moved = end, end - begin
+        moved[2] = wrap_angle(moved[2])
+        ranges = np.empty(count)
+        for block in np.array_split(np.arange(count), math.ceil(count / _BLOCK)):
+            angles = -2.0 * math.pi * (turns[block] % 1.0)
+            ranges[block] = self._measured(angles, begin + moved * ((block.mean() + 1.0) / count))
+        data = b"".join(
+            codec.encode(Node(turn % 1.0 < 1.0 / per_turn, 2.0 * math.pi * (turn % 1.0), distance))
+            for turn, distance in zip(turns.tolist(), ranges.tolist(), strict=True)
+        )
+        return data if not self.lost else bytes(byte for byte in data if self._chance.random() >= self.lost)
+
+    def _measured(self, angles: FloatArray, X_WB: FloatArray) -> FloatArray:
+        """Ranges (n,) m of rays at angles (n,) rad counter-clockwise from where the scanner looks; nan without an
+        answer. X_WB: (3,) of the robot."""
+        angles.setflags(write=False)
+        normal = self._noise.normal(size=len(angles))
+        met = scan(self._walls, compose(X_WB, self._X_BS), 0.0, angles, normal, self._config).ranges
+        return np.where(np.isfinite(met), met, math.nan)

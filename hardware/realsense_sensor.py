@@ -1,0 +1,143 @@
+"""A RealSense depth camera as a scanner, as a sensor's process reads it; see tfg_drake.hardware.device."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.config import RobotScannerConfig
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.messages import LaserScan
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
+from tfg_drake.vision.mount import CameraMount
+
+# Width, height, pixels, and images a second, the wide one first: what the D400 series and the L515 have.
+MODES = ((848, 480, 15), (640, 480, 15), (640, 480, 30))
+# How long to wait for the first image, and after what silence the camera is opened again, s.
+PATIENCE, SILENT = 5.0, 2.0
+# What it measures along its axis, m, and the standard deviation of a range, m.
+LEAST_DEPTH, MOST_DEPTH, SIGMA = 0.3, 5.0, 0.03
+# A stamp is believed where it is that much older than the image's arrival, s.
+_OLDEST = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class RealsenseConfig:
+    """What the process is told. device: serial number of the camera, path of a recording, or empty for any camera."""
+
+    device: str
+    mount: RobotScannerConfig
+
+    def open(self) -> RealsenseDriver:
+        """The driver; raises DeviceError."""
+        return RealsenseDriver(self.device, self.mount)
+
+
+class RealsenseDriver(SensorReader):
+    """Makes a scan of each depth image; see tfg_drake.hardware.device.Driver. A camera that was unplugged is opened
+    again."""
+
+    def __init__(self, device: str, mount: RobotScannerConfig) -> None:
+        """Waits for the first image; raises DeviceError."""
+        name = f"realsense:{device}"
+        super().__init__(name, {LaserScan: f"scan of {name}"})
+        try:
+            import pyrealsense2
+        except ImportError:
+            raise DeviceError(
+                f"{name}: pyrealsense2 is not installed; get it with pip install -e '.[realsense]'"
+            ) from None
+        self._rs: Any = pyrealsense2
+        self._device = device
+        self._mount = CameraMount(mount.x, mount.y, mount.z, mount.yaw, mount.pitch)
+        try:
+            self._config = DepthScanConfig(mount.low, mount.high, LEAST_DEPTH, MOST_DEPTH, MOST_DEPTH, SIGMA)
+        except ValueError as error:
+            raise DeviceError(f"{name}: {error}") from None
+        self._pipeline: Any = None
+        self._connect()
+        end = time.monotonic() + PATIENCE
+        while not self._messages:
+            if time.monotonic() > end:
+                self.close()
+                raise DeviceError(f"{name}: no depth image in {PATIENCE:.0f} s; plug the camera into a USB 3 port")
+            self.spin(0.1)
+
+    def _connect(self) -> None:
+        """Raises DeviceError."""
+        rs, pipeline = self._rs, self._rs.pipeline()
+        try:
+            profile = pipeline.start(self._wanted(pipeline))
+            stream = profile.get_stream(rs.stream.depth).as_video_stream_profile()
+            self._unit = profile.get_device().first_depth_sensor().get_depth_scale()
+        except DeviceError:
+            raise
+        except RuntimeError as error:
+            raise DeviceError(f"{self.name}: {' '.join(str(error).split())}; is the camera there, and free?") from None
+        sees = stream.get_intrinsics()
+        matrix = np.array([[sees.fx, 0.0, sees.ppx], [0.0, sees.fy, sees.ppy], [0.0, 0.0, 1.0]])
+        # Depth images are rectified by the camera.
+        calibration = CameraCalibration(sees.width, sees.height, matrix, "plumb_bob", np.zeros(0))
+        self._rays = depth_rays(calibration, self._mount, self._config)
+        self._pipeline, self._heard = pipeline, time.monotonic()
+
+    def _wanted(self, pipeline: Any) -> Any:
+        """The configuration of the first mode that the camera has; raises RuntimeError, DeviceError."""
+        rs = self._rs
+        config = rs.config()
+        if Path(self._device).is_file():
+            config.enable_device_from_file(self._device, repeat_playback=False)
+            config.enable_stream(rs.stream.depth)
+            return config
+        for width, height, rate in MODES:
+            config = rs.config()
+            if self._device:
+                config.enable_device(self._device)
+            config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
+            if config.can_resolve(rs.pipeline_wrapper(pipeline)):
+                return config
+        raise DeviceError(f"{self.name}: no such camera; plug one in, give its serial number or name a recording")
+
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s, or until one image was."""
+        if self._pipeline is None:
+            self._connect_again(self._connect, duration)
+            return
+        try:
+            arrived, frames = self._pipeline.try_wait_for_frames(max(1, round(1000.0 * duration)))
+        except RuntimeError:
+            arrived, frames = False, None
+        now = time.monotonic()
+        depth = frames.get_depth_frame() if arrived else None
+        if depth:
+            self._heard = now
+            image = np.asanyarray(depth.get_data()) * np.float32(self._unit)
+            self._messages.append(depth_scan(image, self._rays, self._stamp(depth, now), self._config))
+        elif now - self._heard > SILENT:
+            self._remark("no more depth images: is the camera plugged in? It is looked for")
+            self._hang_up()
+
+    def _stamp(self, depth: Any, arrival: float) -> float:
+        """When the image was taken, s of the host's monotonic clock."""
+        if depth.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock:
+            stamp = 1e-3 * float(depth.get_timestamp()) - time.time() + time.monotonic()
+            if arrival - _OLDEST < stamp <= arrival:
+                return stamp
+        return arrival
+
+    def _hang_up(self) -> None:
+        if self._pipeline is not None:
+            with contextlib.suppress(RuntimeError):  # it is gone already
+                self._pipeline.stop()
+        self._pipeline = None
+
+    def close(self) -> None:
+        """Lets go of the camera."""
+        self._hang_up()

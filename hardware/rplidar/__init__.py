@@ -1,0 +1,1 @@
+"""The RPLidar A1 to A3 on its serial port."""

@@ -1,0 +1,149 @@
+"""The bytes on an RPLidar's serial line, both ways.
+
+A request is `A5 | command`, one with a payload `A5 | command | length | payload | xor` of all bytes before. An answer
+is a descriptor, `A5 5A | length and mode | type`, and that many bytes, again and again where the mode is 1. Numbers are
+little-endian. Source: Slamtec, RPLIDAR S and A series interface protocol 2.8.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import operator
+import struct
+
+# Of the A1 and most of the A2, and of the A2M7, A2M12 and A3.
+BAUD_RATES = (115200, 256000)
+
+# Commands.
+STOP, RESET, SCAN, GET_INFO, GET_HEALTH, MOTOR = 0x25, 0x40, 0x20, 0x50, 0x52, 0xF0
+# By command: the type of its answer and its length, and whether answers go on.
+ANSWERS = {GET_INFO: (0x04, 20, False), GET_HEALTH: (0x06, 3, False), SCAN: (0x81, 5, True)}
+# What GET_HEALTH says of a scanner that has stopped itself.
+FAILED = 2
+# The motor's duty, of 1023, at which an A2 or A3 turns ten times a second.
+DUTY = 660
+
+NODE = 5
+# Nodes that must follow each other well before the first is believed: after bytes were lost, and else, for a node whose
+# last bytes are lost looks well itself.
+_RUN, _NEXT = 6, 2
+# From one node to the next the angle grows by at most that, and falls by at most that, degrees.
+_AHEAD, _BACK = 20.0, 3.0
+
+
+def request(command: int, payload: bytes = b"") -> bytes:
+    """The bytes of a command."""
+    if not payload:
+        return bytes((0xA5, command))
+    body = bytes((0xA5, command, len(payload))) + payload
+    return body + bytes((functools.reduce(operator.xor, body),))
+
+
+def motor(duty: int) -> bytes:
+    """The request that sets the motor's duty, 0 to 1023."""
+    return request(MOTOR, struct.pack("<H", duty))
+
+
+def descriptor(command: int) -> bytes:
+    """The descriptor of a command's answer."""
+    kind, length, goes_on = ANSWERS[command]
+    return b"\xa5\x5a" + struct.pack("<I", length | (int(goes_on) << 30)) + bytes((kind,))
+
+
+def answer(data: bytes, command: int) -> bytes | None:
+    """What follows the descriptor of a command's answer in what has arrived; None where it is not there, or not whole.
+    Of an answer that goes on: all that follows."""
+    _, length, goes_on = ANSWERS[command]
+    _, found, rest = data.partition(descriptor(command))
+    if not found or (len(rest) < length and not goes_on):
+        return None
+    return rest if goes_on else rest[:length]
+
+
+@dataclasses.dataclass(frozen=True)
+class Info:
+    """model: 1 of an A1, 2 of an A2, 3 of an A3. firmware: such as "1.29"."""
+
+    model: int
+    firmware: str
+
+
+def info(data: bytes) -> Info:
+    """What an answer to GET_INFO says."""
+    return Info(data[0] >> 4, f"{data[2]}.{data[1]}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Node:
+    """A ray. begins: it is the first of a revolution. angle: rad, clockwise as seen from above, from where the scanner
+    looks ahead. range: m, nan where there was no answer."""
+
+    begins: bool
+    angle: float
+    range: float
+
+
+def encode(node: Node) -> bytes:
+    """The five bytes of a ray."""
+    angle = round(math.degrees(node.angle) * 64.0) & 0x7FFF
+    quarters = 0 if math.isnan(node.range) else round(node.range * 4000.0)
+    quality = 15 if quarters else 0
+    return struct.pack("<BHH", quality << 2 | (1 if node.begins else 2), angle << 1 | 1, quarters)
+
+
+class NodeDecoder:
+    """Rays of the bytes that arrive. A ray bears three bits to check it by, and angles grow: after lost bytes rays are
+    believed again once several follow each other.
+
+    lost: bytes that belonged to no ray.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._pending = bytearray()
+        # Of the last ray, degrees; None where the next one must be found.
+        self._angle: float | None = None
+
+    def feed(self, data: bytes) -> list[Node]:
+        """The rays that are whole."""
+        self._pending += data
+        nodes = []
+        at = 0
+        while at + NODE * (run := _RUN if self._angle is None else _NEXT) <= len(self._pending):
+            angle = _angle(self._pending, at, self._angle)
+            if angle is not None and self._runs(at, run):
+                self._angle = angle
+                first, _, quarters = struct.unpack_from("<BHH", self._pending, at)
+                distance = quarters / 4000.0 if quarters else math.nan
+                nodes.append(Node(bool(first & 1), math.radians(angle), distance))
+                at += NODE
+            elif self._angle is not None:
+                self._angle = None  # the ray may be good, and what was before it lost
+            else:
+                at += 1
+                self.lost += 1
+        del self._pending[:at]
+        return nodes
+
+    def _runs(self, at: int, run: int) -> bool:
+        angle: float | None = None
+        for k in range(run):
+            angle = _angle(self._pending, at + NODE * k, angle)
+            if angle is None:
+                return False
+        return True
+
+
+def _angle(data: bytearray, at: int, before: float | None) -> float | None:
+    """The angle of the ray that begins there, degrees; None where none does, or it does not follow the one before."""
+    first, second = data[at], data[at + 1]
+    if (first & 1) == (first >> 1 & 1) or not second & 1:
+        return None
+    angle = (second >> 1 | data[at + 2] << 7) / 64.0
+    if angle >= 361.0:
+        return None
+    if before is not None and not -_BACK <= (angle - before + 180.0) % 360.0 - 180.0 <= _AHEAD:
+        return None
+    return angle

@@ -1,0 +1,185 @@
+"""The RPLidar on its serial port, as a sensor's process reads it; see tfg_drake.hardware.device."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import select
+import termios
+import time
+from typing import TYPE_CHECKING
+
+from tfg_drake.config import RobotScannerConfig
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.rplidar import codec
+from tfg_drake.hardware.rplidar.codec import NodeDecoder
+from tfg_drake.hardware.rplidar.sweeps import SweepMaker
+from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.hardware.serial_port import SerialDevice, open_port
+from tfg_drake.hardware.sweep import Sweep
+from tfg_drake.hardware.watchdog import TICK
+
+if TYPE_CHECKING:
+    import serial
+
+RPLIDAR = SerialDevice("the scanner", "10c4:ea60", "rplidar")
+# How long to wait for an answer, for a scanner that was reset, and for the first revolution, s.
+ANSWER_WITHIN, RESET_WITHIN, PATIENCE = 0.5, 1.0, 8.0
+# A scanner that says nothing for so long is started again, s.
+SILENT = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class RplidarConfig:
+    """What the process is told. port: path of the serial port. mount: of the scanner."""
+
+    port: str
+    mount: RobotScannerConfig
+
+    def open(self) -> RplidarDriver:
+        """The driver; raises DeviceError."""
+        return RplidarDriver(self.port, self.mount)
+
+
+class RplidarDriver(SensorReader):
+    """Starts the motor and reads two sweeps a turn; see tfg_drake.hardware.device.Driver. A scanner that was
+    unplugged or is silent is started again.
+
+    refusals: what was wrong with its bytes.
+    """
+
+    def __init__(self, path: str, mount: RobotScannerConfig) -> None:
+        """Waits for a whole revolution; raises DeviceError."""
+        name = f"rplidar:{path}"
+        super().__init__(name, {Sweep: f"scan of {name}"})
+        self._path, self._mount = path, mount
+        self._port: serial.Serial | None = None
+        self._model = 0
+        self._connect()
+        end = time.monotonic() + PATIENCE
+        while not self._messages:
+            self.spin(TICK)
+            if time.monotonic() > end:
+                self.close()
+                raise DeviceError(f"{self.name}: no whole revolution in {PATIENCE:.0f} s; does it turn freely?")
+
+    def _connect(self) -> None:
+        """Raises DeviceError."""
+        for baud_rate in codec.BAUD_RATES:
+            self._port = open_port(self._path, baud_rate, RPLIDAR)
+            try:
+                self._say(codec.request(codec.STOP))
+                time.sleep(TICK)
+                self._port.reset_input_buffer()
+                told = self._asked(codec.GET_INFO)
+                if told is not None:
+                    self._begin(codec.info(told))
+                    return
+            except (OSError, termios.error) as error:
+                self._hang_up()
+                raise DeviceError(f"{self.name}: {error.args[-1]}; plug the scanner in again") from None
+            except DeviceError:
+                self._hang_up()
+                raise
+            self._hang_up()
+        rates = " or ".join(map(str, codec.BAUD_RATES))
+        raise DeviceError(f"{self.name}: no RPLidar answers at {rates} baud; name the scanner's port")
+
+    def _begin(self, told: codec.Info) -> None:
+        """Starts the motor and the scan; raises DeviceError, OSError."""
+        assert self._port is not None
+        health = self._asked(codec.GET_HEALTH)
+        if health is not None and health[0] == codec.FAILED:
+            self._say(codec.request(codec.RESET))
+            time.sleep(RESET_WITHIN)
+            self._port.reset_input_buffer()
+            health = self._asked(codec.GET_HEALTH)
+        if health is None or health[0] == codec.FAILED:
+            code = "nothing" if health is None else f"error {int.from_bytes(health[1:3], 'little')}"
+            raise DeviceError(
+                f"{self.name}: the scanner says {code} of its health; unplug it, and see that it turns freely"
+            )
+        with contextlib.suppress(OSError):  # a line that has no such wire
+            self._port.dtr = False  # the wire that lets the motor turn
+        if told.model >= 2:
+            self._say(codec.motor(codec.DUTY))
+        self._say(codec.request(codec.SCAN))
+        self._model, self._decoder = told.model, NodeDecoder()
+        self._maker = SweepMaker(self._mount, told.model)
+        self._heard = time.monotonic()
+        # What comes before the first rays, until their descriptor was found.
+        self._preamble: bytes | None = b""
+
+    def _say(self, data: bytes) -> None:
+        assert self._port is not None
+        os.write(self._port.fileno(), data)
+
+    def _asked(self, command: int) -> bytes | None:
+        """What is answered to a command; raises OSError."""
+        assert self._port is not None
+        self._say(codec.request(command))
+        heard, end = b"", time.monotonic() + ANSWER_WITHIN
+        while (told := codec.answer(heard, command)) is None and (left := end - time.monotonic()) > 0.0:
+            if select.select([self._port.fileno()], [], [], left)[0]:
+                heard += self._read()
+        return told
+
+    def _read(self) -> bytes:
+        """What has arrived; raises OSError where the line is cut."""
+        assert self._port is not None
+        try:
+            data = os.read(self._port.fileno(), 1 << 16)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise OSError("the line is cut")
+        return data
+
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s."""
+        end = time.monotonic() + duration
+        while (left := end - time.monotonic()) > 0.0:
+            if self._port is None:
+                self._connect_again(self._connect, left)
+                continue
+            try:
+                if select.select([self._port.fileno()], [], [], left)[0]:
+                    self._receive(self._read(), time.monotonic())
+                if time.monotonic() - self._heard > SILENT:
+                    self._lose(f"says nothing for {SILENT:.0f} s: does it turn? It is started again")
+            except OSError:
+                self._lose("the connection is lost; plug the scanner in again, it is looked for")
+
+    def _receive(self, data: bytes, now: float) -> None:
+        if self._preamble is not None:
+            self._preamble += data
+            data = codec.answer(self._preamble, codec.SCAN) or b""
+            self._preamble = None if data else self._preamble[-len(codec.descriptor(codec.SCAN)) :]
+        before = self._decoder.lost
+        nodes = self._decoder.feed(data)
+        if nodes:
+            self._heard = now
+        self._messages += self._maker.add(nodes, now)
+        if self._decoder.lost > before:
+            self.refusals.add(self.name, "bytes", "bytes are lost on the way; the other rays are used, check the cable")
+
+    def _lose(self, why: str) -> None:
+        self._remark(why)
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._port is not None:
+            with contextlib.suppress(OSError):
+                self._port.close()
+        self._port = None
+
+    def close(self) -> None:
+        """Stops the motor and lets go of the port."""
+        if self._port is not None:
+            with contextlib.suppress(OSError):
+                self._say(codec.request(codec.STOP))
+                if self._model >= 2:
+                    self._say(codec.motor(0))
+                self._port.dtr = True
+        self._hang_up()

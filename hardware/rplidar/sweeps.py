@@ -1,0 +1,85 @@
+"""Sweeps of an RPLidar's rays.
+
+An A1 turns five times a second. So that no scan is old when the next one comes, there is one every half turn: of the
+rays of the last whole one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tfg_drake.config import RobotScannerConfig
+from tfg_drake.hardware.rplidar.codec import Node
+from tfg_drake.hardware.rplidar.turn_clock import TurnClock
+from tfg_drake.hardware.sweep import Sweep
+
+# How far the models see, m, and how near all of them; standard deviation of a range, m.
+RANGES, LEAST_RANGE, SIGMA = {1: 12.0, 2: 12.0, 3: 25.0}, 0.15, 0.02
+# Rays that make a turn, at least.
+_FEWEST = 30
+
+
+class SweepMaker:
+    """Makes sweeps of rays as they arrive."""
+
+    def __init__(self, mount: RobotScannerConfig, model: int) -> None:
+        """model: as tfg_drake.hardware.rplidar.codec.Info has it."""
+        self._mount, self._range_max = mount, RANGES.get(model, min(RANGES.values()))
+        self._clock = TurnClock()
+        # When this turn began and how long one takes, s; None where that is not known.
+        self._turn: tuple[float, float] | None = None
+        # Of this turn and of the one before.
+        self._nodes: list[Node] = []
+        self._before: list[Node] = []
+
+    def add(self, nodes: Sequence[Node], arrival: float) -> list[Sweep]:
+        """The sweeps that end with rays which arrived at `arrival`, s."""
+        sweeps = []
+        for node in nodes:
+            over = node.begins or (self._nodes and node.angle < self._nodes[-1].angle - math.pi)
+            # Round the full turn angles waver, and the first ray of a turn may be lost.
+            if over and not 0 < len(self._nodes) < _FEWEST:
+                sweeps += self._turn_over(arrival)
+            elif self._nodes and self._nodes[-1].angle < math.pi <= node.angle:
+                sweeps += self._half_over()
+            self._nodes.append(node)
+        return sweeps
+
+    def _turn_over(self, arrival: float) -> list[Sweep]:
+        """A turn ends and the next begins with the ray that arrived at `arrival`, s."""
+        before = self._turn
+        self._before, self._nodes, self._turn = self._nodes, [], self._clock.mark(arrival)
+        if before is None or self._turn is None:
+            self._before = []  # it was not seen from its beginning
+            return []
+        began, period = self._turn
+        return [self._sweep(self._before, math.pi, began - 0.5 * period, period)]
+
+    def _half_over(self) -> list[Sweep]:
+        """The half of a turn is over: with the last half of the one before it is a whole one."""
+        if self._turn is None or not self._before:
+            return []
+        last = [one for one in self._before if one.angle >= math.pi]
+        nodes = [*(dataclasses.replace(one, angle=one.angle - 2.0 * math.pi) for one in last), *self._nodes]
+        return [self._sweep(nodes, 0.0, *self._turn)]
+
+    def _sweep(self, nodes: list[Node], middle: float, stamp: float, period: float) -> Sweep:
+        """Of the rays of a turn that had the angle `middle` (rad) at `stamp` and took `period`, both s."""
+        angles = np.array([node.angle for node in nodes])
+        ranges = np.array([node.range for node in nodes])
+        ranges[ranges < LEAST_RANGE] = math.nan
+        ranges[ranges > self._range_max] = math.inf
+        return Sweep(
+            stamp=stamp,
+            directions=self._mount.yaw - angles,
+            ranges=ranges,
+            after=period * (angles - middle) / (2.0 * math.pi),
+            x=self._mount.x,
+            y=self._mount.y,
+            range_max=self._range_max,
+            sigma=SIGMA,
+        )

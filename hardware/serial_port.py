@@ -1,0 +1,51 @@
+"""Opening a serial port, and what to do where that fails."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import termios
+from typing import TYPE_CHECKING
+
+from tfg_drake.hardware.device import DeviceError
+
+if TYPE_CHECKING:
+    import serial
+
+
+@dataclasses.dataclass(frozen=True)
+class SerialDevice:
+    """What is to hang on a port. name: as a sentence names it. usb: vendor and product of its converter. extra: of this
+    package, which brings pyserial."""
+
+    name: str
+    usb: str
+    extra: str
+
+
+_IN_USE = "in use by another program; end that one, or name another port"
+_MENDS = {
+    errno.ENOENT: "no such device; plug {name} in and switch it on, or name the port it has under /dev/serial/by-id",
+    errno.EACCES: "permission denied; join the group dialout (sudo usermod -aG dialout $USER) and log in again, or add"
+    " a udev rule for the device {usb}",
+    errno.EAGAIN: _IN_USE,
+    errno.EBUSY: _IN_USE,
+    errno.EISDIR: "is a folder; name the serial port of {name}",
+}
+
+
+def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
+    """The port, raw and ours alone; reading and writing its file descriptor never blocks.
+
+    What it had received before is thrown away. Raises DeviceError.
+    """
+    try:
+        import serial
+    except ModuleNotFoundError:
+        raise DeviceError(f"the package pyserial is missing: pip install -e '.[{device.extra}]'") from None
+    try:
+        return serial.Serial(path, baud_rate, timeout=0.0, exclusive=True)
+    except (OSError, ValueError, termios.error) as error:
+        # ValueError of a path that is none; the last where the device goes away while it is being opened.
+        mend = _MENDS.get(getattr(error, "errno", 0), "is no serial port that can be used; name that of {name}")
+        raise DeviceError(f"{path}: {mend.format_map(dataclasses.asdict(device))}") from None

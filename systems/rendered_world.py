@@ -1,0 +1,147 @@
+"""A world as pixels: its scene in a SceneGraph, rendered by VTK without a display."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    ClippingRange,
+    ColorRenderCamera,
+    Cylinder,
+    DepthRange,
+    DepthRenderCamera,
+    FrameId,
+    GeometryFrame,
+    GeometryInstance,
+    InMemoryMesh,
+    LightParameter,
+    MakeRenderEngineVtk,
+    Mesh,
+    PerceptionProperties,
+    QueryObject,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    Rgba,
+    SceneGraph,
+    SourceId,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.sensors import CameraInfo
+
+from tfg_drake.simulation.people import RADIUS
+from tfg_drake.systems.camera_info import calibration_of
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.image import Image
+from tfg_drake.vision.mount import CameraMount
+from tfg_drake.world.scene import SceneConfig, make_scene
+from tfg_drake.world.world import World
+
+_RENDERER = "vtk"
+# What is nearer to the lens, m, is not drawn, nor what is farther; a building is smaller.
+_NEAREST, _FARTHEST = 0.03, 100.0
+# Lamps on three sides of every wall, so far away that they shine alike everywhere: rad above the horizon.
+_LAMP_HEADINGS, _LAMP_HEIGHT = np.radians([20.0, 140.0, 260.0]), math.radians(20.0)
+
+# How tall people are, m, and the colour of what they wear.
+_TALL, _CLOTHES = 1.7, (0.25, 0.35, 0.55)
+
+
+def AddScene(scene: SceneGraph, world: World, config: SceneConfig | None = None) -> SourceId:
+    """Puts a world into a SceneGraph, with a renderer of its own; returns the source that holds it.
+
+    Raises WorldError where it cannot be drawn.
+    """
+    drawn = make_scene(world, config)
+    scene.AddRenderer(_RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(lights=[_Lamp(a) for a in _LAMP_HEADINGS])))
+    source = scene.RegisterSource("building")
+    files = {
+        "scene.mtl": MemoryFile(drawn.mtl, ".mtl", "scene.mtl"),
+        "scene.png": MemoryFile(drawn.png, ".png", "scene.png"),
+    }
+    mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(drawn.obj, ".obj", "scene.obj"), supporting_files=files))
+    instance = GeometryInstance(RigidTransform(), mesh, "building")
+    instance.set_perception_properties(PerceptionProperties())
+    scene.RegisterAnchoredGeometry(source, instance)
+    return source
+
+
+def AddPeople(scene: SceneGraph, source: SourceId, count: int) -> list[FrameId]:
+    """Frames of so many people, each a cylinder that stands on the floor."""
+    frames = []
+    for k in range(count):
+        frame = scene.RegisterFrame(source, GeometryFrame(f"person{k}"))
+        body = GeometryInstance(RigidTransform([0.0, 0.0, 0.5 * _TALL]), Cylinder(RADIUS, _TALL), "body")
+        properties = PerceptionProperties()
+        properties.AddProperty("phong", "diffuse", Rgba(*_CLOTHES))
+        body.set_perception_properties(properties)
+        scene.RegisterGeometry(source, frame, body)
+        frames.append(frame)
+    return frames
+
+
+def _Lamp(heading: float) -> LightParameter:
+    level, down = math.cos(_LAMP_HEIGHT), -math.sin(_LAMP_HEIGHT)
+    return LightParameter(
+        type="directional", frame="world", direction=[level * math.cos(heading), level * math.sin(heading), down]
+    )
+
+
+def MakeCameraInfo(width: int, height: int, field_of_view: float) -> CameraInfo:
+    """Intrinsics of a camera without distortion whose image shows that horizontal field of view, rad."""
+    return CameraInfo(width, height, 2.0 * math.atan(math.tan(0.5 * field_of_view) * height / width))
+
+
+def MakeCameras(info: CameraInfo, least_depth: float, most_depth: float) -> tuple[ColorRenderCamera, DepthRenderCamera]:
+    """Colour and depth of a camera; nearer than least_depth (m) depth is 0, beyond most_depth (m) inf."""
+    core = RenderCameraCore(_RENDERER, info, ClippingRange(_NEAREST, _FARTHEST), RigidTransform())
+    return ColorRenderCamera(core), DepthRenderCamera(core, DepthRange(least_depth, most_depth))
+
+
+def MountPose(mount: CameraMount) -> RigidTransform:
+    """X_BC of a camera, z forward, in the body's frame, z up."""
+    return RigidTransform(RotationMatrix(mount.R_BC), mount.p_BC)
+
+
+def PlanarPose(X_WB: NDArray[np.float64]) -> RigidTransform:
+    """X_WB in space of a pose (3,) on the floor."""
+    return RigidTransform(RotationMatrix.MakeZRotation(X_WB[2]), [X_WB[0], X_WB[1], 0.0])
+
+
+class WorldView:
+    """Pictures of a world, one by one, for what is no diagram: a stream, a figure, a test."""
+
+    def __init__(
+        self,
+        world: World,
+        mount: CameraMount,
+        info: CameraInfo,
+        config: SceneConfig | None = None,
+        depths: tuple[float, float] = (0.1, 10.0),
+    ):
+        """mount: of the camera on the body. depths: m, as MakeCameras has them. Raises WorldError."""
+        self._scene = SceneGraph()
+        AddScene(self._scene, world, config)
+        self._context = self._scene.CreateDefaultContext()
+        self._colour, self._depth = MakeCameras(info, *depths)
+        self._X_BC = MountPose(mount)
+        self.calibration: CameraCalibration = calibration_of(info)
+
+    def colour(self, X_WB: NDArray[np.float64]) -> Image:
+        """(h, w, 3) RGB of what the camera sees from a body at the pose X_WB (3,)."""
+        image = self._Query().RenderColorImage(
+            self._colour, self._scene.world_frame_id(), PlanarPose(X_WB) @ self._X_BC
+        )
+        return np.ascontiguousarray(image.data[..., :3])
+
+    def depth(self, X_WB: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(h, w) m along the optical axis, 0 too near, inf too far."""
+        X_WC = PlanarPose(X_WB) @ self._X_BC
+        image = self._Query().RenderDepthImage(self._depth, self._scene.world_frame_id(), X_WC)
+        return np.array(image.data[..., 0])
+
+    def _Query(self) -> QueryObject:
+        query: QueryObject = self._scene.get_query_output_port().Eval(self._context)
+        return query

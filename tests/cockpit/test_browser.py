@@ -1,0 +1,408 @@
+"""The page in a browser: every button and every toggle is pressed, and does what it says."""
+
+import io
+import itertools
+import json
+import time
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from tests.cockpit.conftest import STAGES, begin, drive, end, stage
+from tfg_drake.cockpit.browser import SEEK, BrowserMissing, film_page, open_browser, wait_for_page
+from tfg_drake.cockpit.page import export_page
+from tfg_drake.cockpit.server import Cockpit
+from tfg_drake.diagrams.missions.run import viewer_script
+from tfg_drake.storage.timeline import TimelineWriter
+
+LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "path", "trail", "scan", "camera", "free"]
+
+
+@pytest.fixture(scope="module")
+def driver():
+    try:
+        driver = open_browser(820, 560)
+    except BrowserMissing as error:
+        pytest.skip(str(error))
+    yield driver
+    driver.quit()
+
+
+class Page:
+    """A page in the browser, and what can be done with it."""
+
+    def __init__(self, driver, address):
+        self.driver = driver
+        driver.get_log("browser")
+        driver.get("about:blank")  # An address that differs by its fragment alone would not be loaded anew.
+        driver.get(address)
+        wait_for_page(driver)
+
+    def __call__(self, script, *arguments):
+        return self.driver.execute_script(script, *arguments)
+
+    def until(self, script, *arguments):
+        limit = time.monotonic() + 60.0
+        while not (found := self(script, *arguments)):
+            assert time.monotonic() < limit, (script, self.driver.get_log("browser"))
+            time.sleep(0.02)
+        return found
+
+    def click(self, name):
+        self.driver.find_element("id", name).click()
+
+    def text(self, name):
+        return self("return document.getElementById(arguments[0]).innerText", name)
+
+    def seek(self, seconds):
+        """As a hand on the slider does; how long it took, s."""
+        return self(SEEK, seconds)
+
+    def picture(self):
+        """What is drawn, as a number that another picture would hardly have."""
+        return self(
+            """render();
+            const context = viewer.renderer.getContext();
+            const w = context.drawingBufferWidth, h = context.drawingBufferHeight;
+            const pixels = new Uint8Array(4 * w * h);
+            context.readPixels(0, 0, w, h, context.RGBA, context.UNSIGNED_BYTE, pixels);
+            let sum = 0;
+            for (const pixel of new Uint32Array(pixels.buffer)) sum = (Math.imul(sum, 31) + pixel) | 0;
+            return sum;"""
+        )
+
+    def complaints(self):
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
+
+
+@pytest.fixture(scope="module")
+def exported(driver, mission, tmp_path_factory):
+    out = tmp_path_factory.mktemp("page") / "mission.html"
+    export_page(mission, out, "room", viewer_script())
+    return out
+
+
+@pytest.fixture(scope="module")
+def page(driver, exported):
+    """The page of a mission that has ended, from its file."""
+    driver.get_log("performance")
+    return Page(driver, exported.as_uri())
+
+
+def test_the_file_asks_for_nothing_and_complains_of_nothing(page):
+    page.seek(5.0)
+    asked = [json.loads(entry["message"])["message"] for entry in page.driver.get_log("performance")]
+    asked = [one["params"]["request"]["url"] for one in asked if one["method"] == "Network.requestWillBeSent"]
+    assert [url[:5] for url in asked if not url.startswith("about:")] == ["file:"] * len(asked)
+    assert page.complaints() == []
+
+
+def test_it_begins_at_the_end_and_says_how_it_ended(page):
+    page.seek(10.0)
+    assert page.text("title") == "room, seed 3"
+    assert page.text("phase") == "complete"
+    card = page.text("card")
+    for words in ("Mission complete", "Nothing is left <b>to see</b>.", "10 s, 3 stages", "runs/room", "0.010 m"):
+        assert words in card
+    page.driver.find_element("css selector", "#card button").click()
+    assert not page.driver.find_element("id", "card").is_displayed()
+
+
+def test_any_time_is_shown(page):
+    page.seek(0.0)
+    assert page("return groups.map.children.length") == 0
+    assert "stage\n0" in page.text("numbers")
+    for number, time_s in enumerate(STAGES, start=1):
+        page.seek(time_s + 0.1)
+        assert f"stage\n{number}" in page.text("numbers")
+        assert page("return arrays(drawn.map).points.length / 2") == number
+    # Between two recorded poses the robot is between them.
+    page.seek(5.125)
+    np.testing.assert_allclose(page("return robot.position.toArray()"), [2.05, 0.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose(page("return ghost.position.toArray().slice(0, 2)"), [3.07, 2.0], atol=1e-3)
+    page.seek(1.0)
+    assert page("return groups.map.children.length") == 0  # It forgets what it did not know then.
+    assert page.text("phase") == "looks round"
+    assert page.text("wheels") == "wheels enabled"
+
+
+def test_numbers_and_the_goal_are_explained(page):
+    page.seek(6.0)
+    numbers = page.text("numbers").splitlines()
+    figures = dict(zip(numbers[::2], numbers[1::2], strict=True))
+    assert figures["tags mapped"] == "2"
+    assert figures["map entropy"] == "-10 nats"
+    assert figures["true error"] == "2.0 cm"
+    assert figures["stated uncertainty"] == "12.2 cm"  # the root of the mean variance
+    choice = page.text("choice")
+    assert "chosen 2.0 3.5 0.5 5.5 4.0 1.4" in " ".join(choice.split())
+    assert choice.count("next") == 3
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_every_layer_can_be_shown_and_hidden(page, flat):
+    page.seek(6.0)
+    if not flat:
+        page.click("mode")
+    before = page.picture()
+    for name in LAYERS if flat else ("walls", "map", "camera"):
+        shown = page("return document.getElementById(arguments[0]).checked", f"layer-{name}")
+        page.click(f"layer-{name}")
+        assert page("return groups[arguments[0]].visible", name) is not shown
+        assert page.picture() != before, name
+        page.click(f"layer-{name}")
+        assert page.picture() == before, name
+    if not flat:
+        page.click("mode")
+
+
+def test_from_above_and_in_space(page):
+    page.seek(6.0)
+    before = page.picture()
+    page.click("mode")
+    assert page("return viewer.camera.isPerspectiveCamera") is True
+    assert page.text("mode") == "2D"
+    assert page.picture() != before
+    page.click("mode")
+    assert page("return viewer.camera.isOrthographicCamera") is True
+    assert page.picture() == before
+
+
+def test_the_whole_building_is_in_any_window(page):
+    corners = """return WALLS.map(([x, y]) => {
+        const p = world.localToWorld(new T.Vector3(x, y, 0)).project(viewer.camera);
+        const box = element("scene").getBoundingClientRect();
+        return [box.left + (p.x + 1) / 2 * box.width, box.top + (1 - p.y) / 2 * box.height];
+    })""".replace("WALLS", "[[0, 0], [6, 0], [6, 4], [0, 4]]")
+    try:
+        for size in ((1200, 500), (640, 800), (820, 560)):
+            page.driver.set_window_size(*size)
+            page.until("return Math.abs(innerWidth - arguments[0]) < 3 && shownBounds !== ''", size[0])
+            for _ in range(2):
+                page("dirty = true; render()")
+                places = np.array(page(corners))
+                side = page("const r = element('side').getBoundingClientRect(); return [r.left, r.top]")
+                bar = page("return element('bar').getBoundingClientRect().bottom")
+                assert places[:, 1].min() > bar
+                assert places[:, 0].min() > 0
+                assert places[:, 0].max() < side[0] or places[:, 1].max() < side[1]
+                page.click("mode")
+    finally:
+        page.driver.set_window_size(820, 560)
+
+
+def test_follow_and_fit(page):
+    page.seek(6.0)
+    page.click("follow")
+    assert page("return following") is True
+    page("time = 8; render()")
+    target, robot = page("return viewer.controls.target.toArray()"), page("return robotPlace()")
+    offset = page("return offset()")
+    np.testing.assert_allclose([target[0] - offset[0], target[2] - offset[1]], [robot[0], -robot[1]], atol=1e-3)
+    page.click("fit")
+    assert page("return [following, framed]") == [False, True]
+    # Whoever moves the camera keeps it, until he asks for the whole again.
+    page("viewer.controls.dispatchEvent({ type: 'start' })")
+    assert page("return framed") is False
+    page.click("fit")
+    assert page("return framed") is True
+
+
+def test_play_hold_and_the_keys(page):
+    page.seek(0.0)
+    page.click("play")
+    page.until("return time > 0.5")
+    page.click("play")
+    assert page("return playing") is False
+    page("element('rate').value = '64'")
+    page.click("play")
+    page.until("return time >= timeline.end && !playing")
+    send = "document.dispatchEvent(new KeyboardEvent('keydown', { key: arguments[0] })); return time"
+    page.seek(0.0)
+    assert [page(send, "ArrowRight") for _ in range(4)] == [2, 5, 8, 10]
+    assert [page(send, "ArrowLeft") for _ in range(4)] == [8, 5, 2, 0]
+    for key, state in (("v", "!flat"), ("v", "flat"), ("f", "following"), ("0", "!following")):
+        page(send, key)
+        assert page(f"return {state}") is True, key
+
+
+def test_dark_and_light(page):
+    page.seek(6.0)
+
+    def background(scheme):
+        feature = {"name": "prefers-color-scheme", "value": scheme}
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+        page.until("return dark.matches === arguments[0]", scheme == "dark")
+        page.until(
+            "return [...materials.values()].every((m) => `#${m.color.getHexString()}` === colour(m.userData.name))"
+        )
+        return page.picture(), page("return getComputedStyle(document.body).backgroundColor")
+
+    light, night = background("light"), background("dark")
+    assert light[0] != night[0]
+    assert light[1] != night[1]
+    assert background("light") == light
+
+
+def test_any_time_is_shown_soon(page):
+    page.seek(1.0)  # Shaders are compiled once.
+    spent = [page.seek(seconds) for seconds in np.linspace(0.0, 10.0, 12)]
+    assert np.median(spent) < 0.2
+
+
+@pytest.mark.slow
+def test_a_film_shows_the_mission_to_its_end(driver, exported):
+    said = []
+    film = Image.open(io.BytesIO(film_page(exported, said.append, 3)))
+    assert film.n_frames == 3
+    assert said[-1] == "filming the mission, picture 3 of 3"
+    frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
+    assert all(np.any(one != other) for one, other in itertools.pairwise(frames))
+
+
+class Live:
+    """A mission under way that this test drives."""
+
+    def __init__(self, folder, *, simulated=True):
+        self.path = folder / "timeline.tfg"
+        rate = 4.0 if simulated else None
+        self.cockpit = Cockpit(viewer_script(), "room", rate=rate)
+        self.writer = TimelineWriter(self.path, lambda: self.cockpit.watched)
+        self.simulated = simulated
+
+    def begin(self):
+        begin(self.writer, simulated=self.simulated)
+        self.writer.flush()
+        self.cockpit.follow(self.path)
+
+    def drive(self, time, number=None):
+        drive(self.writer, time)
+        if number is not None:
+            stage(self.writer, number, time)
+        self.writer.flush()
+
+    def until(self, condition):
+        limit = time.monotonic() + 60.0
+        while not (found := condition()):
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        return found
+
+    def asked(self):
+        return self.until(lambda: list(self.cockpit.requests()))
+
+
+@pytest.fixture(params=[True, False], ids=["simulated", "robot"])
+def live(request, tmp_path):
+    live = Live(tmp_path, simulated=request.param)
+    with live.cockpit, live.writer:
+        yield live
+
+
+def test_a_mission_under_way(driver, live):
+    live.cockpit.word = "compiling kernels, 3 of 133"
+    page = Page(driver, live.cockpit.address)
+    page.until("return element('notice').innerText === arguments[0]", live.cockpit.word)
+    live.begin()
+    page.until("return element('notice').hidden")
+    simulated = live.simulated
+    page.until("return element('wheels').innerText === 'wheels enabled'")
+    for name in ("stop", "live", "request-hold", "request-step", "request-recall", "request-end", "request-enable"):
+        assert page.driver.find_element("id", name).is_displayed(), name
+    assert page.text("request-enable") == ("Enable wheels" if simulated else "Start")
+
+    # What happens is shown, whatever was looked at before.
+    live.drive(2.0, 1)
+    page.until("return time > 1.99 && stageTimes.length === 1")
+    page.seek(0.0)
+    assert page("return live") is False
+    live.drive(3.0)
+    page.until("return timeline.end === 3")
+    assert page("return time") == 0
+    page.click("live")
+    page.until("return time > 2.99")
+
+    page.click("stop")
+    assert live.asked() == ["stop"]
+    live.writer.write("enabled", 3.0, {}, enabled=False)
+    live.writer.flush()
+    page.until("return element('wheels').innerText === 'wheels stopped'")
+    page.click("request-enable")
+    assert live.asked() == ["enable"]
+    page.click("request-recall")
+    assert live.asked() == ["recall"]
+    if simulated:
+        page.click("request-push")
+        live.until(live.cockpit.pushes)
+        page.click("request-hold")
+        page.until("return element('clock').dataset.held === 'true'")
+        assert live.cockpit.clock.held
+        page.until("return element('request-hold').disabled && !element('request-resume').disabled")
+        page.click("request-resume")
+        page.until("return element('clock').dataset.held === 'false'")
+        live.cockpit.at_stage(1)
+        page.click("request-step")
+        live.until(lambda: live.cockpit.clock.stepping)
+        live.cockpit.at_stage(2)
+        page.until("return element('clock').dataset.held === 'true'")
+        page("element('clock-rate').value = '8'; element('clock-rate').dispatchEvent(new Event('change'))")
+        page.until("return element('clock-rate').value === '8'")
+        assert page("return fetch('state').then((answer) => answer.json()).then((state) => state.rate)") == 8.0
+    else:
+        for what, requests in (("hold", ["hold"]), ("resume", ["resume"]), ("step", ["resume"])):
+            page.click(f"request-{what}")
+            assert live.asked() == requests
+    page("document.dispatchEvent(new KeyboardEvent('keydown', { key: ' ' }))")
+    assert live.asked() == ["stop"]
+    page.click("request-end")
+    assert live.asked() == ["end"]
+
+    live.drive(9.0, 2)
+    end(live.writer)
+    page.until("return !element('card').hidden && element('stop').disabled")
+    assert "Mission complete" in page.text("card")
+    assert page.complaints() == []
+
+
+@pytest.mark.slow
+def test_two_pages_one_reloaded_and_one_closed_in_the_middle(driver, tmp_path):
+    live = Live(tmp_path)
+    with live.cockpit, live.writer:
+        live.begin()
+        # Without the token a page can stop and nothing else.
+        first = Page(driver, live.cockpit.address.partition("#")[0])
+        first.until("return timeline.layers.has('pose')")
+        first.click("request-hold")
+        first.until("return !element('notice').hidden")
+        assert "Only who has the whole address" in first.text("notice")
+        assert not live.cockpit.clock.held
+        window = driver.current_window_handle
+        driver.switch_to.new_window("tab")
+        second = Page(driver, live.cockpit.address)
+        live.drive(2.0, 1)
+        second.until("return stageTimes.length === 1")
+        driver.refresh()
+        live.drive(5.0, 2)
+        second.until("return document.body.dataset.ready === 'true' && stageTimes.length === 2")
+        driver.close()
+        driver.switch_to.window(window)
+        live.drive(8.0, 3)
+        first.until("return stageTimes.length === 3")
+        first.click("stop")
+        assert live.asked() == ["stop"]
+
+
+def test_a_page_that_cannot_draw_stops_the_robot_all_the_same(driver):
+    with Cockpit("/* no viewer */", "room") as cockpit:
+        driver.get("about:blank")
+        driver.get(cockpit.address)
+        limit = time.monotonic() + 60.0
+        while "This page has failed" not in driver.find_element("id", "notice").text:
+            assert time.monotonic() < limit
+            time.sleep(0.02)
+        driver.find_element("id", "stop").click()
+        while not (requests := list(cockpit.requests())):
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        assert requests == ["stop"]

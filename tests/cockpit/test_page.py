@@ -1,0 +1,37 @@
+"""The page as a file: whole, and of nothing but itself."""
+
+import base64
+import re
+
+import pytest
+
+from tfg_drake.cockpit.page import export_page, served_page, whole_page
+from tfg_drake.storage.timeline import TimelineError
+
+
+def test_the_whole_page_holds_viewer_and_timeline(mission, tmp_path):
+    out = tmp_path / "mission.html"
+    export_page(mission, out, "a <room>", "/* viewer */")
+    page = out.read_text()
+    assert "/* viewer */" in page
+    (data,) = re.findall(r'<script id="data" type="text/plain">([^<]*)</script>', page)
+    assert base64.b64decode(data) == mission.read_bytes()
+    assert "<title>a &lt;room&gt;</title>" in page
+
+
+@pytest.mark.parametrize("page", [served_page("room", {"live": True}), whole_page("room", b"", "")])
+def test_nothing_is_asked_of_a_network_and_nothing_is_left_out(page):
+    assert not re.findall(r"(?:src|href)=[\"'](?!viewer\.js|data:)[^\"']*|https?://|@import", page)
+    assert not re.findall(r"{{\w+}}", page)
+    for name in ("const COLOURS", "class Timeline", "#slider"):
+        assert name in page
+
+
+def test_what_is_no_timeline_has_no_page(tmp_path):
+    file, out = tmp_path / "timeline.tfg", tmp_path / "mission.html"
+    with pytest.raises(FileNotFoundError):
+        export_page(file, out, "", "")
+    file.write_bytes(b"something else, and long enough")
+    with pytest.raises(TimelineError, match="is no timeline of this version; run the mission again"):
+        export_page(file, out, "", "")
+    assert not out.exists()

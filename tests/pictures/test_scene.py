@@ -1,0 +1,83 @@
+"""Messages as layers of flat shapes."""
+
+import numpy as np
+
+from tests.systems.test_visualizer import make_map, make_messages
+from tfg_drake.messages import replace
+from tfg_drake.pictures import scene
+
+
+def choice_of(values, gains, node=0):
+    message = make_messages(len(values))["goal"]
+    values, gains = np.array(values, dtype=float), np.array(gains, dtype=float)
+    return replace(message, value=values, gain=gains, exploitation=0.25 * gains, exploration=0.75 * gains, node=node)
+
+
+def roadmap_of(count):
+    messages = make_messages(count)
+    return replace(messages["roadmap"], travel_time=np.arange(count) + 0.5, ids=np.arange(count))
+
+
+def test_the_chosen_goal_is_explained_beside_the_three_next_best():
+    told = scene.explained(choice_of([-3.0, -1.0, -np.inf, -2.0, -np.inf], [4, 10, 7, 2, 9], node=1), roadmap_of(5))
+    assert [row["gain"] for row in told] == [10, 2, 4, 9]
+    assert [row["chosen"] for row in told] == [True, False, False, False]
+    first = told[0]
+    assert (first["exploitation"], first["exploration"]) == (2.5, 7.5)
+    assert first["time"] == 1.5
+    assert first["rate"] == round(10 / 1.5, 4)
+    assert first["at"] == [2.0, 3.0]
+
+
+def test_there_is_nothing_to_explain_where_nothing_was_chosen():
+    assert scene.explained(choice_of([], [], node=-1), roadmap_of(0)) == []
+
+
+def test_gains_are_shares_of_the_most_and_only_of_places_that_the_roadmap_has():
+    choice, roadmap = choice_of([1, 1, 1], [2, 8, -1]), roadmap_of(3)
+    layer = scene.gains(choice, roadmap)
+    np.testing.assert_allclose(layer["share"], [0.25, 1.0, 0.0])
+    layer = scene.gains(choice, replace(roadmap, points=roadmap.points[1:], ids=roadmap.ids[1:]))
+    np.testing.assert_allclose(layer["share"], [1.0, 0.0])
+    np.testing.assert_allclose(layer["points"], roadmap.points[1:])
+
+
+def test_a_frontier_is_a_bar_across_its_normal():
+    tfg = make_messages()["tfg"]
+    normal = np.array([[0.6, 0.8], [0.0, -1.0]])
+    bars = scene.frontiers(replace(tfg, frontier_normal=normal, frontier_length=np.array([0.2, 7.0])))["segments"]
+    along = bars[:, 2:] - bars[:, :2]
+    np.testing.assert_allclose(np.sum(along * normal, axis=1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), [0.2, 0.4])
+    np.testing.assert_allclose(0.5 * (bars[:, 2:] + bars[:, :2]), tfg.frontiers)
+
+
+def test_free_space_is_told_again_only_where_it_has_moved():
+    tfg = make_messages()["tfg"]
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [5.0, 5.0], [6.0, 5.0], [6.0, 6.0]])
+    tfg = replace(
+        tfg,
+        star_offsets=np.array([0, 3, 6]),
+        star_vertices=corners,
+        star_centers=np.array([[0.5, 0.2], [5.5, 5.2]]),
+    )
+    before = scene.free_space(tfg)
+    assert list(scene.changed_stars((), before)) == [0, 1]
+    moved = replace(tfg, star_vertices=corners + np.array([[0.01, 0]] * 3 + [[0.05, 0]] * 3))
+    now = scene.free_space(moved)
+    assert list(scene.changed_stars(before, now)) == [1]
+    packed = scene.packed_stars(now, np.array([1]))
+    assert list(packed["count"]) == [4]
+    np.testing.assert_allclose(packed["points"], [[5.5, 5.2], [5.05, 5.0], [6.05, 5.0], [6.05, 6.0]])
+
+
+def test_a_landmarks_covariance_is_told_by_its_three_numbers():
+    estimate = replace(make_map(1), landmark_covariance=np.array([[[4.0, 1.0], [1.0, 9.0]]]))
+    np.testing.assert_allclose(scene.landmarks(estimate)["covariance"], [[4.0, 1.0, 9.0]])
+
+
+def test_a_scan_shows_what_it_met():
+    messages = make_messages()
+    points = scene.scan_points(messages["scan"], replace(messages["pose"], X_MB=np.zeros(3)))["points"]
+    np.testing.assert_allclose(points, [[np.cos(1), -np.sin(1)], [2 * np.cos(1), 2 * np.sin(1)]])
+    assert len(scene.scan_points(replace(messages["scan"], stamp=-np.inf), messages["pose"])["points"]) == 0

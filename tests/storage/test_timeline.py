@@ -1,0 +1,113 @@
+"""A mission's picture over time, written and read again."""
+
+import errno
+
+import numpy as np
+import pytest
+
+from tfg_drake.storage import timeline as module
+from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, read_timeline
+
+ARRAYS = {
+    "points": np.array([[1.2344, -2.0], [0.0, 3.5]]),
+    "covariance": np.array([[1e-4, -2e-5, 3e-4]], dtype=np.float32),
+    "doubtful": np.array([True, False, True]),
+    "ids": np.array([3, 2**20, -1]),
+    "edges": np.array([[0, 65535]]),
+    "none": np.zeros((0, 4)),
+}
+
+
+def write(folder, *times):
+    with TimelineWriter(folder / FILE_NAME) as writer:
+        for time in times:
+            writer.write("map", time, ARRAYS, stage=int(time), word="é")
+            writer.flush()
+    return folder / FILE_NAME
+
+
+def test_what_is_read_is_what_was_written_to_the_millimetre(tmp_path):
+    write(tmp_path, 0.125, 2.5)
+    first, second = read_timeline(tmp_path)
+    assert (first.time, second.time) == (0.125, 2.5)
+    assert first.layer == "map"
+    assert dict(second.told) == {"stage": 2, "word": "é"}
+    np.testing.assert_allclose(first.arrays["points"], ARRAYS["points"], atol=5e-4)
+    np.testing.assert_array_equal(first.arrays["covariance"], ARRAYS["covariance"])
+    np.testing.assert_array_equal(first.arrays["doubtful"], ARRAYS["doubtful"])
+    for name in ("ids", "edges"):
+        np.testing.assert_array_equal(first.arrays[name], ARRAYS[name])
+    assert first.arrays["none"].shape == (0, 4)
+
+
+def test_of_a_program_that_was_killed_all_is_there_but_the_last_block(tmp_path):
+    path = write(tmp_path, 1.0, 2.0, 3.0)
+    data = path.read_bytes()
+    for cut in (1, 5, 60):
+        path.write_bytes(data[:-cut])
+        assert [record.time for record in read_timeline(path)] == [1.0, 2.0]
+    path.write_bytes(MAGIC)
+    assert read_timeline(path) == []
+
+
+def test_it_is_on_the_disk_soon_and_sooner_where_somebody_looks_on(tmp_path, monkeypatch):
+    now, watched = [100.0], [False]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    with TimelineWriter(tmp_path / FILE_NAME, lambda: watched[0]) as writer:
+
+        def there(passed):
+            now[0] += passed
+            writer.write("pose", now[0], {})
+            writer.flush(all_of_it=False)
+            return len(read_timeline(tmp_path))
+
+        assert [there(0.5), there(0.4), there(0.2)] == [0, 0, 3]
+        watched[0] = True
+        assert [there(0.05), there(0.04)] == [3, 5]
+
+
+def test_a_large_layer_is_written_seldom(tmp_path):
+    with TimelineWriter(tmp_path / FILE_NAME) as writer:
+        assert writer.is_due("map", 0.0)
+        writer.write("map", 0.0, {"points": np.zeros((10000, 2))})
+        assert [writer.is_due("map", time) for time in (1.0, 3.9, 4.1)] == [False, False, True]
+        assert writer.is_due("tfg", 1.0)
+
+
+def test_a_full_disk_ends_the_timeline_and_not_the_mission(tmp_path, caplog):
+    writer = TimelineWriter(tmp_path / FILE_NAME)
+
+    class Full:
+        def write(self, _data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def close(self):
+            pass
+
+    writer._file.close()
+    writer._file = Full()
+    for time in (1.0, 2.0):
+        writer.write("map", time, ARRAYS)
+        writer.flush()
+    writer.close()
+    assert writer.failure.errno == errno.ENOSPC
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{tmp_path / FILE_NAME}: cannot be written: No space left on device; the mission goes on"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("data", "complaint"),
+    [
+        (None, "no such file; name the folder of a run that was recorded"),
+        (b"", "is no timeline of this version; name the folder of a run that was recorded"),
+        (b"\x89MCAP0\r\n" * 9, "is no timeline of this version; name the folder of a run that was recorded"),
+        (MAGIC + b"\x04\0\0\0zlib", "is damaged; copy it again from where it was recorded"),
+    ],
+)
+def test_what_is_no_timeline(tmp_path, data, complaint):
+    if data is not None:
+        (tmp_path / FILE_NAME).write_bytes(data)
+    with pytest.raises(TimelineError) as caught:
+        read_timeline(tmp_path)
+    assert str(caught.value) == f"{tmp_path / FILE_NAME}: {complaint}"

@@ -1,0 +1,80 @@
+"""The page of a mission as HTML: by itself, with all that it shows, or as the server's, which tells it the rest."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.pictures.caption import gain_colours
+from tfg_drake.pictures.palette import DARK, LIGHT, css
+from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.timeline import MAGIC, TimelineError
+
+FILE_NAME = "mission.html"
+# Colours of the candidates' scale, from no gain to the most.
+_SHADES = 6
+
+
+def served_page(title: str, source: dict[str, Any]) -> str:
+    """The page that asks its server for viewer and timeline.
+
+    Args:
+        title: above it until the timeline gives another one.
+        source: "live": whether the mission may still be under way; "rate": of a simulated one the speed of its clock,
+            times real time, 0 for no limit.
+    """
+    return _page(title, source, '<script src="viewer.js"></script>')
+
+
+def whole_page(title: str, timeline: bytes, viewer: str) -> str:
+    """The page that needs nothing else.
+
+    Args:
+        title: above it until the timeline gives another one.
+        timeline: the file's bytes, see tfg_drake.storage.timeline.
+        viewer: the script of Meshcat's viewer that Drake ships.
+    """
+    data = base64.b64encode(timeline).decode()
+    return _page(title, None, f'<script id="data" type="text/plain">{data}</script><script>{viewer}</script>')
+
+
+def export_page(timeline: Path, out: Path, title: str, viewer: str) -> None:
+    """Write a timeline's page as one file.
+
+    Raises:
+        TimelineError: it is no timeline.
+        OSError: it cannot be read, or the page cannot be written.
+    """
+    data = timeline.read_bytes()
+    if not data.startswith(MAGIC):
+        raise TimelineError(f"{timeline}: is no timeline of this version; run the mission again")
+    write_atomic(out, whole_page(title, data, viewer), durable=False)
+
+
+def _page(title: str, source: dict[str, Any] | None, data: str) -> str:
+    folder = files(__package__)
+    shades = [css(tuple(shade)) for shade in gain_colours(np.linspace(0.0, 1.0, _SHADES)).tolist()]
+    colours = {
+        "light": {name: css(colour) for name, colour in LIGHT.items()},
+        "dark": {name: css(colour) for name, colour in DARK.items()},
+        "gains": shades,
+    }
+    parts = {
+        "TITLE": html.escape(title),
+        "STYLE": (folder / "page.css").read_text(encoding="utf-8"),
+        "COLOURS": json.dumps(colours),
+        "SOURCE": json.dumps(source),
+        "SCRIPT": (folder / "page.js").read_text(encoding="utf-8"),
+        "DATA": data,
+    }
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    # The data last, so that nothing is looked for in it.
+    for name, part in parts.items():
+        page = page.replace(f"{{{{{name}}}}}", part)
+    return page

@@ -1,0 +1,339 @@
+"""The server of the page: shows a timeline that may still grow, and takes what is asked of its mission.
+
+It listens on this machine alone, unless another address is named. Who only looks needs nothing. A request needs the
+run's token, which is part of the printed address and not known to another web page on this machine; only a stop needs
+none, and is taken from anybody. A name of this machine that others have made up is not answered (DNS rebinding).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import json
+import logging
+import math
+import secrets
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+from tfg_drake.cockpit.page import served_page
+from tfg_drake.mission.clock import Clock
+from tfg_drake.mission.operation import Request
+
+# Where the server looks for a free port first.
+PORT = 7000
+LOCAL = "localhost"
+# How often a stream looks for what is new, s.
+INTERVAL = 0.04
+# A request is no longer than this, bytes.
+LONGEST = 4096
+# A page that goes on reading after the mission's end is waited for so long, s.
+FAREWELL = 2.0
+
+# What a page may ask of an operator. Of a simulation it holds the clock instead of pausing the mission.
+_OPERATOR: tuple[Request, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
+_log = logging.getLogger("tfg_drake.cockpit")
+
+
+class Cockpit:
+    """The page of one mission, served from threads of its own until it is closed; a context manager.
+
+    clock: what a page wants of a simulation's clock, None where there is none to be set. word: what is done while there
+    is nothing to see. watched: whether a page is open.
+    """
+
+    def __init__(
+        self,
+        viewer: str,
+        title: str,
+        *,
+        timeline: Path | None = None,
+        live: bool = True,
+        controls: bool = True,
+        rate: float | None = None,
+        host: str = LOCAL,
+        port: int | None = None,
+    ) -> None:
+        """
+        Args:
+            viewer: the script of Meshcat's viewer that Drake ships.
+            title: the page's until the timeline gives another one.
+            timeline: the file to show, if there is one yet; see `follow`.
+            live: it may still grow.
+            controls: the mission can be asked for something.
+            rate: of a simulation the speed of its clock, times real time, 0 for no limit; None of a real robot.
+            host: the address to listen at.
+            port: the port; by default 7000 or the next that is free.
+
+        Raises:
+            OSError: nobody can listen there.
+        """
+        self.clock = Clock(rate) if rate is not None else None
+        self.word = ""
+        self._title, self._live, self._controls = title, live, controls
+        self._page = served_page(title, {"live": live, "controls": controls, "rate": rate}).encode()
+        self._viewer = viewer.encode()
+        self._timeline = timeline
+        self._ended = not live
+        self._closed = threading.Event()
+        self._lock = threading.Lock()
+        self._asked: list[Request] = []
+        self._streams, self._pushed = 0, 0
+        self._stepping, self._stage, self._from = False, 0, 0
+        self.token = secrets.token_urlsafe(16)
+        self._names = {LOCAL, host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+        self._server = _listen(self._handler(), host, port)
+        shown = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
+        shown = f"[{shown}]" if ":" in shown else shown
+        secret = f"#token={self.token}" if controls else ""
+        self.address = f"http://{shown}:{self._server.server_address[1]}/{secret}"
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True, name="cockpit")
+        self._thread.start()
+
+    def __enter__(self) -> Cockpit:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def watched(self) -> bool:
+        """Whether a page is open."""
+        return self._streams > 0
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a timeline to show."""
+        return self._timeline is not None
+
+    def follow(self, timeline: Path) -> None:
+        """Show a file from now on."""
+        self.word = ""
+        self._timeline = timeline
+
+    def requests(self) -> Sequence[Request]:
+        """What an operator was asked for since the last call."""
+        with self._lock:
+            taken, self._asked = self._asked, []
+        return taken
+
+    def pushes(self) -> int:
+        """How many pushes of a simulated robot were asked for since the last call."""
+        with self._lock:
+            taken, self._pushed = self._pushed, 0
+        return taken
+
+    def at_stage(self, stage: int) -> None:
+        """The mission is in this stage: a step ends here."""
+        self._stage = stage
+        if self.clock is not None:
+            self.clock.at_stage(stage)
+        elif self._stepping and stage > self._from:
+            self._stepping = False
+            self._ask("hold")
+
+    def close(self) -> None:
+        """Let the pages read what is left, and end."""
+        self._ended = True
+        until = time.monotonic() + FAREWELL
+        while self.watched and time.monotonic() < until:
+            time.sleep(INTERVAL)
+        self._closed.set()
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+    # Requests
+
+    def take(self, what: str, rate: float = math.nan) -> bool:
+        """Do what a page asks for; whether that is something to ask for here."""
+        if not self._controls:
+            return False
+        clock = self.clock
+        if what in ("hold", "resume", "step") and clock is not None:
+            {"hold": clock.hold, "resume": clock.go, "step": clock.step}[what]()
+        elif what == "step":
+            self._from, self._stepping = self._stage, True
+            self._ask("resume")
+        elif what == "rate" and clock is not None and math.isfinite(rate) and rate >= 0.0:
+            clock.set_rate(rate)
+        elif what == "push" and clock is not None:
+            with self._lock:
+                self._pushed += 1
+        elif what in _OPERATOR:
+            self._stepping = False
+            self._ask(next(request for request in _OPERATOR if request == what))
+            if clock is not None and what in ("enable", "recall", "end"):
+                clock.go()  # Nothing is done while it stands.
+        else:
+            return False
+        return True
+
+    def _ask(self, request: Request) -> None:
+        with self._lock:
+            self._asked.append(request)
+
+    def _state(self) -> dict[str, Any]:
+        state: dict[str, Any] = {"word": self.word, "begun": self.begun}
+        if self.clock is not None:
+            state |= {"held": self.clock.held, "rate": self.clock.rate}
+        return state
+
+    # HTTP
+
+    def _handler(cockpit) -> type[BaseHTTPRequestHandler]:
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                """The page, its viewer, the timeline as it grows, or what is going on."""
+                path, _, query = self.path.partition("?")
+                if not self._is_ours():
+                    return
+                if path == "/":
+                    self._answer(200, "text/html; charset=utf-8", cockpit._page)
+                elif path == "/viewer.js":
+                    self._answer(200, "text/javascript; charset=utf-8", cockpit._viewer)
+                elif path == "/state":
+                    self._answer(200, "application/json", json.dumps(cockpit._state()).encode())
+                elif path == "/timeline":
+                    self._stream(query)
+                else:
+                    self._answer(404, "text/plain", b"There is nothing here.\n")
+
+            def do_POST(self) -> None:
+                """A request of a page."""
+                length = self.headers.get("Content-Length", "")
+                if self.path != "/request" or not length.isdecimal() or int(length) > LONGEST:
+                    self._answer(404, "text/plain", b"There is nothing here.\n")
+                    return
+                try:
+                    asked = json.loads(self.rfile.read(int(length)))
+                    what, rate = str(asked["request"]), float(asked.get("rate", math.nan))
+                except (ValueError, KeyError, TypeError, AttributeError):
+                    self._answer(400, "text/plain", b"That is no request.\n")
+                    return
+                if what != "stop":
+                    if not self._is_ours():
+                        return
+                    given = self.headers.get("X-Token", "")
+                    if not secrets.compare_digest(given.encode(), cockpit.token.encode()):
+                        refusal = (
+                            b"Only who has the whole address that was printed may ask for that; STOP needs none.\n"
+                        )
+                        self._answer(403, "text/plain", refusal)
+                        return
+                if cockpit.take(what, rate):
+                    self._answer(200, "application/json", json.dumps(cockpit._state()).encode())
+                else:
+                    self._answer(400, "text/plain", b"That cannot be asked for here.\n")
+
+            def _is_ours(self) -> bool:
+                """Whether it is asked for by a name of this machine, and by no page of another; else that is told."""
+                host = self.headers.get("Host", "")
+                origin = self.headers.get("Origin")
+                if cockpit._is_name(host) and origin in (None, f"http://{host}"):
+                    return True
+                self._answer(403, "text/plain", b"Open the address that was printed.\n")
+                return False
+
+            def _answer(self, code: int, kind: str, body: bytes) -> None:
+                with contextlib.suppress(ConnectionError):
+                    self.send_response(code)
+                    self.send_header("Content-Type", kind)
+                    self.send_header("Content-Length", str(len(body)))
+                    self.send_header("Cache-Control", "no-store")
+                    self.send_header("X-Content-Type-Options", "nosniff")
+                    self.send_header("X-Frame-Options", "DENY")  # No other page may put ours under its own.
+                    self.end_headers()
+                    self.wfile.write(body)
+
+            def _stream(self, query: str) -> None:
+                start = query.removeprefix("from=")
+                with cockpit._counted(), contextlib.suppress(ConnectionError):
+                    self.send_response(200)
+                    self.send_header("Content-Type", "application/octet-stream")
+                    self.send_header("Cache-Control", "no-store")
+                    self.end_headers()
+                    cockpit._send(self.connection, self.wfile.write, int(start) if start.isdecimal() else 0)
+
+            def log_message(self, format: str, *args: Any) -> None:
+                """Says nothing."""
+
+        return Handler
+
+    @contextlib.contextmanager
+    def _counted(self) -> Any:
+        with self._lock:
+            self._streams += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._streams -= 1
+
+    def _send(self, connection: socket.socket, write: Callable[[bytes], object], start: int) -> None:
+        """The timeline's bytes from one on, until the mission has ended or the page is closed."""
+        while self._timeline is None:
+            if self._ended or _is_closed(connection, INTERVAL):
+                return
+        with self._timeline.open("rb") as file:
+            file.seek(start)
+            while not self._closed.is_set():
+                ended = self._ended
+                data = file.read(2**20)
+                if data:
+                    write(data)
+                elif ended or _is_closed(connection, INTERVAL):
+                    return
+
+    def _is_name(self, host: str) -> bool:
+        name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
+        name = name.strip("[]").lower()
+        if name in self._names:
+            return True
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True
+
+
+def _is_closed(connection: socket.socket, wait: float) -> bool:
+    """Whether the other side goes away within so many seconds: a page says nothing more after its request."""
+    readable, _, _ = select.select([connection], [], [], wait)
+    if not readable:
+        return False
+    try:
+        return not connection.recv(1024)
+    except OSError:
+        return True
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A page that goes away in the middle is no error; anything else is told to the log."""
+        _log.debug("%s", client_address, exc_info=True)
+
+
+class _ServerOf6(_Server):
+    address_family = socket.AF_INET6
+
+
+def _listen(handler: type[BaseHTTPRequestHandler], host: str, port: int | None) -> ThreadingHTTPServer:
+    """Raises OSError where nobody can listen there."""
+    address = "127.0.0.1" if host == LOCAL else host
+    server = _ServerOf6 if ":" in address else _Server
+    if port is not None:
+        return server((address, port), handler)
+    for free in range(PORT, PORT + 100):
+        with contextlib.suppress(OSError):
+            return server((address, free), handler)
+    return server((address, 0), handler)

@@ -1,0 +1,167 @@
+"""A mission as a scene: each message becomes a layer of flat shapes, whoever draws them.
+
+A layer is a mapping from names to arrays. Positions and lengths are in metres, in the frame of the message: M of what
+the robot knows, W of what is true. `tfg_drake.systems.visualizer` turns layers into Drake's Meshcat,
+`tfg_drake.systems.timeline_recorder` writes them for the page of `tfg_drake.cockpit`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.geometry.se2 import transform
+from tfg_drake.grid.frontier import FREE, OCCUPIED, classify
+from tfg_drake.grid.runs import row_runs
+from tfg_drake.messages import (
+    FloatArray,
+    GoalChoice,
+    GridMap,
+    IntArray,
+    LaserScan,
+    MapEstimate,
+    Path,
+    PoseEstimate,
+    Roadmap,
+    TfgMap,
+)
+from tfg_drake.pictures.drawing import polyline_segments
+from tfg_drake.slam.pose_prediction import pose_at
+from tfg_drake.tfg.frontier import SPACING
+from tfg_drake.world.world import World
+
+Layer = Mapping[str, NDArray[Any]]
+
+# A star polygon is drawn anew when one of its corners has moved so far, m: less than a pixel of a whole building.
+STAR_TOLERANCE = 0.03
+# How many candidates besides the chosen one are explained.
+NEXT_BEST = 3
+
+
+def walls(world: World) -> Layer:
+    """segments: (m, 4) true walls. tags: (n, 2) and tag_facing: (n,) rad, ids: (n,)."""
+    return {"segments": world.walls, "tags": world.p_WT, "tag_facing": world.tag_facing, "ids": world.tag_ids}
+
+
+def landmarks(estimate: MapEstimate) -> Layer:
+    """points: (n, 2). covariance: (n, 3) of xx, xy, yy, m^2. doubtful: (n,). ids: (n,)."""
+    P = estimate.landmark_covariance
+    covariance = np.stack([P[:, 0, 0], P[:, 0, 1], P[:, 1, 1]], axis=1)
+    return {"points": estimate.p_ML, "covariance": covariance, "doubtful": estimate.is_doubtful, "ids": estimate.ids}
+
+
+def surfaces(tfg: TfgMap) -> Layer:
+    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a tag. facing: (n, 2), of each landmark."""
+    return {"segments": tfg.segments, "kind": tfg.segment_kind, "facing": tfg.facing}
+
+
+def frontiers(tfg: TfgMap) -> Layer:
+    """segments: (f, 4), a bar along the frontier at each of its points."""
+    along = np.stack([-tfg.frontier_normal[:, 1], tfg.frontier_normal[:, 0]], axis=1)
+    # A point may stand for that of several views, which lies round about.
+    half = 0.5 * np.minimum(tfg.frontier_length, SPACING)[:, None] * along
+    return {"segments": np.hstack([tfg.frontiers - half, tfg.frontiers + half])}
+
+
+def free_space(tfg: TfgMap) -> tuple[FloatArray, ...]:
+    """The star polygons (v, 2) seen from each view, its own place (v[0]) first."""
+    offsets = tfg.star_offsets
+    return tuple(
+        np.vstack([tfg.star_centers[i], tfg.star_vertices[offsets[i] : offsets[i + 1]]])
+        for i in range(len(tfg.star_centers))
+    )
+
+
+def changed_stars(before: tuple[FloatArray, ...], now: tuple[FloatArray, ...]) -> IntArray:
+    """The indices of those star polygons that are new or have moved by more than STAR_TOLERANCE."""
+    changed = [
+        i
+        for i, star in enumerate(now)
+        if i >= len(before)
+        or star.shape != before[i].shape
+        or (star is not before[i] and np.abs(star - before[i]).max(initial=0.0) > STAR_TOLERANCE)
+    ]
+    return np.array(changed, dtype=np.int64)
+
+
+def packed_stars(stars: tuple[FloatArray, ...], which: IntArray) -> Layer:
+    """index: (k,) which they are. count: (k,) points of each, its centre first. points: (sum of count, 2)."""
+    some = [stars[i] for i in which]
+    points = np.vstack(some) if some else np.zeros((0, 2))
+    return {"index": which, "count": np.array([len(star) for star in some], dtype=np.int64), "points": points}
+
+
+def roadmap_lines(roadmap: Roadmap) -> Layer:
+    """points: (n, 2). edges: (e, 2) rows of points."""
+    return {"points": roadmap.points, "edges": roadmap.edges}
+
+
+def gains(choice: GoalChoice, roadmap: Roadmap) -> Layer:
+    """points: (c, 2) candidates. share: (c,) of the most gain, in [0, 1]."""
+    rows = roadmap.nodes(choice.candidates)
+    known = rows >= 0
+    best = max(float(np.max(choice.gain, initial=0.0)), 1e-9)
+    share = np.clip(choice.gain / best, 0.0, 1.0)
+    return {"points": roadmap.points[rows[known]], "share": share[known]}
+
+
+def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:
+    """The chosen goal, then the next best candidates by the value that was maximised: place, parts of the gain, nats,
+    time, s, to get there, and gain per second."""
+    if choice.node < 0 or not len(choice.candidates):
+        return []
+    rows = roadmap.nodes(choice.candidates)
+    # Of equals those with more gain; a tour gives no value to what it leaves out.
+    order = np.lexsort((-choice.gain, -choice.value))
+    chosen = [i for i in order if choice.candidates[i] == choice.node][:1]
+    others = [i for i in order if choice.candidates[i] != choice.node and rows[i] >= 0][:NEXT_BEST]
+    told = []
+    for i in chosen + others:
+        row = int(rows[i])
+        time = float(roadmap.travel_time[row]) if row >= 0 else math.nan
+        told.append(
+            {
+                "at": [_finite(value) for value in roadmap.points[row]] if row >= 0 else None,
+                "exploitation": _finite(choice.exploitation[i]),
+                "exploration": _finite(choice.exploration[i]),
+                "pose_price": _finite(choice.pose_price[i]),
+                "gain": _finite(choice.gain[i]),
+                "time": _finite(time),
+                "rate": _finite(choice.gain[i] / max(time, 1.0)),
+                "chosen": bool(choice.candidates[i] == choice.node),
+            }
+        )
+    return told
+
+
+def goal(choice: GoalChoice) -> Layer:
+    """points: (1, 2) the goal, (0, 2) where there is none."""
+    return {"points": choice.p_MG[None] if choice.verdict == "goal" else np.zeros((0, 2))}
+
+
+def path(message: Path) -> Layer:
+    """segments: (p - 1, 4)."""
+    return {"segments": polyline_segments(message.points)}
+
+
+def scan_points(scan: LaserScan, pose: PoseEstimate) -> Layer:
+    """points: (h, 2) where rays met something."""
+    if not math.isfinite(scan.stamp):
+        return {"points": np.zeros((0, 2))}
+    hit = np.isfinite(scan.ranges) & (scan.ranges < scan.range_max)
+    rays = scan.ranges[hit, None] * np.stack([np.cos(scan.angles[hit]), np.sin(scan.angles[hit])], axis=1)
+    return {"points": transform(pose_at(pose, scan.stamp), rays)}
+
+
+def grid_cells(grid: GridMap) -> Layer:
+    """free, occupied: (r, 4) runs of cells, as wide as a cell."""
+    cells = classify(grid)
+    return {name: row_runs(grid, cells == kind) for name, kind in (("free", FREE), ("occupied", OCCUPIED))}
+
+
+def _finite(value: float) -> float | None:
+    return round(float(value), 4) if math.isfinite(value) else None

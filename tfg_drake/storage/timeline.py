@@ -1,0 +1,210 @@
+"""A mission's picture over time, as a file that grows while it runs: what the page of `tfg_drake.cockpit` shows.
+
+The file is MAGIC and then blocks: the length of a block (uint32), and so many bytes by zlib. A block holds whole
+records. A record is the length of its header (uint32), the header (JSON, filled up with spaces), and its arrays one
+behind the other; all lengths are multiples of 4, all numbers little-endian. The header has "t", the simulated time, s,
+"layer", the record's name, "arrays", a list of [name, type, shape], and whatever else is told. An array's type is "f4"
+(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or "mm": int32, in millimetres what is metres to whoever reads it.
+
+A record says what a layer is like from its time on, until there is another one of that layer; those of the layer "free"
+name the star polygons that have changed. Of a program that is killed all is there but the last second.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import math
+import struct
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.messages import FloatArray
+
+FILE_NAME = "timeline.tfg"
+MAGIC = b"tfg_drake timeline 1\n\n\n\n"
+# Wall time between two blocks, s: at most so much is lost with the program; less where somebody looks on.
+FLUSH_PERIOD, WATCHED_PERIOD = 1.0, 0.08
+# Of a layer no more is written on average, bytes a simulated second: a large map less often than it changes.
+LAYER_RATE = 20e3
+# Of these less: nobody looks at every roadmap, and a large one is most of the file.
+LAYER_RATES = {"roadmap": 8e3}
+# zlib's: the quickest; more takes twice the time and saves a twentieth.
+COMPRESSION = 1
+
+_LENGTH = struct.Struct("<I")
+_log = logging.getLogger("tfg_drake.storage.timeline")
+
+
+class TimelineError(Exception):
+    """A timeline that cannot be shown; the message is one line: which, why and how to mend it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """What a layer is like from a time on, s. told: what else the header has. Positions are in metres."""
+
+    time: float
+    layer: str
+    arrays: Mapping[str, NDArray[Any]]
+    told: Mapping[str, Any]
+
+
+def millimetres(array: FloatArray) -> NDArray[np.int32]:
+    """Positions, m, as they stand in the file."""
+    return np.rint(1000.0 * array).astype("<i4")
+
+
+def encoded(layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]) -> bytes:
+    """A record. Arrays of float64 become millimetres, of float32, of integers and of truth values what they are."""
+    entries, data = [], []
+    for name, array in arrays.items():
+        kind, packed = _packed(array)
+        raw = packed.tobytes()
+        entries.append([name, kind, list(array.shape)])
+        data.append(raw + bytes(-len(raw) % 4))
+    header = json.dumps(
+        {"t": round(time, 4), "layer": layer, "arrays": entries, **told}, separators=(",", ":")
+    ).encode()
+    header += b" " * (-len(header) % 4)
+    return b"".join([_LENGTH.pack(len(header)), header, *data])
+
+
+def _packed(array: NDArray[Any]) -> tuple[str, NDArray[Any]]:
+    if array.dtype == np.float64:
+        return "mm", millimetres(array)
+    if array.dtype == np.float32:
+        return "f4", array.astype("<f4", copy=False)
+    if array.dtype == np.bool_ or array.dtype == np.uint8:
+        return "u1", array.astype(np.uint8)
+    if array.size and array.min() >= 0 and array.max() < 2**16:
+        return "u2", array.astype("<u2")
+    return "i4", array.astype("<i4")
+
+
+class TimelineWriter:
+    """A timeline being written, a context manager.
+
+    What cannot be written after the beginning, as to a full disk, ends it with a line in the log, and not the mission;
+    failure: what ended it, None where nothing did. watched: whether somebody looks on, to whom it is to be told soon.
+    """
+
+    def __init__(self, path: Path, watched: Callable[[], bool] = lambda: False) -> None:
+        """Raises OSError where the file cannot be written."""
+        self._path, self.watched = path, watched
+        self.failure: OSError | None = None
+        self._file: BinaryIO | None = path.open("wb", buffering=0)
+        self._file.write(MAGIC)
+        self._records: list[bytes] = []
+        self._due: dict[str, float] = {}
+        self._flushed = time.monotonic()
+
+    def __enter__(self) -> TimelineWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def is_due(self, layer: str, time: float) -> bool:
+        """Whether a layer may be written at a time, s, or has been written too much lately."""
+        return time >= self._due.get(layer, -math.inf)
+
+    def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
+        """Adds a record; see `encoded`."""
+        if self._file is None:
+            return
+        record = encoded(layer, time, arrays, told)
+        self._due[layer] = time + len(record) / LAYER_RATES.get(layer, LAYER_RATE)
+        self._records.append(record)
+
+    def flush(self, *, all_of_it: bool = True) -> None:
+        """Put on the disk what there is, all of it or only when it is time to."""
+        now = time.monotonic()
+        if self._file is None or not self._records:
+            return
+        if not all_of_it and now < self._flushed + (WATCHED_PERIOD if self.watched() else FLUSH_PERIOD):
+            return
+        self._flushed = now
+        block = zlib.compress(b"".join(self._records), COMPRESSION)
+        self._records = []
+        data = _LENGTH.pack(len(block)) + block
+        try:
+            while data:
+                data = data[self._file.write(data) :]
+        except OSError as error:
+            self._end(error)
+
+    def close(self) -> None:
+        """Write the rest."""
+        self.flush()
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _end(self, error: OSError) -> None:
+        self.failure = error
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        _log.error("%s: cannot be written: %s; the mission goes on", self._path, error.strerror or error)
+
+
+def read_timeline(path: Path) -> list[Record]:
+    """The records of a timeline, also of one that is being written or was when its program was killed.
+
+    Args:
+        path: the file, or the run's folder with it.
+
+    Raises:
+        TimelineError: it is not there, no timeline, or damaged.
+    """
+    path = path / FILE_NAME if path.is_dir() else path
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise TimelineError(f"{path}: no such file; name the folder of a run that was recorded") from None
+    except OSError as error:
+        raise TimelineError(f"{path}: cannot be read: {error.strerror}; name a file that can be") from None
+    if not data.startswith(MAGIC):
+        raise TimelineError(f"{path}: is no timeline of this version; name the folder of a run that was recorded")
+    try:
+        return [record for block in _blocks(data) for record in _records(block)]
+    except (zlib.error, ValueError, KeyError, struct.error) as error:
+        raise TimelineError(f"{path}: is damaged; copy it again from where it was recorded") from error
+
+
+def _blocks(data: bytes) -> Iterator[bytes]:
+    start = len(MAGIC)
+    while start + 4 <= len(data):
+        (length,) = _LENGTH.unpack_from(data, start)
+        block = data[start + 4 : start + 4 + length]
+        if len(block) < length:
+            return
+        yield zlib.decompress(block)
+        start += 4 + length
+
+
+def _records(block: bytes) -> Iterator[Record]:
+    start = 0
+    while start < len(block):
+        (length,) = _LENGTH.unpack_from(block, start)
+        header = json.loads(block[start + 4 : start + 4 + length])
+        start += 4 + length
+        arrays = {}
+        for name, kind, shape in header["arrays"]:
+            entries = np.dtype({"mm": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}[kind])
+            array = np.frombuffer(block, entries, math.prod(shape), start).reshape(shape)
+            arrays[name] = 1e-3 * array if kind == "mm" else array
+            start += array.nbytes + -array.nbytes % 4
+        told = {key: value for key, value in header.items() if key not in ("t", "layer", "arrays")}
+        yield Record(header["t"], header["layer"], arrays, told)
