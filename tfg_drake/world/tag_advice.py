@@ -133,12 +133,11 @@ def _places(
     order = [int(i) for i in np.argsort(way, kind="stable") if math.isfinite(way[i])]
     spacing = max(PLACE_SPACING, 0.8 * math.sqrt(len(order) * (_STEP * CELL) ** 2 / PLACES))
     while True:
-        near = tree.query_ball_point(cells, spacing)
         chosen, taken = [], np.zeros(len(cells), dtype=np.bool_)
         for i in order:
             if not taken[i]:
                 chosen.append(i)
-                taken[near[i]] = True
+                taken[tree.query_ball_point(cells[i], spacing)] = True
         if len(chosen) <= PLACES:
             break
         spacing *= 1.1
