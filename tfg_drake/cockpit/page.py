@@ -17,6 +17,10 @@ from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.timeline import MAGIC, TimelineError
 
 FILE_NAME = "mission.html"
+# The page's script, file by file in the order in which they are read.
+SCRIPT = (
+    "stop timeline scene shapes robot layers free_space trails series cameras picture panels plots controls operator"
+)
 # Colours of the candidates' scale, from no gain to the most.
 _SHADES = 6
 
@@ -70,7 +74,9 @@ def _page(title: str, source: dict[str, Any] | None, data: str) -> str:
         "STYLE": (folder / "page.css").read_text(encoding="utf-8"),
         "COLOURS": json.dumps(colours),
         "SOURCE": json.dumps(source),
-        "SCRIPT": (folder / "page.js").read_text(encoding="utf-8"),
+        "SCRIPT": "\n".join(
+            (folder / "script" / f"{name}.js").read_text(encoding="utf-8") for name in [*SCRIPT.split(), "begin"]
+        ),
         "DATA": data,
     }
     page = (folder / "page.html").read_text(encoding="utf-8")

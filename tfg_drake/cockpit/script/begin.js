@@ -1,0 +1,95 @@
+// The beginning: all is read, from the page itself or from its server.
+
+async function readEmbedded() {
+  const text = element("data").textContent.trim();
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  await timeline.feed(bytes);
+}
+
+/** What is going on that the timeline does not tell: asked for again and again. */
+async function readState() {
+  for (;;) {
+    try {
+      const state = await (await fetch("state")).json();
+      const waiting = !timeline.layers.has("pose") || (state.word && !ended());
+      if (waiting && state.word) notice(state.word);
+      else if (element("notice").dataset.word) notice("");
+      element("notice").dataset.word = waiting ? state.word : "";
+      if (SOURCE.controls && "held" in state) {
+        const buttons = [element("request-hold"), element("request-resume")];
+        if (buttons[0]) [buttons[0].disabled, buttons[1].disabled] = [state.held, !state.held];
+        if (element("clock-rate") && document.activeElement !== element("clock-rate"))
+          element("clock-rate").value = state.rate;
+        element("clock").dataset.held = state.held;
+      }
+    } catch {
+      /* readServed tells it */
+    }
+    if (ended()) {
+      for (const part of element("controls").children) part.disabled = true;
+      element("stop").disabled = true;
+      notice("");
+      return;
+    }
+    await pause(0.4);
+  }
+}
+
+const pause = (seconds) => new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+
+/** What the server has, and then what comes; where the connection is lost it goes on where it was. */
+async function readServed() {
+  let marks = [];
+  for (;;) {
+    try {
+      const answer = await fetch(`timeline?from=${timeline.read}`);
+      const reader = answer.ok ? answer.body.getReader() : null;
+      for (;;) {
+        const { done, value } = reader ? await reader.read() : { done: true };
+        if (done) break;
+        notice("");
+        await timeline.feed(value);
+        const now = performance.now() / 1000;
+        marks = [...marks.filter(([t]) => now - t < 3), [now, timeline.end]];
+        const [first] = marks;
+        speed = now - first[0] > 0.5 ? (timeline.end - first[1]) / (now - first[0]) : speed;
+        dirty = true;
+      }
+    } catch {
+      /* told below */
+    }
+    if (ended() || !SOURCE.live) return;
+    notice("The connection to the mission is lost.");
+    await pause(1);
+  }
+}
+
+async function begin() {
+  element("layers").open = size()[0] > 760;
+  element("live").hidden = !(SOURCE && SOURCE.live);
+  paint();
+  useCamera();
+  requestAnimationFrame(picture);
+  if (SOURCE) {
+    setLive(SOURCE.live);
+    if (SOURCE.live) readState();
+    const reading = readServed();
+    if (!SOURCE.live) await reading;
+  } else {
+    await readEmbedded();
+  }
+  element("slider").max = timeline.end;
+  if (!live) time = Number(new URLSearchParams(location.hash.slice(1)).get("t") ?? timeline.end);
+  if (location.hash.includes("3d")) element("mode").click();
+  framed = true;
+  shownBounds = "";
+  render(); // Shaders are compiled before anybody waits for them.
+  viewer.renderer.getContext().finish();
+  document.body.dataset.ready = "true";
+}
+
+new ResizeObserver(() => {
+  shownBounds = "";
+  resize();
+}).observe(element("scene"));
+begin();

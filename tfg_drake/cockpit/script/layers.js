@@ -1,0 +1,176 @@
+// Layers: what each of them looks like, made anew when its record or the zoom changes.
+
+// A symbol's size, m: so many pixels as can be seen, whatever the zoom.
+let unit = 0.05;
+
+const drawn = {}; // the record that each layer shows
+const draw = {
+  world(record) {
+    const { segments, tags } = arrays(record);
+    const look = flat ? material("wall") : material("wall", { lit: true, opacity: 0.45 });
+    put(
+      groups.walls,
+      "walls",
+      segments && boxes(segments, null, Math.max(0.06, 1.1 * unit), flat ? 0.002 : WALL_HEIGHT, Z.free, look),
+    );
+    put(groups.walls, "tags", tags && discs(tags, null, 0.8 * unit, 0.004, material("wall")));
+  },
+
+  map(record) {
+    const { points, covariance, doubtful } = arrays(record),
+      count = points.length / 2;
+    const surfaces = timeline.at("tfg", time),
+      facing = surfaces && arrays(surfaces).facing;
+    const faces = facing && facing.length === points.length;
+    for (const [name, value] of [
+      ["landmark", 0],
+      ["doubtful", 1],
+    ]) {
+      const some = rows(count, (i) => doubtful[i] === value);
+      put(
+        groups.map,
+        name,
+        flat
+          ? discs(points, some, 1.5 * unit, MAP_HEIGHT + 0.02, material(name))
+          : copies(UPRIGHT, material(name, { lit: true }), some.length, (i, m) => {
+              const p = 2 * some[i],
+                side = Math.max(0.2, 2.2 * unit);
+              const fx = faces ? facing[p] : 1,
+                fy = faces ? facing[p + 1] : 0;
+              m[0] = -fy * side;
+              m[1] = fx * side;
+              m[4] = -fx;
+              m[5] = -fy;
+              if (!fx && !fy) {
+                m[0] = side;
+                m[5] = 1;
+              }
+              m[10] = side;
+              m[12] = points[p] + 0.08 * fx;
+              m[13] = points[p + 1] + 0.08 * fy;
+              m[14] = Z.tags + 0.1;
+            }),
+      );
+      // What the tag's own symbol hides is not drawn.
+      const seen = some.filter((i) => 9 * (covariance[3 * i] + covariance[3 * i + 2]) > (1.4 * unit) ** 2);
+      put(
+        groups.uncertainty,
+        name,
+        ellipses(points, covariance, seen, Z.uncertainty, material(name, { opacity: 0.18, above: true }), 3),
+      );
+      put(
+        groups.uncertainty,
+        `${name} outline`,
+        ellipses(points, covariance, seen, Z.uncertainty, material(name, { opacity: 0.6, above: true }), 3, RING),
+      );
+    }
+  },
+
+  tfg(record) {
+    const { segments, kind } = arrays(record);
+    ["edge", "wall_end", "bare_surface"].forEach((name, value) => {
+      const some = rows(kind.length, (i) => kind[i] === value),
+        look = flat ? material(name) : material(value ? name : "edge_in_space", { lit: true });
+      put(groups.map, name, boxes(segments, some, Math.max(0.05, unit), MAP_HEIGHT, 0, look));
+    });
+  },
+
+  frontiers(record) {
+    const { segments } = arrays(record);
+    put(groups.frontiers, "frontiers", boxes(segments, null, 1.6 * unit, 0.01, Z.frontiers, material("frontier")));
+  },
+
+  gains(record) {
+    const { points, share } = arrays(record);
+    const mesh = discs(points, null, 1.6 * unit, Z.gains, material("white", { shaded: true }));
+    if (mesh) {
+      const size = mesh.geometry.attributes.position.count / share.length,
+        shade = new T.Color();
+      const shades = new Float32Array(3 * size * share.length),
+        scale = COLOURS.gains.map((name) => new T.Color(name));
+      for (let i = 0; i < share.length; i++) {
+        const place = share[i] * (scale.length - 1),
+          k = Math.min(Math.floor(place), scale.length - 2);
+        shade.lerpColors(scale[k], scale[k + 1], place - k);
+        for (let c = 0; c < size; c++) shade.toArray(shades, 3 * (size * i + c));
+      }
+      mesh.geometry.setAttribute("color", new T.BufferAttribute(shades, 3));
+    }
+    put(groups.gains, "gains", mesh);
+  },
+
+  roadmap(record) {
+    const { points, edges } = arrays(record),
+      pairs = new Float32Array(2 * edges.length);
+    for (let i = 0; i < edges.length; i++) {
+      pairs[2 * i] = points[2 * edges[i]];
+      pairs[2 * i + 1] = points[2 * edges[i] + 1];
+    }
+    put(groups.roadmap, "roadmap", lines(pairs, Z.roadmap, lineLook("roadmap")));
+  },
+
+  path(record) {
+    put(
+      groups.path,
+      "path",
+      boxes(arrays(record).segments, null, 1.1 * unit, 0.004, Z.path, material("path", { above: true }), 5),
+    );
+  },
+
+  goal(record) {
+    put(
+      groups.path,
+      "goal",
+      discs(arrays(record).points, null, 5 * unit, Z.path, material("path", { above: true }), 5, RING),
+    );
+  },
+
+  scan(record) {
+    const { points } = arrays(record),
+      vertices = new Float32Array((3 * points.length) / 2);
+    for (let i = 0; 2 * i < points.length; i++) vertices.set([points[2 * i], points[2 * i + 1], Z.scan], 3 * i);
+    const geometry = new T.BufferGeometry();
+    geometry.setAttribute("position", new T.BufferAttribute(vertices, 3));
+    const object = new T.Points(geometry, scanLook);
+    object.frustumCulled = false;
+    object.renderOrder = 4;
+    put(groups.scan, "scan", object);
+  },
+
+  people(record) {
+    put(
+      world,
+      "people",
+      copies(
+        new T.CylinderGeometry(0.25, 0.25, 1.6, 20).rotateX(Math.PI / 2).translate(0, 0, 0.8),
+        material("person", { lit: true }),
+        arrays(record).points.length / 2,
+        (i, m) => {
+          const { points } = arrays(record);
+          m[0] = m[5] = 1;
+          m[12] = points[2 * i];
+          m[13] = points[2 * i + 1];
+        },
+      ),
+    );
+  },
+
+  grid(record) {
+    const { free, occupied } = arrays(record),
+      size = record.told.resolution;
+    put(groups.free, "grid", boxes(free, null, size, 0.002, Z.free, material("free")));
+    put(groups.map, "grid", boxes(occupied, null, size, MAP_HEIGHT, 0, material("edge", { lit: true })));
+  },
+
+  free(_, t) {
+    put(groups.free, "free", freeMesh(t));
+  },
+};
+const NEEDS_UNIT = ["world", "map", "tfg", "frontiers", "gains", "path", "goal"];
+
+const lookCache = {};
+function lineLook(name) {
+  lookCache[name] ??= new T.LineBasicMaterial({ color: colour(name) });
+  return lookCache[name];
+}
+const scanLook = new T.PointsMaterial({ color: colour("scan"), size: 3.5, sizeAttenuation: false, depthTest: false });

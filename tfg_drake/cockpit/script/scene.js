@@ -1,0 +1,92 @@
+// The scene: the viewer that Drake ships, lights, and a group for each layer.
+
+const viewer = new MeshCat.Viewer(element("scene"), false);
+viewer.gui.domElement.remove();
+for (const name of ["Background", "Grid", "Axes", "Lights"]) viewer.set_property([name], "visible", false);
+viewer.renderer.toneMapping = T.NoToneMapping; // A colour is what it is named.
+
+const world = new T.Group(); // z up, whatever the viewer's scene is turned by
+world.rotation.x = -Math.PI / 2 - viewer.scene.rotation.x;
+viewer.scene.add(world);
+const sky = new T.HemisphereLight(0xffffff, 0x8a8f99, 0.86 * Math.PI),
+  sun = new T.DirectionalLight(0xffffff, 0.16 * Math.PI);
+sky.position.set(0, 0, 1);
+sun.position.set(4, -7, 10);
+world.add(sky, sun);
+const map = new T.Group();
+world.add(map);
+
+// Heights of what lies flat, so that nothing fights for the same pixel.
+const Z = {
+  free: 0,
+  grid: 0.005,
+  camera: 0.012,
+  roadmap: 0.016,
+  trail: 0.02,
+  gains: 0.03,
+  frontiers: 0.04,
+  uncertainty: 0.05,
+  path: 0.06,
+  scan: 0.2,
+  tags: 0.3,
+};
+const WALL_HEIGHT = 1.0,
+  MAP_HEIGHT = 0.5;
+// Few corners: without a graphics card every triangle is felt.
+const MANY = 2000; // Of more than so many each is drawn with fewer still.
+const PLATE = new T.PlaneGeometry(1, 1),
+  UPRIGHT = new T.PlaneGeometry(1, 1).rotateX(Math.PI / 2);
+const DISC = new T.CircleGeometry(1, 12),
+  SQUARE = new T.PlaneGeometry(1.8, 1.8);
+/** A box without its bottom, and without its ends. */
+const [BOX, WALL] = [
+  [0, 30],
+  [12, 30],
+].map(([first, last]) => {
+  const box = new T.BoxGeometry(1, 1, 1);
+  box.setIndex([...box.index.array.slice(first, last)]);
+  box.clearGroups();
+  return box;
+});
+const OVAL = new T.CircleGeometry(1, 20),
+  RING = new T.RingGeometry(0.86, 1, 24, 1);
+
+// name, words, swatch, shown at first, explanation.
+const LAYERS = [
+  ["walls", "walls", "wall", true, "The true walls, which the robot does not know (simulation only)"],
+  [
+    "map",
+    "map",
+    "landmark",
+    true,
+    "What the robot has mapped: tags, and walls. Dark: between two tags; grey: past the last tag; orange: without one",
+  ],
+  [
+    "uncertainty",
+    "uncertainty",
+    "landmark",
+    true,
+    "Ellipses of three standard deviations round each tag and the robot",
+  ],
+  ["frontiers", "frontiers", "frontier", true, "Where known free space ends at the unknown"],
+  [
+    "gains",
+    "gains",
+    "path",
+    true,
+    "Places that the robot could go to: the darker, the more information is to be gained",
+  ],
+  ["roadmap", "roadmap", "roadmap", false, "The ways that the robot knows it can drive"],
+  ["path", "path", "path", true, "The path that it drives, and its goal"],
+  ["trail", "trail", "trail", true, "The way that it has driven, as it believes; beside it, grey, the true one"],
+  ["scan", "scan", "scan", true, "What its laser scanner meets"],
+  ["camera", "camera", "camera", true, "What its camera sees"],
+  ["free", "free space", "free", true, "Floor that the robot has seen to be free"],
+];
+const groups = {};
+for (const [name] of LAYERS) groups[name] = new T.Group();
+for (const name of ["walls"]) world.add(groups[name]);
+for (const name of ["map", "uncertainty", "frontiers", "gains", "roadmap", "path", "free"]) map.add(groups[name]);
+const trails = { pose: new T.Group(), truth: new T.Group() };
+map.add(trails.pose, groups.scan, groups.camera);
+world.add(trails.truth, groups.trail);
