@@ -8,6 +8,7 @@ import json
 import math
 import os
 import shlex
+import shutil
 import signal
 import sys
 import threading
@@ -402,6 +403,8 @@ def fork(
                 fork=change,
             )
             if change.failure is not None:
+                if out is None:
+                    shutil.rmtree(result.folder)  # Nothing of it is of use.
                 raise change.failure
             forks.check_same(before, result.stages, stage)
         except (forks.ForkError, RunError) as error:

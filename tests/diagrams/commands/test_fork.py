@@ -63,3 +63,4 @@ def test_bad_input_is_one_line(call, original, tmp_path, monkeypatch, arguments,
     assert code == 2
     assert complaint in said
     assert said.count("\n") == 1
+    assert not list(tmp_path.glob("runs/*"))
