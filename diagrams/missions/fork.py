@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
+from threadpoolctl import threadpool_limits
 
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.mission import Mission
@@ -211,12 +212,14 @@ def fork(
 
     The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. Whatever
     was asked for is driven to while the simulator is advanced. Without a goal or candidate it ends as the run did, to
-    the bit.
+    the bit: so BLAS keeps to one thread in this process from now on, as it did in the run.
 
     Raises:
         ForkError: the run cannot be forked there; see `forkable` and `Fork`.
     """
     run, scenario = forkable(run, stage)
+    # Sums over several threads differ in their last bits, and whoever goes on does so without us.
+    threadpool_limits(limits=1)
     mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
     change = Fork(stage, goal, candidate)
     mission.begin(change.monitor(mission, stops=True))
