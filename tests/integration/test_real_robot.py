@@ -68,11 +68,11 @@ def _stands(emulator, since):
 
 @pytest.fixture(scope="module")
 def mission(tmp_path_factory):
-    """Enabled, stopped, enabled anew, paused, resumed, and at its time limit."""
+    """Enabled, stopped, enabled anew, paused, resumed, and ended."""
     folder = tmp_path_factory.mktemp("run")
     marks = {}
     with Emulator(WORLD) as emulator:
-        explorer = Explorer(emulator, folder, 25.0)
+        explorer = Explorer(emulator, folder, 300.0)
 
         def press(name, key, after):
             time.sleep(after)
@@ -90,8 +90,10 @@ def mission(tmp_path_factory):
         press("paused", "p", 1.5)
         marks["stood again"] = _stands(emulator, marks["paused"][0])
         press("resumed", "p", 1.0)
+        _moves(emulator, marks["resumed"][0])
+        press("ended", "q", 3.0)
         explorer.wait_for("files")
-        assert explorer.process.wait(60.0) == 0
+        assert explorer.process.wait(60.0) == 130  # as Ctrl-C ends it
         time.sleep(0.3)
         marks["end"] = emulator.commands[-1]
         marks["commands"] = [(when, (one.speed, one.radius)) for when, one in emulator.commands]
@@ -120,7 +122,7 @@ def test_it_turns_only_while_it_may(mission):
 def test_it_maps_what_is_there(mission):
     folder, _, _ = mission
     summary = json.loads((folder / "summary.json").read_text())
-    assert summary["outcome"] == "time_limit"
+    assert summary["outcome"] == "interrupted"
     assert summary["landmark_rmse_m"] is None
     assert summary["contacts"] is None
 
