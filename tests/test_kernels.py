@@ -150,7 +150,9 @@ def test_a_cache_that_lacks_a_file_is_not_whole(package):
 
 
 def test_where_the_package_cannot_be_written_the_users_cache_is_used(tmp_path, monkeypatch):
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    # Set first, so that it is put back as it was: choose_folder sets it.
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     kernels.choose_folder()
     assert "NUMBA_CACHE_DIR" not in os.environ
