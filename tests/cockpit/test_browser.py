@@ -287,13 +287,14 @@ class Live:
         return self.until(lambda: list(self.cockpit.requests()))
 
 
-@pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.slow)], ids=["simulated", "robot"])
+@pytest.fixture(params=[True, False], ids=["simulated", "robot"])
 def live(request, tmp_path):
     live = Live(tmp_path, simulated=request.param)
     with live.cockpit, live.writer:
         yield live
 
 
+@pytest.mark.slow
 def test_a_mission_under_way(driver, live):
     live.cockpit.word = "compiling kernels, 3 of 133"
     page = Page(driver, live.cockpit.address)
