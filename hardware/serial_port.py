@@ -15,12 +15,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class SerialDevice:
-    """What is to hang on a port. name: as a sentence names it. usb: vendor and product of its converter. extra: of this
-    package, which brings pyserial."""
+    """What is to hang on a port. name: as a sentence names it. usb: vendor and product of its converter."""
 
     name: str
     usb: str
-    extra: str
 
 
 _IN_USE = "in use by another program; end that one, or name another port"
@@ -42,7 +40,7 @@ def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
     try:
         import serial
     except ModuleNotFoundError:
-        raise DeviceError(f"the package pyserial is missing: pip install -e '.[{device.extra}]'") from None
+        raise DeviceError("the package pyserial is missing: pip install -e '.[serial]'") from None
     try:
         return serial.Serial(path, baud_rate, timeout=0.0, exclusive=True)
     except (OSError, ValueError, termios.error) as error:

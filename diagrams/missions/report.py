@@ -132,11 +132,11 @@ def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, An
     }
 
 
-def _draw(*arguments: Any) -> None:
-    """`draw_run`, whose libraries stay out of a mission's memory."""
-    from tfg_drake.pictures.figure import draw_run
+def _draw(path: Path, *arguments: Any) -> None:
+    """Writes `run_figure`, whose libraries stay out of a mission's memory."""
+    from tfg_drake.pictures.figure import run_figure, write_figure
 
-    draw_run(*arguments)
+    write_figure(path, run_figure(*arguments))
 
 
 def _size(path: Path) -> int:

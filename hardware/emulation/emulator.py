@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import collections
 import random
-import tempfile
-import threading
 import time
-from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.hardware.emulation.emulated_base import PERIOD, EmulatedBase
+from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice
 from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
 from tfg_drake.hardware.emulation.sensor_faults import Fault, unchanged
 from tfg_drake.hardware.kobuki.codec import COMMANDS, Deframer, decode, encode
@@ -36,14 +33,15 @@ def empty_plane() -> World:
     return World(np.zeros((0, 4)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0), np.zeros(3))
 
 
-class Emulator:
-    """The base behind a pseudo-terminal, from `with` or start() until close().
+class Emulator(EmulatedDevice):
+    """The base, switched on from `with` or start() until close(). Without its cable it goes on with what it was told
+    last.
 
-    device: the path that a driver opens; it is there while the cable is plugged in, as udev's are. sensors: address
-    (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands: what a driver told
-    the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic(). corrupt, lost, late:
-    shares of frames that leave with a byte changed, not at all, or DELAY late with their old stamp. silent: it says
-    nothing, but obeys. faults: what is wrong with "tags" or "scan" on the socket, see sensor_faults.
+    sensors: address (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands:
+    what a driver told the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic().
+    corrupt, lost, late: shares of frames that leave with a byte changed, not at all, or DELAY late with their old
+    stamp. silent: it says nothing, but obeys. faults: what is wrong with "tags" or "scan" on the socket, see
+    sensor_faults.
 
     Stamps of tags and scans are s of time.monotonic(), too. There are no stamps of frames but the base's own.
     """
@@ -68,37 +66,21 @@ class Emulator:
         self.faults: dict[str, Fault] = {}
         # Late frames, and when they are due, s of the base's time.
         self._late: collections.deque[tuple[float, bytearray]] = collections.deque()
-        self._folder = tempfile.TemporaryDirectory(prefix="kobuki-")
-        self.device = str(Path(self._folder.name) / "kobuki")
-        self._line: PseudoTerminal | None = None
-        # Held while the base is looked at or moves.
-        self._lock = threading.Lock()
+        self._deframer = Deframer()
         self._begin = 0.0
         self._socket = SensorSocket()
         self.sensors = self._socket.address
-        self.plug()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="kobuki-emulator", daemon=True)
+        super().__init__("kobuki")
 
-    def start(self) -> None:
-        """Switches the base on. All kernels are compiled before time begins to count."""
+    def _switch_on(self) -> None:
         self.base.step()
         self._sense(time.monotonic(), -1.0)
         self._begin = time.monotonic() - self.base.time
-        self._thread.start()
-
-    def plug(self) -> None:
-        """Puts the cable in, where it is out."""
-        with self._lock:
-            if self._line is None:
-                self._line, self._deframer = PseudoTerminal(Path(self.device)), Deframer()
 
     def unplug(self) -> None:
-        """Pulls the cable; the base goes on with what it was told last."""
-        with self._lock:
-            if self._line is not None:
-                self._line.close()
-            self._line = None
+        """Pulls the cable; half a frame that has come is forgotten."""
+        super().unplug()
+        self._deframer = Deframer()
 
     def report(self) -> dict[str, object]:
         """The truth: stamp (s of time.monotonic()), pose X_WB (m, rad), contacts so far, distance gone so far (m)."""
@@ -111,22 +93,9 @@ class Emulator:
             }
 
     def close(self) -> None:
-        """Switches the base off and pulls the cable."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        self.unplug()
-        self._folder.cleanup()
+        """Switches the base off, pulls the cable and closes the socket."""
+        super().close()
         self._socket.close()
-
-    def __enter__(self) -> Emulator:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _run(self) -> None:
         while not self._stop.wait(max(0.0, self._begin + self.base.time + PERIOD - time.monotonic())):

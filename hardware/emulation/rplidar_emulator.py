@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 import random
-import tempfile
-import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from tfg_drake.config import ScanConfig
 from tfg_drake.geometry.se2 import compose, wrap_angle
+from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice
 from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import Node
@@ -29,12 +26,12 @@ _STEP = 0.01
 _BLOCK = 20
 
 
-class RplidarEmulator:
-    """The scanner behind a pseudo-terminal, from `with` or start() until close().
+class RplidarEmulator(EmulatedDevice):
+    """The scanner, switched on from `with` or start() until close().
 
-    device: the path that a driver opens; it is there while the cable is plugged in. model: 1 of an A1, 2 of an A2.
-    stuck: it obeys, but sends no ray. lost: share of the bytes of rays that never arrive. health: "good", "failed", or
-    "hung": failed until it is reset. duty: of its motor, as it was told. scanning: whether it sends rays.
+    model: 1 of an A1, 2 of an A2. stuck: it obeys, but sends no ray. lost: share of the bytes of rays that never
+    arrive. health: "good", "failed", or "hung": failed until it is reset. duty: of its motor, as it was told. scanning:
+    whether it sends rays.
     """
 
     def __init__(
@@ -60,50 +57,16 @@ class RplidarEmulator:
         self._rays = 0
         # Where the robot was with the last of them.
         self._last = pose()
-        self._folder = tempfile.TemporaryDirectory(prefix="rplidar-")
-        self.device = str(Path(self._folder.name) / "rplidar")
-        self._line: PseudoTerminal | None = None
-        # Held while the line is used.
-        self._lock = threading.Lock()
-        self.plug()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="rplidar-emulator", daemon=True)
-
-    def start(self) -> None:
-        """Switches it on. All kernels are compiled before time begins to count."""
-        self._measured(np.zeros(1), self._pose())
-        self._last = self._pose()
-        self._thread.start()
-
-    def plug(self) -> None:
-        """Puts the cable in, where it is out."""
-        with self._lock:
-            if self._line is None:
-                self._line = PseudoTerminal(Path(self.device))
+        super().__init__("rplidar")
 
     def unplug(self) -> None:
         """Pulls the cable, which is its supply, too."""
-        with self._lock:
-            if self._line is not None:
-                self._line.close()
-            self._line, self.scanning = None, False
+        super().unplug()
+        self.scanning = False
 
-    def close(self) -> None:
-        """Switches it off and pulls the cable."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        self.unplug()
-        self._folder.cleanup()
-
-    def __enter__(self) -> RplidarEmulator:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def _switch_on(self) -> None:
+        self._measured(np.zeros(1), self._pose())
+        self._last = self._pose()
 
     def _run(self) -> None:
         begin, sent = time.monotonic(), 0

@@ -17,7 +17,7 @@ from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.watchdog import TICK, Limits
 from tfg_drake.messages import Hazards, Odometry
 
-KOBUKI = SerialDevice("the base", "0403:6001", "kobuki")
+KOBUKI = SerialDevice("the base", "0403:6001")
 # Between two attempts to connect, s: until then a base whose cable was pulled drives on.
 RETRY = 0.5
 # Between two requests of the versions, s.

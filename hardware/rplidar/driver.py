@@ -23,7 +23,7 @@ from tfg_drake.hardware.watchdog import TICK
 if TYPE_CHECKING:
     import serial
 
-RPLIDAR = SerialDevice("the scanner", "10c4:ea60", "rplidar")
+RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
 # How long to wait for an answer, for a scanner that was reset, and for the first revolution, s.
 ANSWER_WITHIN, RESET_WITHIN, PATIENCE = 0.5, 1.0, 8.0
 # A scanner that says nothing for so long is started again, s.

@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from tfg_drake.messages import GridMap, replace
-from tfg_drake.pictures.figure import draw_map, draw_run
+from tfg_drake.pictures.figure import draw_map, run_figure, write_figure
 from tfg_drake.world.world import World
 
 WORLD = World(
@@ -18,7 +18,9 @@ WORLD = World(
 
 def test_draws_a_run_that_has_not_begun(tmp_path):
     nothing = np.zeros((0, 3))
-    draw_run(tmp_path / "f.png", "nothing yet", WORLD, None, None, None, nothing, nothing, np.ones(2, dtype=bool))
+    write_figure(
+        tmp_path / "f.png", run_figure("nothing yet", WORLD, None, None, None, nothing, nothing, np.ones(2, dtype=bool))
+    )
     image = Image.open(io.BytesIO((tmp_path / "f.png").read_bytes()))
     assert image.width == 1760
     # The missed tags are red.
@@ -28,14 +30,18 @@ def test_draws_a_run_that_has_not_begun(tmp_path):
 
 def test_draws_a_grid_that_holds_no_scan_yet(tmp_path):
     nothing, grid = np.zeros((0, 3)), GridMap(0, 0.0, 0.05, np.zeros(2), np.zeros((0, 0), dtype=np.float32))
-    draw_run(tmp_path / "f.png", "no scan", WORLD, None, None, grid, nothing, nothing, np.ones(2, dtype=bool))
+    write_figure(
+        tmp_path / "f.png", run_figure("no scan", WORLD, None, None, grid, nothing, nothing, np.ones(2, dtype=bool))
+    )
     assert (tmp_path / "f.png").exists()
 
 
 def test_the_same_run_gives_the_same_file(tmp_path):
     poses = np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [2.0, 2.0, 1.0]])
     for name in ("a.png", "b.png"):
-        draw_run(tmp_path / name, "twice", WORLD, None, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
+        write_figure(
+            tmp_path / name, run_figure("twice", WORLD, None, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
+        )
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

@@ -31,30 +31,6 @@ _WIDTH = 11.0
 _POINTS_PER_INCH = 72.0
 
 
-def draw_run(
-    path: Path,
-    title: str,
-    world: World | None,
-    estimate: MapEstimate | None,
-    tfg: TfgMap | None,
-    grid: GridMap | None,
-    X_WB_estimated: FloatArray,
-    X_WB_true: FloatArray,
-    reachable: BoolArray,
-    X_WM: FloatArray | None = None,
-) -> None:
-    """Write `run_figure` as a PNG, atomically.
-
-    Args:
-        path: the file.
-        title, world, estimate, tfg, grid, X_WB_estimated, X_WB_true, reachable, X_WM: of the figure.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    _write(run_figure(title, world, estimate, tfg, grid, X_WB_estimated, X_WB_true, reachable, X_WM), path)
-
-
 def run_figure(
     title: str,
     world: World | None,
@@ -148,7 +124,7 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     if len(tfg.frontiers):
         p_WF = transform(X_WM, tfg.frontiers)
         axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
-    _write(_with_legend(figure), path)
+    write_figure(path, _with_legend(figure))
 
 
 def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]) -> tuple[Figure, Axes, float]:
@@ -170,8 +146,13 @@ def _with_legend(figure: Figure) -> Figure:
     return figure
 
 
-def _write(figure: Figure, path: Path) -> None:
-    """The figure, without the metadata that would differ from version to version or day to day."""
+def write_figure(path: Path, figure: Figure) -> None:
+    """Write a figure as a PNG or PDF, by the file's suffix, atomically, without the metadata that would differ from
+    version to version or day to day.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     buffer = io.BytesIO()
     if path.suffix.lower() == ".pdf":
         figure.savefig(buffer, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})

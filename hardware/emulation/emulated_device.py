@@ -1,0 +1,73 @@
+"""A device behind a pseudo-terminal, in real time: its cable, and the thread in which it lives."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from abc import ABC, abstractmethod
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
+
+
+class EmulatedDevice(ABC):
+    """Runs from `with` or start() until close().
+
+    device: the path that a driver opens; it is there while the cable is plugged in, as udev's are.
+    """
+
+    def __init__(self, name: str) -> None:
+        """name: of its path and its thread."""
+        self._folder = tempfile.TemporaryDirectory(prefix=f"{name}-")
+        self.device = str(Path(self._folder.name) / name)
+        self._line: PseudoTerminal | None = None
+        # Held while the line is used.
+        self._lock = threading.Lock()
+        self.plug()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"{name}-emulator", daemon=True)
+
+    def start(self) -> None:
+        """Switches it on. All kernels are compiled before time begins to count."""
+        self._switch_on()
+        self._thread.start()
+
+    def plug(self) -> None:
+        """Puts the cable in, where it is out."""
+        with self._lock:
+            if self._line is None:
+                self._line = PseudoTerminal(Path(self.device))
+
+    def unplug(self) -> None:
+        """Pulls the cable."""
+        with self._lock:
+            if self._line is not None:
+                self._line.close()
+            self._line = None
+
+    def close(self) -> None:
+        """Switches it off and pulls the cable."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.unplug()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def _switch_on(self) -> None:
+        """Whatever comes before the first moment of `_run`."""
+
+    @abstractmethod
+    def _run(self) -> None:
+        """In the thread: what it does until `_stop` is set."""
