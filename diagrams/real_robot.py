@@ -12,6 +12,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.battery_watch import BatteryWatch
@@ -76,4 +77,4 @@ def Rehearse(scenario: Scenario, method: Method, interrupted: threading.Event) -
     rehearsed.world = LoadScenario("paper").world
     rehearsed.explorer.first_look, rehearsed.explorer.first_turns = 0.0, 1
     mission = Mission(rehearsed, method, None, "rehearsal")
-    mission.run(0.0, REHEARSAL, interrupted, lambda _: None, None)
+    MissionRunner(mission, interrupted, max_time=REHEARSAL).run()

@@ -27,6 +27,7 @@ from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.figures import write_figures
 from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.kernels import LOOK, MISSION, OTHER, Kernel, read_table, spelled, write_table
 from tfg_drake.mapfile.saved_map import load_map, restored_estimate
@@ -66,9 +67,8 @@ def dispatchers() -> dict[tuple[str, str], Dispatcher]:
 
 def missions(folder: Path) -> Iterator[int]:
     """Runs the commands, and says after those of each need what it was."""
-    Mission(LoadScenario("paper"), METHODS["tfg"], None, "").run(
-        0.0, LOOKING, threading.Event(), lambda _line: None, lambda _progress: None
-    )
+    mission = Mission(LoadScenario("paper"), METHODS["tfg"], None, "")
+    MissionRunner(mission, threading.Event(), max_time=LOOKING, on_progress=lambda _progress: None).run()
     yield LOOK
     room, run = folder / "room.yaml", folder / "run"
     room.write_text(ROOM)

@@ -18,7 +18,7 @@ from tfg_drake.diagrams.commands.command_line import bad_input
 if TYPE_CHECKING:
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.methods import Method
-    from tfg_drake.diagrams.missions.mission import Progress
+    from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.diagrams.robots import Robot
     from tfg_drake.diagrams.scenario import Scenario
 

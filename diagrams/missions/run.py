@@ -27,7 +27,8 @@ from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.diagrams.methods import METHODS, Method
-from tfg_drake.diagrams.missions.mission import Mission, Progress
+from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
 from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.robots import SIMULATED, Robot
@@ -149,16 +150,9 @@ def explore(
             mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit)
             folder.append("stages.jsonl", "")
             keep = _Keeper(mission, folder) if record else None
-            mission.run(
-                realtime_rate,
-                max_time,
-                stop,
-                lambda line: folder.append("stages.jsonl", line),
-                on_progress,
-                keep,
-                kernels,
-                fork.monitor(mission) if fork is not None else None,
-            )
+            monitor = fork.monitor(mission) if fork is not None else None
+            runner = MissionRunner(mission, stop, realtime_rate, max_time, cockpit, on_progress)
+            runner.run(lambda line: folder.append("stages.jsonl", line), keep, kernels, monitor)
             folder.give_up_reserve()
             summary = write_report(mission, scenario, folder, name, world_name or name)
             mission.say(mission.outcome.replace("_", " "))

@@ -10,24 +10,11 @@ import time
 
 import pytest
 
+from tests.diagrams.rooms import ROOM
 from tfg_drake import __version__
 from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.commands import explore as explore_command
-from tfg_drake.diagrams.missions.mission import Progress
-
-ROOM = """
-seed: 3
-world:
-  start: [2, 1.5, 0.3]
-  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
-"""
-
-
-@pytest.fixture
-def room(tmp_path):
-    path = tmp_path / "room.yaml"
-    path.write_text(ROOM)
-    return str(path)
+from tfg_drake.diagrams.missions.mission_runner import Progress
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,209 @@
+"""Runs a mission to its end: how fast it goes, who may hold it meanwhile, when it is over, and how far it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.systems.analysis import SimulatorStatus
+from pydrake.systems.framework import Context, EventStatus
+
+from tfg_drake.diagrams.missions.mission import STEP, Mission
+from tfg_drake.geometry.star import covered_area
+from tfg_drake.grid.frontier import FREE, classify
+from tfg_drake.kernels import Compilation
+
+if TYPE_CHECKING:
+    from tfg_drake.cockpit.server import Cockpit
+    from tfg_drake.mission.clock import Clock
+
+# Time between two looks at a real robot's mission, s.
+REAL_STEP = 0.25
+# While kernels are compiled a mission goes at least so fast, times real time, and so far, s, from one look at them to
+# the next: the picture moves every second.
+SLOWEST = 0.15
+SLOW_STEP = 0.125
+# Where a page is open its wishes are looked at so often, simulated s, and while the clock is held, s of wall time.
+WATCHED_STEP = 0.125
+HELD_INTERVAL = 0.05
+# Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
+AREA_INTERVAL = 5.0
+
+_log = logging.getLogger("tfg_drake.run")
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map, area seen
+    (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended; word:
+    what else is done meanwhile."""
+
+    time: float
+    wall_time: float
+    phase: str
+    stage: int
+    landmarks: int
+    area: float
+    position_error: float
+    outcome: str = ""
+    word: str = ""
+
+
+class MissionRunner:
+    """Takes one mission through `run`, which may be called once."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        interrupted: threading.Event,
+        realtime_rate: float = 0.0,
+        max_time: float = math.inf,
+        cockpit: Cockpit | None = None,
+        on_progress: Callable[[Progress], None] | None = None,
+    ) -> None:
+        """interrupted: ends the mission when set; see `explore` for the others."""
+        self._mission, self._interrupted = mission, interrupted
+        self._rate, self._max_time, self._on_progress = realtime_rate, max_time, on_progress
+        self._cockpit = cockpit
+        self._clock_version = -1  # what the simulator knows of the page's clock
+        self._wall_start = 0.0
+        self._area, self._next_area = 0.0, 0.0
+
+    def run(
+        self,
+        write: Callable[[str], object] = lambda _line: None,
+        keep: Callable[[], None] | None = None,
+        kernels: Compilation | None = None,
+        monitor: Callable[[Context], EventStatus] | None = None,
+    ) -> None:
+        """Simulate until the mission ends, for a reason. write, monitor: as for `Mission.begin`. keep: called now and
+        then, to keep what there is; what it or `write` raises ends the mission. kernels: as for `explore`."""
+        mission, step = self._mission, REAL_STEP if self._mission.robot.real else STEP
+        self._wall_start = time.monotonic()
+        try:
+            mission.begin(monitor, write)
+            # What there is so far stays: looking through all of it for garbage, again and again, takes its time.
+            gc.freeze()
+            mission.simulator.set_target_realtime_rate(1.0 if mission.robot.real else self._rate)
+            terminated = False
+            while not self._ended():
+                if kernels is not None and self._pace(kernels):
+                    kernels = None
+                now = step if kernels is None else SLOW_STEP
+                boundary = now * (math.floor(mission.time / now) + 1.0)
+                terminated = self._advance(min(boundary, self._max_time, mission.robot.end_time))
+                mission.observe()
+                if keep is not None:
+                    keep()
+                self._tell()
+            if not terminated:
+                # A mission that ends by itself does all that is due at its last instant; so that a recording of any
+                # gives the same once more, whatever ended it then and ends it now, so does every other.
+                mission.simulator.AdvancePendingEvents()
+                mission.observe()
+            mission.say(f"{mission.outcome.replace('_', ' ')}: solving the whole map")
+            mission.show()
+        except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
+            first_line = next(iter(str(error).strip().splitlines()), "no message")
+            mission.outcome = "fault"
+            mission.reason = f"{type(error).__name__} at {mission.time:.2f} s: {first_line}"
+            _log.exception("the mission failed at %.3f s", mission.time)
+        finally:
+            gc.unfreeze()
+            mission.robot.close()
+        mission.account(time.monotonic() - self._wall_start)
+        if mission.built:
+            self._tell()
+
+    def _advance(self, boundary: float) -> bool:
+        """Simulates up to a time, s, or less when interrupted; whether the mission has ended by itself. Whoever looks
+        on may hold the clock meanwhile or change its speed, at instants that change nothing."""
+        mission, page = self._mission, self._cockpit
+        while mission.time < boundary and not self._interrupted.is_set():
+            ahead = math.inf
+            if page is not None and page.clock is not None:
+                if self._is_held(page.clock):
+                    break
+                if page.watched:
+                    ahead = WATCHED_STEP * (math.floor(mission.time / WATCHED_STEP) + 1.0)
+            status = mission.simulator.AdvanceTo(min(boundary, ahead))
+            if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
+                return True
+        return False
+
+    def _is_held(self, clock: Clock) -> bool:
+        """Does what is wanted of the clock, waiting while it is held; whether somebody has interrupted it then."""
+        mission = self._mission
+        clock.at_stage(mission.stage_now())
+        if clock.version == self._clock_version:
+            return False
+        if clock.held:
+            mission.record_now()
+            while clock.held and not self._interrupted.wait(HELD_INTERVAL):
+                pass
+        self._clock_version = clock.version
+        mission.simulator.set_target_realtime_rate(clock.rate)
+        mission.simulator.ResetStatistics()  # or it would make up for the time that it stood
+        return self._interrupted.is_set()
+
+    def _pace(self, kernels: Compilation) -> bool:
+        """Goes as slowly as it takes that all kernels are there before the first look is over; whether they are."""
+        mission, ended, rate = self._mission, kernels.ended, self._rate
+        if not ended:
+            left = mission.scenario.explorer.first_look - mission.time
+            rate = min(max(SLOWEST, left / max(kernels.left, 1e-3)), self._rate or math.inf)
+        mission.say("" if ended else kernels.word)
+        mission.simulator.set_target_realtime_rate(rate)
+        mission.simulator.ResetStatistics()  # or it would make up for the time that it went slowly
+        return ended
+
+    def _ended(self) -> bool:
+        mission, outcome, reason = self._mission, "", ""
+        if mission.status.phase == "done":
+            outcome, reason = mission.status.outcome, mission.status.reason
+        elif self._interrupted.is_set():
+            outcome, reason = "interrupted", f"interrupted at {mission.time:.0f} s"
+        elif mission.time >= self._max_time:
+            outcome, reason = "time_limit", f"the time limit of {self._max_time:g} s was reached"
+        elif mission.time >= mission.robot.end_time:
+            outcome, reason = "time_limit", "the recording has ended"
+        mission.outcome, mission.reason = outcome, reason
+        return bool(outcome)
+
+    def _tell(self) -> None:
+        """Says how far the mission is, to whoever asked."""
+        if self._on_progress is None:
+            return
+        mission, wall_time = self._mission, time.monotonic() - self._wall_start
+        if mission.outcome or wall_time >= self._next_area:
+            self._area, self._next_area = _seen_area(mission), wall_time + AREA_INTERVAL
+        status, landmarks = mission.status, len(mission.map.ids) if mission.map is not None else 0
+        self._on_progress(
+            Progress(
+                mission.time,
+                wall_time,
+                status.phase,
+                status.stage,
+                landmarks,
+                self._area,
+                mission.position_error(),
+                mission.outcome,
+                mission.word,
+            )
+        )
+
+
+def _seen_area(mission: Mission) -> float:
+    """How much of the floor is known to be free, m^2."""
+    if mission.tfg is not None:
+        return covered_area(mission.tfg.star_offsets, mission.tfg.star_vertices, cell=0.25)
+    if mission.grid is not None:
+        return float(np.count_nonzero(classify(mission.grid) == FREE)) * mission.grid.resolution**2
+    return 0.0
