@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -149,7 +150,7 @@ def step(
             # A way as long as that may be shorter through inactive submaps.
             estimate, tfg = whole()
             nodes = whole_roadmap(state.parts, estimate.X_MA)
-        return _plan_or_wait(state, nodes, estimate, tfg, pose, goal, scan, mission, parameters)
+        return _plan_or_wait(state, _Task(nodes, estimate, tfg, pose, goal, mission, parameters), scan)
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
         state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
@@ -275,26 +276,30 @@ def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
     return replace(state, obstacles=state.obstacles[keep], obstacle_view=state.obstacle_view[keep])
 
 
-def _plan_or_wait(
-    state: PlannerState,
-    nodes: RoadmapState,
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    pose: PoseEstimate,
-    goal: GoalChoice,
-    scan: LaserScan,
-    mission: MissionStatus,
-    parameters: RoadmapParameters,
-) -> PlannerState:
+@dataclasses.dataclass(frozen=True)
+class _Task:
+    """A path that is asked for: to a goal among the roadmap's nodes, from a pose, in the map that both are of."""
+
+    nodes: RoadmapState
+    estimate: MapEstimate
+    tfg: TfgMap
+    pose: PoseEstimate
+    goal: GoalChoice
+    mission: MissionStatus
+    parameters: RoadmapParameters
+
+
+def _plan_or_wait(state: PlannerState, task: _Task, scan: LaserScan) -> PlannerState:
     """The state with a path or, while a robot that stands has every way barred by what it has met, without one."""
-    after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
-    if len(after.path.points) or mission.drives or not _may_go(state, estimate, tfg):
+    pose, estimate = task.pose, task.estimate
+    after = _plan(state, task)
+    if len(after.path.points) or task.mission.drives or not _may_go(state, estimate, task.tfg):
         return after
     _, in_view = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
     if not in_view.all():
         # What the robot does not see may have gone; if not, it will see it on its way.
         state = _keep_obstacles(state, in_view)
-        after = _plan(state, nodes, estimate, tfg, pose, goal, mission, parameters)
+        after = _plan(state, task)
     since = min(state.waiting_since, pose.stamp)
     if len(after.path.points) or not len(state.obstacles) or pose.stamp >= since + PATIENCE:
         return after
@@ -302,21 +307,13 @@ def _plan_or_wait(
     return replace(state, waiting_since=since, asked=pose.stamp)
 
 
-def _plan(
-    state: PlannerState,
-    nodes: RoadmapState,
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    pose: PoseEstimate,
-    goal: GoalChoice,
-    mission: MissionStatus,
-    parameters: RoadmapParameters,
-) -> PlannerState:
+def _plan(state: PlannerState, task: _Task) -> PlannerState:
+    nodes, estimate, pose, goal, mission = task.nodes, task.estimate, task.pose, task.goal, task.mission
     now = pose.stage == estimate.stage
     X_MB, speed = (pose.X_MB, float(pose.speed[0])) if now else (estimate.X_MD, 0.0)
     obstacles = obstacles_in_map(state, estimate)
     node = int(np.searchsorted(nodes.ids, goal.node))
-    points = plan_path(nodes, estimate, tfg, X_MB, node, parameters, obstacles, speed)
+    points = plan_path(nodes, estimate, task.tfg, X_MB, node, task.parameters, obstacles, speed)
     if _length(state.driven, X_MB[:2]) + np.hypot(*np.diff(points, axis=0).T).sum() > goal.longest_way:
         points = np.zeros((0, 2))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)

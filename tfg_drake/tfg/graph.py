@@ -51,7 +51,7 @@ from tfg_drake.tfg.overlap import WeaklyTied, nothing_weakly_tied, standing, wea
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
 from tfg_drake.tfg.polyline import segments_of, taken
-from tfg_drake.tfg.segmentation import panorama_links, segment
+from tfg_drake.tfg.segmentation import Components, panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
 
@@ -187,73 +187,27 @@ def update(
         graph.surfaces, estimate, components, panorama, graph.tag_ids, _facing(graph, X_MA)
     )
     placed = place(surfaces, estimate)
-    segments, _ = segments_of(surfaces.offsets, placed)
     tag_ids, tag_view, tag_facing, tag_range = _update_facing(graph, estimate, seen_ids, seen_normal)
     star = star_polygon(panorama)
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
     star_vertices = np.concatenate([graph.star_vertices, star])
     stars = _place_stars(star_offsets, star_vertices, X_MA if views is None else X_MA[np.append(views, view)])
-    newest = _place_stars(np.array([0, len(star)]), star, X_MA[view:])
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
     weak, seen = nothing_weakly_tied(surfaces, estimate), stars
     if views is not None and len(views) < view:
         weak = weakly_tied(surfaces, tag_ids, tag_view, estimate)
         seen = _of_views(stars, ~weak.views[np.append(views, view)])
-
-    def theirs(points: FrontierPoints) -> BoolArray:
-        return weak.views[points.view]
-
-    p, normal, length = find_frontiers(panorama, links, 2.0 * robot.radius)
-    free_space_frontiers = _merge(
-        graph.free_space_frontiers,
-        points_of(view, p, normal, length),
-        X_MA,
-        lambda points: theirs(points) | ~(inside_any(points.p, *newest[:2]) | _explored(points, seen, estimate)),
-        lambda points: ~inside_any(points.p, *seen[:2]),
-        lambda old, new: far_from(new.p, old.p[~theirs(old)], SAME_FRONTIER),
+    newest = _Newest(
+        estimate,
+        tags,
+        segments=segments_of(surfaces.offsets, placed)[0],
+        star=_place_stars(np.array([0, len(star)]), star, X_MA[view:]),
+        stars=seen,
+        weak=weak.views,
+        reach=reach,
     )
-
-    def unseen(stars: tuple[IntArray, FloatArray, FloatArray], points: FrontierPoints) -> BoolArray:
-        front = in_front(points.p, points.normal, segments, UNINSPECTED_LIFT)
-        return np.asarray(~inspected(front, points.normal, *stars, tags.range, tags.max_incidence))
-
-    p, normal = find_uninspected(components, tags.range, tags.max_incidence - SLANT_KNOWN)
-    uninspected = _merge(
-        graph.uninspected,
-        points_of(view, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
-        X_MA,
-        lambda points: theirs(points) | unseen(newest, points),
-        lambda points: unseen(seen, points),
-        lambda old, new: far_from(_faces(new), _faces(old)[~theirs(old)], 0.9 * UNINSPECTED_SPACING),
-    )
-    X_AM = inverse(X_MA[view])
-
-    def unseen_faces(found: tuple[FloatArray, FloatArray], length: float) -> FrontierPoints:
-        p, normal = transform(X_AM, found[0]), found[1] @ rotation(float(X_AM[2])).T
-        points = points_of(view, p, normal, np.full(len(p), length))
-        return replace(points, on_surface=np.ones(len(p), dtype=bool))
-
-    # Of a wall mapped from either side, both faces count, as far apart as they may have drifted.
-    backs = unseen_faces(
-        find_unseen_backs(surfaces.offsets, placed, stars[:2], lambda p, normal: drift_between(p, normal, estimate)),
-        UNINSPECTED_SPACING,
-    )
-    ends = unseen_faces(find_open_ends(surfaces.offsets, placed, stars[:2]), END_LENGTH)
-
-    def near(points: FrontierPoints) -> BoolArray:
-        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[view, :2]).T) <= reach)
-
-    def known(points: FrontierPoints) -> BoolArray:
-        # How far two faces may have drifted apart is known where the robot is.
-        return near(points) & known_jointly(place_points(points, X_MA).p, estimate)
-
-    def here(then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]) -> FrontierPoints:
-        """The points found now among those that `which` selects; of the others those found then."""
-        if math.isinf(reach) and estimate.is_joint:
-            return now
-        return join(select(then, ~which(then)), select(now, which(now)))
-
+    backs, ends = newest.unseen_faces(surfaces.offsets, placed, stars)
     updated = TfgGraph(
         estimate.stage,
         surfaces,
@@ -263,10 +217,10 @@ def update(
         tag_range,
         star_offsets,
         star_vertices,
-        free_space_frontiers,
-        uninspected,
-        here(graph.unseen_backs, backs, known),
-        here(graph.open_ends, ends, near),
+        newest.free_space_frontiers(graph.free_space_frontiers, *find_frontiers(panorama, links, 2.0 * robot.radius)),
+        newest.uninspected(graph.uninspected, components),
+        newest.found_here(graph.unseen_backs, backs, newest.known),
+        newest.found_here(graph.open_ends, ends, newest.near),
         *_update_sighted(graph.sighted, graph.viewpoints, sightings, estimate),
         graph.tried,
         graph.tried_count,
@@ -274,6 +228,102 @@ def update(
         graph.met_stamp,
     )
     return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer, views)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Newest:
+    """What the newest view of the estimate changes of the frontiers, in M.
+
+    segments: (s, 4) of the surfaces, the newest included, m. star: the newest view's, stars: of all views that say
+    something of the robot's surroundings; offsets, vertices and centers each. weak: (k,) which views are weakly tied.
+    reach: m round the newest view, see `update`.
+    """
+
+    estimate: MapEstimate
+    tags: TagSensorConfig
+    segments: FloatArray
+    star: tuple[IntArray, FloatArray, FloatArray]
+    stars: tuple[IntArray, FloatArray, FloatArray]
+    weak: BoolArray
+    reach: float
+
+    def free_space_frontiers(
+        self, old: FrontierPoints, p: FloatArray, normal: FloatArray, length: FloatArray
+    ) -> FrontierPoints:
+        """The old ones that it has not covered, and those that it found, p and normal (f, 2) in A, length (f,) m."""
+
+        def open_still(points: FrontierPoints) -> BoolArray:
+            explored = inside_any(points.p, *self.star[:2]) | _explored(points, self.stars, self.estimate)
+            return self._theirs(points) | ~explored
+
+        return _merge(
+            old,
+            points_of(self._view, p, normal, length),
+            self.estimate.X_MA,
+            open_still,
+            lambda points: ~inside_any(points.p, *self.stars[:2]),
+            lambda old, new: far_from(new.p, old.p[~self._theirs(old)], SAME_FRONTIER),
+        )
+
+    def uninspected(self, old: FrontierPoints, components: Components) -> FrontierPoints:
+        """The old ones that it has not inspected, and those on the components of its panorama that no view has."""
+        p, normal = find_uninspected(components, self.tags.range, self.tags.max_incidence - SLANT_KNOWN)
+        return _merge(
+            old,
+            points_of(self._view, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
+            self.estimate.X_MA,
+            lambda points: self._theirs(points) | self._not_inspected(self.star, points),
+            lambda points: self._not_inspected(self.stars, points),
+            lambda old, new: far_from(_faces(new), _faces(old)[~self._theirs(old)], 0.9 * UNINSPECTED_SPACING),
+        )
+
+    def unseen_faces(
+        self, offsets: IntArray, placed: FloatArray, stars: tuple[IntArray, FloatArray, FloatArray]
+    ) -> tuple[FrontierPoints, FrontierPoints]:
+        """The unseen backs and the open ends of surfaces placed in M; stars: of all views."""
+
+        # Of a wall mapped from either side, both faces count, as far apart as they may have drifted.
+        def drift(p: FloatArray, normal: FloatArray) -> FloatArray:
+            return drift_between(p, normal, self.estimate)
+
+        backs = find_unseen_backs(offsets, placed, stars[:2], drift)
+        ends = find_open_ends(offsets, placed, stars[:2])
+        return self._on_surface(*backs, UNINSPECTED_SPACING), self._on_surface(*ends, END_LENGTH)
+
+    def near(self, points: FrontierPoints) -> BoolArray:
+        """Which points lie within reach."""
+        X_MA = self.estimate.X_MA
+        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[-1, :2]).T) <= self.reach)
+
+    def known(self, points: FrontierPoints) -> BoolArray:
+        """Which points lie within reach, where it is known how far two faces may have drifted apart."""
+        return self.near(points) & known_jointly(place_points(points, self.estimate.X_MA).p, self.estimate)
+
+    def found_here(
+        self, then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]
+    ) -> FrontierPoints:
+        """The points found now among those that `which` selects; of the others those found then."""
+        if math.isinf(self.reach) and self.estimate.is_joint:
+            return now
+        return join(select(then, ~which(then)), select(now, which(now)))
+
+    @property
+    def _view(self) -> int:
+        return self.estimate.stage - 1
+
+    def _theirs(self, points: FrontierPoints) -> BoolArray:
+        """Which points weakly tied views have found."""
+        return self.weak[points.view]
+
+    def _not_inspected(self, stars: tuple[IntArray, FloatArray, FloatArray], points: FrontierPoints) -> BoolArray:
+        front = in_front(points.p, points.normal, self.segments, UNINSPECTED_LIFT)
+        return np.asarray(~inspected(front, points.normal, *stars, self.tags.range, self.tags.max_incidence))
+
+    def _on_surface(self, p_MF: FloatArray, normal: FloatArray, length: float) -> FrontierPoints:
+        X_AM = inverse(self.estimate.X_MA[-1])
+        p, normal = transform(X_AM, p_MF), normal @ rotation(float(X_AM[2])).T
+        points = points_of(self._view, p, normal, np.full(len(p), length))
+        return replace(points, on_surface=np.ones(len(p), dtype=bool))
 
 
 def _without_dynamic(
