@@ -21,7 +21,7 @@ from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import FloatArray
-from tfg_drake.pictures.paper_figures import write_figure
+from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import read_tum
 from tfg_drake.world.reachability import make_grid, reachable_cells
@@ -97,7 +97,7 @@ def _pictures(
             draw_costs(costs),
         ),
     ):
-        png = next(path for path in write_figure(figure, out, name) if path.suffix == ".png")
+        png = next(path for path in write_formats(out, name, figure) if path.suffix == ".png")
         yield Picture(name, caption, png.read_bytes())
 
 

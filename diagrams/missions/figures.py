@@ -17,7 +17,8 @@ from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
 from tfg_drake.messages import FloatArray
-from tfg_drake.pictures.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg, write_figure
+from tfg_drake.pictures.figure_file import write_formats
+from tfg_drake.pictures.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg
 from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.storage.files import write_atomic
 
@@ -77,7 +78,7 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
         "tfg": draw_tfg(chosen),
         "growth": draw_growth(growth, stamps, p_MB),
     }
-    return [path for name, figure in figures.items() for path in write_figure(figure, folder, name)]
+    return [path for name, figure in figures.items() for path in write_formats(folder, name, figure)]
 
 
 def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str], object]) -> Path:

@@ -134,7 +134,8 @@ def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, An
 
 def _draw(path: Path, *arguments: Any) -> None:
     """Writes `run_figure`, whose libraries stay out of a mission's memory."""
-    from tfg_drake.pictures.figure import run_figure, write_figure
+    from tfg_drake.pictures.figure import run_figure
+    from tfg_drake.pictures.figure_file import write_figure
 
     write_figure(path, run_figure(*arguments))
 

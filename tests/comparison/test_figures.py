@@ -6,7 +6,7 @@ from tfg_drake.comparison.curves import Curve, band
 from tfg_drake.comparison.figures import FinalMap, colours, draw_costs, draw_coverage, draw_errors, draw_maps
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.messages import GridMap
-from tfg_drake.pictures.paper_figures import write_figure
+from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.world.world import World
 
 WORLD = World(
@@ -41,7 +41,7 @@ def test_a_grid_is_turned_into_the_world(tmp_path, small_map):
     way = np.array([[1.0, 1.0, 0.0], [3.0, 1.0, 0.0]])
     maps = [FinalMap("grid", 0, WORLD, nothing, None, grid), FinalMap("tfg", 0, WORLD, way, small_map, None)]
     figure = draw_maps(maps)
-    png, _ = write_figure(figure, tmp_path, "maps")
+    png, _ = write_formats(tmp_path, "maps", figure)
     legend = figure.legends[0].get_window_extent()
     assert len(figure.legends[0].texts) == 6
     assert figure.bbox.x0 <= legend.x0 < legend.x1 <= figure.bbox.x1

@@ -4,7 +4,8 @@ import numpy as np
 from PIL import Image
 
 from tfg_drake.messages import GridMap, replace
-from tfg_drake.pictures.figure import draw_map, run_figure, write_figure
+from tfg_drake.pictures.figure import draw_map, run_figure
+from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.world.world import World
 
 WORLD = World(

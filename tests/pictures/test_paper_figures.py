@@ -6,15 +6,14 @@ from PIL import Image
 
 from tests.systems.test_info_gain_goal_selector import half_known_room, roadmap
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.pictures.figure_file import FORMATS, write_formats
 from tfg_drake.pictures.paper_figures import (
-    FORMATS,
     Stage,
     draw_gains,
     draw_growth,
     draw_priors,
     draw_tfg,
     gain_field,
-    write_figure,
 )
 from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import empty_choice
@@ -50,7 +49,7 @@ def drawn(stage):
 def test_every_figure_is_written_in_every_format_the_same_each_time(stage, tmp_path):
     written = []
     for figures in (drawn(stage), drawn(stage)):
-        paths = [path for name, figure in figures.items() for path in write_figure(figure, tmp_path, name)]
+        paths = [path for name, figure in figures.items() for path in write_formats(tmp_path, name, figure)]
         assert [path.name for path in paths] == [name + suffix for name in figures for suffix in FORMATS]
         written.append([path.read_bytes() for path in paths])
     assert written[0] == written[1]

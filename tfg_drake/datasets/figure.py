@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.pictures.figure_file import write_figure
 
 _SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
 # Landmarks are named where there are no more than this.
@@ -69,7 +68,4 @@ def draw_slam(
         ends = np.vstack([p_WL[ids == name], p_WL_true[true_ids == name]])
         axes.plot(*ends.T, "--", color=_WRONG, linewidth=0.8)
     figure.legend(loc="outside lower left", ncols=5, fontsize=8, frameon=False, labelcolor="0.25")
-    buffer = io.BytesIO()
-    # Without the metadata that would differ from version to version.
-    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
-    write_atomic(path, buffer.getvalue())
+    write_figure(path, figure)

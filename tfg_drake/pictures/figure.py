@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from tfg_drake.geometry.se2 import compose, rotation, transform
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
 from tfg_drake.pictures.drawing import ellipses
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
@@ -144,21 +143,6 @@ def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]) -> tuple
 def _with_legend(figure: Figure) -> Figure:
     figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
     return figure
-
-
-def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as a PNG or PDF, by the file's suffix, atomically, without the metadata that would differ from
-    version to version or day to day.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    buffer = io.BytesIO()
-    if path.suffix.lower() == ".pdf":
-        figure.savefig(buffer, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
-    else:
-        figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
-    write_atomic(path, buffer.getvalue())
 
 
 def _corners(grid: GridMap) -> FloatArray:

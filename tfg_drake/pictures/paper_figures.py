@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,11 +15,9 @@ from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Ro
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.information_gain import Gains
-from tfg_drake.storage.files import write_atomic
 
 # Standard deviations, m, of the prior of new landmarks: the paper's high, medium and low.
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.01}
-FORMATS = (".png", ".pdf")
 _SURFACE, _BARE, _FREE = "0.15", "0.55", "#f3f5f1"
 _LANDMARK, _FRONTIER, _VIEW = "#12876f", "#1a5ce0", "#8a8f98"
 _COLOURS = "coolwarm"
@@ -97,18 +93,6 @@ def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -
         text = f"stage {stage.estimate.stage}, {stage.estimate.stamp:.0f} s, {len(stage.estimate.ids)} landmarks"
         axis.set_title(text, fontsize=8)
     return figure
-
-
-def write_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure in every format, atomically, without metadata that differ from day to day; returns the files."""
-    paths = []
-    for suffix in FORMATS:
-        buffer = io.BytesIO()
-        none = ("Creator", "Producer", "CreationDate") if suffix == ".pdf" else ("Software",)
-        figure.savefig(buffer, format=suffix[1:], dpi=300, metadata=dict.fromkeys(none))
-        paths.append(folder / f"{name}{suffix}")
-        write_atomic(paths[-1], buffer.getvalue())
-    return paths
 
 
 def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:

@@ -1,0 +1,36 @@
+"""Figures as files: written whole, and the same to the byte on any day."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from tfg_drake.storage.files import write_atomic
+
+# Those that a paper's figure is written in.
+FORMATS = (".png", ".pdf")
+# What matplotlib would tell of itself and the day.
+_TOLD = {"png": ("Software",), "pdf": ("Creator", "Producer", "CreationDate")}
+
+
+def write_figure(path: Path, figure: Figure, dpi: float = 160.0) -> None:
+    """Write a figure as a PNG or PDF, by the file's suffix, atomically, without the metadata that would differ from
+    version to version or day to day.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    form = "pdf" if path.suffix.lower() == ".pdf" else "png"
+    figure.savefig(buffer, format=form, dpi=dpi, metadata=dict.fromkeys(_TOLD[form]))
+    write_atomic(path, buffer.getvalue())
+
+
+def write_formats(folder: Path, name: str, figure: Figure) -> list[Path]:
+    """Write a figure for a paper in each of FORMATS; returns the files. Raises OSError."""
+    paths = [folder / f"{name}{suffix}" for suffix in FORMATS]
+    for path in paths:
+        write_figure(path, figure, dpi=300.0)
+    return paths
