@@ -97,9 +97,3 @@ def test_surface_phantom_against_shapely():
     assert metrics.surface_phantom(walls, walls) == 0.0
     assert metrics.surface_phantom(np.array([[0.0, 0, 3, 4], [1, 1, 1, 1]]), np.zeros((0, 4))) == pytest.approx(5.0)
     assert metrics.surface_phantom(np.zeros((0, 4)), walls) == 0.0
-
-
-def test_min_clearance():
-    walls = np.array([[0.0, 0.0, 4.0, 0.0]])
-    assert metrics.min_clearance(np.array([[1.0, 2.0], [2.0, 0.5]]), walls, 0.18) == pytest.approx(0.32)
-    assert metrics.min_clearance(np.array([[1.0, 2.0]]), np.zeros((0, 4)), 0.18) == np.inf

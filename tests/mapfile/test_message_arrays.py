@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tfg_drake.mapfile.message_arrays import ArraysError, array_names, from_arrays, to_arrays
+from tests.mapfile.array_names import array_names
+from tfg_drake.mapfile.message_arrays import ArraysError, from_arrays, to_arrays
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 
 

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.mapfile.array_names import array_names
 from tests.mutations import assert_refused_or_read
-from tfg_drake.mapfile.message_arrays import array_names, to_arrays
+from tfg_drake.mapfile.message_arrays import to_arrays
 from tfg_drake.mapfile.saved_map import (
     REGISTRY,
     SCHEMA,

@@ -112,12 +112,3 @@ def surface_phantom(segments: FloatArray, walls: FloatArray) -> float:
         far = point_distance(centers, np.ascontiguousarray(walls)) > SURFACE_TOLERANCE
         total += float(metres * np.mean(far))
     return total
-
-
-def min_clearance(p_WB: FloatArray, walls: FloatArray, robot_radius: float) -> float:
-    """Least distance, m, of the robot's outline from a wall (m, 4) over positions p_WB (n, 2) in W.
-
-    Negative where the outline overlaps a wall, inf without walls or positions.
-    """
-    distance = point_distance(np.ascontiguousarray(p_WB), np.ascontiguousarray(walls))
-    return float(distance.min(initial=np.inf)) - robot_radius

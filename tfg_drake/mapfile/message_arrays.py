@@ -76,13 +76,6 @@ def from_arrays(kind: type[T], arrays: Mapping[str, Array], registry: Registry) 
     return typing.cast(T, message)
 
 
-def array_names(kind: type, registry: Registry) -> dict[str, str]:
-    """Every array that a message of a class is stored in, symmetric matrices whole, and its type and shape in words."""
-    names: dict[str, str] = {}
-    _describe(kind, "", registry, names)
-    return names
-
-
 @functools.cache
 def _hints(kind: type) -> dict[str, Any]:
     hints = typing.get_type_hints(kind)
@@ -336,18 +329,3 @@ def _fits(found: tuple[int, ...], wanted: Shape, lengths: dict[str, int]) -> boo
         if lengths[letter] < 0 or size != factor * lengths[letter] + offset:
             return False
     return True
-
-
-def _describe(kind: type, path: str, registry: Registry, names: dict[str, str]) -> None:
-    for field, hint in _hints(kind).items():
-        name = f"{path}.{field}" if path else field
-        while (inner := _optional(hint) or _element(hint)) is not None:
-            names[f"{name}@count" if _element(hint) else f"{name}@present"] = "int64" if _element(hint) else "bool"
-            hint = inner
-        dtype = _dtype(hint)
-        if dtype is not None:
-            names[name] = f"{dtype} ({', '.join(map(str, registry[kind].get(field, ('...',))))})"
-        elif hint in _SCALARS or hint is str:
-            names[name] = np.dtype(_SCALARS.get(hint, np.str_)).name
-        else:
-            _describe(hint, name, registry, names)
