@@ -6,6 +6,10 @@ import fcntl
 import os
 import time
 
+# Before anything loads BLAS, and for every process that a test starts: small dense operations are many times slower
+# when each of several processes spreads them over all cores.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import hypothesis
 import numpy as np
 import pytest

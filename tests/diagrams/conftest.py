@@ -4,7 +4,10 @@ import signal
 
 import pytest
 
+from tests.diagrams.rooms import ROOM
+from tests.diagrams.rooms import room as divided_room
 from tfg_drake.diagrams import cli
+from tfg_drake.diagrams.missions import run
 
 
 @pytest.fixture(autouse=True)
@@ -26,3 +29,17 @@ def call(capsys):
         return (caught.value.code, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture
+def room(tmp_path):
+    """The path of a scenario: a bare room."""
+    path = tmp_path / "room.yaml"
+    path.write_text(ROOM)
+    return str(path)
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory, compiled):
+    """A mission in the divided room, recorded and run to its end."""
+    return run.explore(divided_room(), name="room", out_dir=tmp_path_factory.mktemp("finished"))

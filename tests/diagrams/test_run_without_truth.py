@@ -7,23 +7,16 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import DiagramBuilder
 
+from tests.diagrams.rooms import ROOM, SHORT_LOOK, tagged
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.robots import Robot
-from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.storage.trajectory import read_tum
 
-ROOM = """
-seed: 3
-world:
-  start: [2, 1.5, 0.3]
-  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
-explorer: {first_look: 8}
-"""
 START = np.array([2.0, 1.5, 0.3])
 TRUTH = ["pose_anees", "area_coverage", "area_seen_s", "contacts", "contacts_received", "min_clearance_m"]
 WORLD = ["landmarks_present", "landmarks_reachable", "landmarks_extra", "landmark_rmse_m", "landmark_rmse_aligned_m"]
@@ -32,7 +25,7 @@ NOTHING = {"mean": None, "std": None, "max": None, "final": None}
 
 
 def room():
-    return ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
+    return tagged(ROOM + SHORT_LOOK)
 
 
 def MakeTruthlessStation(scenario):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_limits
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
@@ -13,13 +12,6 @@ from tfg_drake.slam.odometry_model import interpolate
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 PERIOD = 1.0 / 32.0
-
-
-@pytest.fixture(autouse=True)
-def _one_thread():
-    """Small dense operations lose to their own threads."""
-    with threadpool_limits(limits=1):
-        yield
 
 
 class RingDrive:

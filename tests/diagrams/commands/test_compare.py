@@ -7,20 +7,6 @@ import time
 
 import pytest
 
-ROOM = """
-seed: 3
-world:
-  start: [2, 1.5, 0.3]
-  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
-"""
-
-
-@pytest.fixture
-def room(tmp_path):
-    path = tmp_path / "room.yaml"
-    path.write_text(ROOM)
-    return str(path)
-
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),

@@ -4,22 +4,15 @@ import json
 
 import pytest
 
+from tests.diagrams.rooms import DIVIDED, tagged
 from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 
-ROOM = """
-seed: 3
-world:
-  start: [2, 1.5, 0.3]
-  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
-explorer: {first_look: 2, first_turns: 1}
-"""
+LOOK = "explorer: {first_look: 2, first_turns: 1}\n"
 
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory, compiled):
-    scenario = ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
-    return run.explore(scenario, name="room", out_dir=tmp_path_factory.mktemp("original"), max_time=40.0)
+    return run.explore(tagged(DIVIDED + LOOK), name="room", out_dir=tmp_path_factory.mktemp("original"), max_time=40.0)
 
 
 def test_nothing_changed_is_no_difference(call, original, tmp_path):

@@ -11,21 +11,14 @@ import sys
 import numpy as np
 import pytest
 
+from tests.diagrams.rooms import DIVIDED, SHORT_LOOK, room
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import report, run, run_folder
 from tfg_drake.diagrams.missions.run_folder import RESULTS, RunFolder, open_run_folder
-from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 
-ROOM = """
-seed: 3
-world:
-  start: [2, 1.5, 0.3]
-  walls: [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4]]
-explorer: {first_look: 8}
-"""
 FULL = os.strerror(errno.ENOSPC)
 # A process that is killed while it holds a folder.
 HOLDER = """
@@ -36,10 +29,6 @@ with claimed(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
-
-
-def room():
-    return ApplyWorldFile(LoadScenario(data=ROOM), tag_spacing=1.0)
 
 
 @pytest.fixture
@@ -187,7 +176,7 @@ def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch)
 def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monkeypatch, lost):
     writers = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "_draw"}
     monkeypatch.setattr(report, writers.get(lost[0], "write_tum"), _fail)
-    (tmp_path / "room.yaml").write_text(ROOM)
+    (tmp_path / "room.yaml").write_text(DIVIDED + SHORT_LOOK)
     arguments = ["explore", tmp_path / "room.yaml", "--tag-spacing", 1, "--headless", "--max-time", 30, "--json"]
     code, out, _ = call(*arguments, "--out", tmp_path / "run")
     assert code == (4 if lost[0] in ("map.npz", "summary.json") else 0)
@@ -224,7 +213,9 @@ print(json.dumps([result.summary["outcome"], result.summary["stages"], sorted(re
 
 
 def test_a_disk_that_fills_up_ends_neither_the_mission_nor_the_map(tmp_path):
-    done = subprocess.run([sys.executable, "-c", LIMITED, str(tmp_path), ROOM], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(tmp_path), DIVIDED + SHORT_LOOK], capture_output=True, text=True
+    )
     outcome, stages, unwritten = json.loads(done.stdout.splitlines()[-1])
     assert outcome in ("complete", "time_limit")
     assert unwritten == ["ports.mcap", "timeline.tfg"]
