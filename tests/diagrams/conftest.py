@@ -5,6 +5,7 @@ import signal
 import pytest
 
 from tfg_drake.diagrams import cli
+from tfg_drake.diagrams.commands import screen
 
 
 @pytest.fixture(autouse=True)
@@ -13,8 +14,10 @@ def _compiled(compiled):
 
 
 @pytest.fixture
-def call(capsys):
-    """tfg-drake with some arguments: its exit code, standard output and standard error."""
+def call(capsys, monkeypatch):
+    """tfg-drake with some arguments: its exit code, standard output and standard error, in which nothing that takes
+    long on a busy machine is said meanwhile."""
+    monkeypatch.setattr(screen, "INTERVAL", 1e6)
 
     def run(*arguments):
         handler = signal.getsignal(signal.SIGINT)
