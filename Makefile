@@ -25,10 +25,11 @@ endif
 test:  ## run the test suite (PYTHON=python3.12: with that Python, if it is there)
 	@$(if $(skip),echo "skipped: $(skip)",$(MAKE) --no-print-directory suite)
 
-# Three at a time: half of the time tests of robots wait. A file's tests share what one of them has set up.
+# Three at a time: half of the time tests of robots wait. A file's tests share what one of them has set up; the files
+# stay in the order of tests/conftest.py, the long ones first.
 .PHONY: suite
 suite: $(VENV)/.test
-	$(BIN)/pytest -n 3 --dist loadfile
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(VENV)/.test  ## run the tests that take minutes
 	$(BIN)/pytest -n 2 -m slow

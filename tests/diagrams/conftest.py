@@ -7,6 +7,7 @@ import pytest
 from tests.diagrams.rooms import ROOM
 from tests.diagrams.rooms import room as divided_room
 from tfg_drake.diagrams import cli
+from tfg_drake.diagrams.commands import screen
 from tfg_drake.diagrams.missions import run
 
 
@@ -16,8 +17,10 @@ def _compiled(compiled):
 
 
 @pytest.fixture
-def call(capsys):
-    """tfg-drake with some arguments: its exit code, standard output and standard error."""
+def call(capsys, monkeypatch):
+    """tfg-drake with some arguments: its exit code, standard output and standard error, in which nothing that takes
+    long on a busy machine is said meanwhile."""
+    monkeypatch.setattr(screen, "INTERVAL", 1e6)
 
     def run(*arguments):
         handler = signal.getsignal(signal.SIGINT)
