@@ -23,7 +23,8 @@ class Explorer:
         host, port = emulator.sensors
         source = f"socket:{host}:{port}"
         arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--out", str(folder)]
-        arguments += ["--headless", "--max-time", str(max_time), "--set", "explorer.first_look=8"]
+        arguments += ["--headless", "--max-time", str(max_time)]
+        arguments += ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", "--robot", "kobuki", *arguments],
             stdin=subprocess.PIPE,
@@ -83,7 +84,7 @@ def mission(tmp_path_factory):
         marks["start"] = emulator.base.pose
         press("enabled", "e", 0.5)
         _moves(emulator, marks["enabled"][0])
-        press("stopped", " ", 7.0)
+        press("stopped", " ", 2.0)
         marks["stood"] = _stands(emulator, marks["stopped"][0])
         press("again", "e", 1.0)
         _moves(emulator, marks["again"][0])
@@ -91,7 +92,7 @@ def mission(tmp_path_factory):
         marks["stood again"] = _stands(emulator, marks["paused"][0])
         press("resumed", "p", 1.0)
         _moves(emulator, marks["resumed"][0])
-        press("ended", "q", 3.0)
+        press("ended", "q", 1.0)
         explorer.wait_for("files")
         assert explorer.process.wait(60.0) == 130  # as Ctrl-C ends it
         time.sleep(0.3)

@@ -71,7 +71,20 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
 
 def test_ctrl_c_leaves_a_partial_report(room, tmp_path):
     out = tmp_path / "comparison"
-    arguments = ["compare", room, "--seeds", "20", "--max-time", "9", "--methods", "tfg", "--out", str(out)]
+    arguments = [
+        "compare",
+        room,
+        "--seeds",
+        "20",
+        "--jobs",
+        "1",
+        "--max-time",
+        "9",
+        "--methods",
+        "tfg",
+        "--out",
+        str(out),
+    ]
     process = subprocess.Popen(
         [sys.executable, "-m", "tfg_drake.diagrams.cli", *arguments],
         stdout=subprocess.PIPE,

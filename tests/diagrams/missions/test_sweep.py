@@ -11,7 +11,7 @@ import pytest
 
 from tests.diagrams.rooms import lasting
 from tfg_drake.diagrams.missions import ray_sweep
-from tfg_drake.diagrams.missions.sweep import SweepError, Task, open_sweep, parse_methods, run_local
+from tfg_drake.diagrams.missions.sweep import SweepError, Task, open_sweep, parse_methods, run_local, run_one
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 
 ROOM = """
@@ -41,10 +41,12 @@ def by_seed(runs):
 
 @pytest.fixture(scope="module")
 def one_job(tmp_path_factory):
-    """Two runs, one after the other, and their folder."""
+    """Two runs, one after the other in this process, and their folder."""
     out = tmp_path_factory.mktemp("sweep")
     assert open_sweep(tasks(), out) == []
-    return by_seed(run_local(tasks(), out, 1, threading.Event())), out
+    for task in tasks():
+        run_one(task, task.folder(out))
+    return by_seed(open_sweep(tasks(), out)), out
 
 
 def test_a_run_leaves_its_folder_and_receipt(one_job):
@@ -138,6 +140,7 @@ needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="
 
 
 @needs_ray
+@pytest.mark.slow
 def test_a_cluster_makes_the_same_bits_though_a_worker_dies(one_job, tmp_path):
     killed = []
     killer = threading.Thread(target=lambda: killed.append(kill_worker()))
