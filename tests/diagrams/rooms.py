@@ -10,8 +10,9 @@ world:
 """
 # With a wall that leaves a passage.
 DIVIDED = ROOM.replace("[0, 4, 0, 0]]", "[0, 4, 0, 0], [3, 2.2, 3, 4]]")
-# A shorter first look than there is time for.
+# Shorter first looks than there is time for.
 SHORT_LOOK = "explorer: {first_look: 8}\n"
+QUICK_LOOK = "explorer: {first_look: 2, first_turns: 1}\n"
 
 MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s"}
 MACHINE |= {"peak_rss_bytes", "stage_ms"}

@@ -7,10 +7,13 @@ from tfg_drake.config import GAINS, GOAL_RULES
 from tfg_drake.diagrams.missions.run import explore
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
+# What comes first of all, shortly.
+QUICK = ("explorer.first_look=2", "explorer.first_turns=1")
+
 
 def mission(tmp_path, max_time, *settings):
-    scenario = ApplySettings(LoadScenario(FindScenario("paper")), ["explorer.first_look=8", *settings])
-    return explore(scenario, max_time=max_time, out_dir=tmp_path / "run")
+    scenario = ApplySettings(LoadScenario(FindScenario("paper")), [*QUICK, *settings])
+    return explore(scenario, max_time=max_time, out_dir=tmp_path / "run", record=False)
 
 
 @pytest.mark.parametrize(
@@ -20,7 +23,7 @@ def mission(tmp_path, max_time, *settings):
     + ["explorer.pose_price=false", "explorer.least_tags=8", "planner.risk=path"],
 )
 def test_the_robot_explores(tmp_path, setting):
-    result = mission(tmp_path, 45.0, setting)
+    result = mission(tmp_path, 30.0, setting)
     assert result.summary["outcome"] == "time_limit"
     assert result.summary["stages"] >= 2
     assert result.summary["landmarks_mapped"] > 30

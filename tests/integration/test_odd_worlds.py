@@ -6,6 +6,7 @@ import signal
 
 import pytest
 
+from tests.diagrams.rooms import QUICK_LOOK
 from tfg_drake.diagrams import cli
 
 BOX = "[[-0.5, -0.5, 0.5, -0.5], [0.5, -0.5, 0.5, 0.5], [0.5, 0.5, -0.5, 0.5], [-0.5, 0.5, -0.5, -0.5]]"
@@ -35,7 +36,7 @@ def scenario(tmp_path):
 
     def write(world, rest=""):
         path = tmp_path / "odd.yaml"
-        path.write_text(f"seed: 1\n{rest}\nworld: {{{world}}}\n")
+        path.write_text(f"seed: 1\n{QUICK_LOOK}{rest}\nworld: {{{world}}}\n")
         return path
 
     return write

@@ -4,15 +4,15 @@ import json
 
 import pytest
 
-from tests.diagrams.rooms import DIVIDED, tagged
+from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, tagged
 from tfg_drake.diagrams.missions import run
-
-LOOK = "explorer: {first_look: 2, first_turns: 1}\n"
 
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory, compiled):
-    return run.explore(tagged(DIVIDED + LOOK), name="room", out_dir=tmp_path_factory.mktemp("original"), max_time=40.0)
+    return run.explore(
+        tagged(DIVIDED + QUICK_LOOK), name="room", out_dir=tmp_path_factory.mktemp("original"), max_time=40.0
+    )
 
 
 def test_nothing_changed_is_no_difference(call, original, tmp_path):
