@@ -127,6 +127,35 @@ def test_any_time_is_shown(page):
     assert page.text("wheels") == "wheels enabled"
 
 
+def test_what_is_told_of_the_very_time_that_is_shown_is_shown(page):
+    """A page that follows a mission has written its panels just before the wheels are stopped."""
+    page.seek(10.0)
+    stopped = """setLive(true); tell();
+        timeline.layers.get("enabled").times.push(10);
+        timeline.layers.get("enabled").records.push({ told: { enabled: false }, time: 10 });
+        fed = true; picture(performance.now());"""
+    page(stopped)
+    try:
+        page.until("return element('wheels').innerText === 'wheels stopped'")
+    finally:
+        page("for (const name of ['times', 'records']) timeline.layers.get('enabled')[name].pop(); setLive(false)")
+
+
+def test_what_stands_still_is_drawn_once(page):
+    page.seek(6.0)
+    key, before = page("return kept.key"), page.picture()
+    page.seek(6.2)
+    assert page("return kept.key") == key
+    assert page.picture() != before  # The robot has moved.
+    for change in (lambda: page.click("layer-frontiers"), lambda: page.seek(8.1), lambda: page.click("mode")):
+        before = page("return kept.key")
+        change()
+        page("render()")
+        assert page("return kept.key") != before
+    page.click("layer-frontiers")
+    page.click("mode")
+
+
 def test_numbers_and_the_goal_are_explained(page):
     page.seek(6.0)
     numbers = page.text("numbers").splitlines()

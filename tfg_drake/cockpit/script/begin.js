@@ -21,6 +21,7 @@ async function readState() {
         if (element("clock-rate") && document.activeElement !== element("clock-rate"))
           element("clock-rate").value = state.rate;
         element("clock").dataset.held = state.held;
+        untold = true;
       }
     } catch {
       /* readServed tells it */
@@ -53,7 +54,7 @@ async function readServed() {
         marks = [...marks.filter(([t]) => now - t < 3), [now, timeline.end]];
         const [first] = marks;
         speed = now - first[0] > 0.5 ? (timeline.end - first[1]) / (now - first[0]) : speed;
-        dirty = true;
+        fed = true;
       }
     } catch {
       /* told below */
