@@ -160,7 +160,8 @@ def cpu(driver: Any) -> float:
         pid = pids.pop()
         try:
             figures = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-            pids += map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+            for task in Path(f"/proc/{pid}/task").iterdir():
+                pids += map(int, (task / "children").read_text().split())
         except OSError:
             continue  # It has ended.
         ticks += int(figures[11]) + int(figures[12])
