@@ -15,6 +15,7 @@ async function readState() {
       if (waiting && state.word) notice(state.word);
       else if (element("notice").dataset.word) notice("");
       element("notice").dataset.word = waiting ? state.word : "";
+      for (const what of ["send", "drive"]) element(what).hidden = !state[what] || Boolean(ended());
       if (SOURCE.controls && "held" in state) {
         const buttons = [element("request-hold"), element("request-resume")];
         if (buttons[0]) [buttons[0].disabled, buttons[1].disabled] = [state.held, !state.held];
@@ -28,7 +29,8 @@ async function readState() {
     }
     if (ended()) {
       for (const part of element("controls").children) part.disabled = true;
-      element("stop").disabled = true;
+      element("stop").disabled = element("send").hidden = element("drive").hidden = true;
+      if (armed) arm("");
       notice("");
       return;
     }

@@ -112,6 +112,7 @@ function redraw(names) {
 
 function picture(now) {
   requestAnimationFrame(picture);
+  readGamepad(now);
   if (now - last < 1000 / MOST && !dirty) return;
   const passed = Math.min((now - last) / 1000, 0.25);
   last = now;
