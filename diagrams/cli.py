@@ -196,7 +196,7 @@ def explore(
         if explorer.needs_keys:
             if robot != "sim":
                 _bad_input(f"--method {method}: is for a simulated robot; leave --robot out")
-            explorer = stack.enter_context(explore_command.keys_of_terminal(explorer))
+            explorer = stack.enter_context(explore_command.keys_of_driver(explorer, cockpit))
             realtime_rate = realtime_rate or 1.0
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)

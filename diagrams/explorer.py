@@ -33,14 +33,14 @@ def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None)
     """The explorer for a scenario's robot, sensors and method; of the scenario's world it reads nothing.
 
     Input ports: base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause, stop, recall
-    (vectors of size 1, optional).
+    (vectors of size 1, optional), requested_goal (a RequestedGoal message, optional).
     Output ports: base.velocity_commanded (v in m/s, w in rad/s), and for whoever wants to look: pose, map, tfg,
     roadmap, goal, path, mission and the status of path and follower; working_map and working_roadmap are as much of
     map, tfg and roadmap as planning needs at a stage.
 
     goal_selector: chooses where to go instead of the information gain; a system with any of pose, map, tfg, roadmap,
-    working_map, working_roadmap, path, path_status, mission and recall as its inputs, and the output goal: a
-    GoalChoice, see InfoGainGoalSelector.
+    working_map, working_roadmap, path, path_status, mission, recall and requested_goal as its inputs, and the
+    output goal: a GoalChoice, see InfoGainGoalSelector.
     """
     robot, tags, explorer = scenario.robot, scenario.tags, scenario.explorer
     wiring = Wiring(scenario.reality.planning_time)
@@ -115,8 +115,9 @@ class Wiring:
         self._builder.ExportInput(sequencer.GetInputPort("enable"), "base.enabled")
         for name in ("pause", "stop"):
             self._builder.ExportInput(sequencer.GetInputPort(name), name)
-        if selector.HasInputPort("recall"):
-            self._builder.ExportInput(selector.GetInputPort("recall"), "recall")
+        for name in ("recall", "requested_goal"):
+            if selector.HasInputPort(name):
+                self._builder.ExportInput(selector.GetInputPort(name), name)
         diagram = self._builder.Build()
         diagram.set_name("explorer")
         return diagram

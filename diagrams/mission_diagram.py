@@ -12,8 +12,9 @@ from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mission.operation import Request
-from tfg_drake.storage.port_recording import PortWriter
+from tfg_drake.storage.port_recording import GOAL, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter
+from tfg_drake.systems.goal_requester import GoalRequester
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
 from tfg_drake.systems.port_recorder import PortRecorder
@@ -45,10 +46,12 @@ def MakeMissionDiagram(
     timeline: TimelineWriter | None = None,
     operated: Sequence[Callable[[], Sequence[Request]]] = (),
     pushed: Callable[[], int] | None = None,
+    sent: Callable[[], Sequence[tuple[float, float]]] | None = None,
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
     """Station and explorer, with the picture if there is one, recorded if there are writers, and under an operator if
     the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. pushed: tells
-    of pushes, see Pusher.
+    of pushes, see Pusher. sent: tells of places that the robot is sent to, see GoalRequester; those of a recording are
+    its own.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
     it, and of the estimated one (PoseVector).
@@ -75,6 +78,15 @@ def MakeMissionDiagram(
         pusher = builder.AddNamedSystem("pusher", Pusher(pushed))
         builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
 
+    requested = None
+    if explorer.HasInputPort("requested_goal"):
+        if station.HasOutputPort(GOAL):
+            requested = station.GetOutputPort(GOAL)
+        elif sent is not None:
+            requested = builder.AddNamedSystem("goal_requester", GoalRequester(sent)).get_output_port()
+    if requested is not None:
+        builder.Connect(requested, explorer.GetInputPort("requested_goal"))
+
     if robot.Announce is not None:
         robot.Announce(builder, station, explorer)
 
@@ -86,7 +98,7 @@ def MakeMissionDiagram(
         truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
 
     if writer is not None:
-        PortRecorder.AddToBuilder(builder, station, explorer, writer)
+        PortRecorder.AddToBuilder(builder, station, explorer, writer, requested)
     if timeline is not None:
         TimelineRecorder.AddToBuilder(builder, station, explorer, timeline)
     if visualizer is not None:

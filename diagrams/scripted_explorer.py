@@ -5,17 +5,43 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from tfg_drake.diagrams.driven_explorer import MakeDrivenExplorer
+from tfg_drake.diagrams.explorer import Wiring
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.systems.mission_sequencer import MissionSequencer
+from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 from tfg_drake.systems.scripted_driver import ScriptedDriver
+from tfg_drake.systems.slam_estimator import SlamEstimator
+from tfg_drake.systems.tfg_builder import TfgBuilder
 
 
 def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
     """The explorer for a scenario with a drive; its ports are those of MakeTfgExplorer, less the roadmap."""
+    robot, explorer = scenario.robot, scenario.explorer
     # The operator stands beside the robot and knows where in the building it began.
     p_MG = transform(
         inverse(np.array(scenario.world.start, dtype=float)), np.array(scenario.drive, dtype=float).reshape(-1, 2)
     )
-    return MakeDrivenExplorer(scenario, "scripted_driver", ScriptedDriver(p_MG), MissionSequencer(scenario.robot))
+    wiring = Wiring()
+    estimator = wiring.Add(
+        "slam_estimator", SlamEstimator(scenario.odometry, scenario.tags, explorer.path_keyframe_period)
+    )
+    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
+    driver = wiring.Add("scripted_driver", ScriptedDriver(p_MG))
+    follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, scenario.field_of_view))
+    sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot))
+
+    wiring.Sense("base.odometry", estimator)
+    wiring.Sense("tags.detections", estimator)
+    wiring.Sense("scan.ranges", estimator, tfg_builder)
+    wiring.Sense("base.hazards", sequencer)
+    wiring.Feed(estimator, "pose", tfg_builder, driver, follower)
+    wiring.Feed(estimator, "map", tfg_builder, sequencer)
+    wiring.Feed(tfg_builder, "tfg", driver, sequencer)
+    wiring.Feed(tfg_builder, "working_map")
+    wiring.Feed(driver, "goal", follower, sequencer)
+    wiring.Feed(driver, "path", follower, sequencer)
+    wiring.Feed(driver, "path_status", sequencer)
+    wiring.Feed(follower, "follower_status", sequencer)
+    wiring.Feed(sequencer, "mission", estimator, tfg_builder, driver, follower)
+    return wiring.Build(follower, sequencer, driver)

@@ -10,6 +10,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, WorkingMap, message
 from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import choose, empty_choice, remember
+from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -24,10 +25,12 @@ PERIOD = 1 / 16
 
 @message
 class _SelectorState:
-    """The choice at the newest stage, and what all choices so far found worth remembering."""
+    """The choice at the newest stage, what all choices so far found worth remembering, and where somebody has sent the
+    robot."""
 
     goal: GoalChoice
     remembered: GoalChoice
+    sent: Sent = Sent()
 
 
 class InfoGainGoalSelector(LeafSystem):
@@ -44,12 +47,15 @@ class InfoGainGoalSelector(LeafSystem):
         - working_roadmap
         - mission
         - recall
+        - requested_goal
         output_ports:
         - goal
 
     The goal is looked for in the working map; in the whole one where nothing there is worth going to, or only by a way
     that is longer than to what may lie outside, and as long as the robot is on such a way. recall is a vector of size
     1, 0 where it is unconnected: above 0.5 the robot was called back, and no goal is worth going to any more.
+    requested_goal: a RequestedGoal message, optional: where somebody has sent the robot, see
+    tfg_drake.planning.requested_goal.
     """
 
     def __init__(
@@ -70,6 +76,7 @@ class InfoGainGoalSelector(LeafSystem):
         self._roadmap = declare_message_input(self, "roadmap")
         self._mission = declare_message_input(self, "mission")
         self._recall = self.DeclareVectorInputPort("recall", 1)
+        self._requested = declare_message_input(self, "requested_goal")
         initial = _SelectorState(empty_choice(), empty_choice())
         self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
         declare_message_output(
@@ -84,9 +91,9 @@ class InfoGainGoalSelector(LeafSystem):
         """Makes this the newest choice in the system's context, as if the rule had come to it: its stage is that of the
         one that it replaces, its node one of the roadmap that can be reached."""
         roadmap = eval_message(self._working_roadmap, context, Roadmap)
-        before = state_message(context, self._state, _SelectorState).remembered
-        remembered = remember(before, goal, roadmap, self._parameters.explorer.stop_gain)
-        context.SetAbstractState(int(self._state), _SelectorState(goal, remembered))
+        before = state_message(context, self._state, _SelectorState)
+        remembered = remember(before.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
+        context.SetAbstractState(int(self._state), _SelectorState(goal, remembered, before.sent))
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self._mission, context, MissionStatus)
@@ -97,7 +104,8 @@ class InfoGainGoalSelector(LeafSystem):
         roadmap = eval_message(self._working_roadmap, context, Roadmap)
         if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, self._Choose(context, now, working, roadmap))
+        chosen = self._Choose(context, now, working, roadmap)
+        set_state_message(state, self._state, self._Send(context, chosen, mission))
         return EventStatus.Succeeded()
 
     @metered("goal")
@@ -113,7 +121,19 @@ class InfoGainGoalSelector(LeafSystem):
             roadmap = eval_message(self._roadmap, context, Roadmap)
             goal = choose(estimate, tfg, roadmap, self._parameters, now.remembered, recalled=recalled)
         remembered = remember(now.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
-        return _SelectorState(goal, remembered)
+        return _SelectorState(goal, remembered, now.sent)
+
+    def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
+        """The state with another goal, where somebody has sent the robot there."""
+        has_value = self._requested.HasValue(context)
+        requested = eval_message(self._requested, context, RequestedGoal) if has_value else RequestedGoal()
+        if now.sent.node < 0 and requested.count == now.sent.count:
+            return now
+        roadmap = eval_message(self._roadmap, context, Roadmap)
+        p_MA = eval_message(self._map, context, MapEstimate).X_MA[-1, :2]
+        sent = where_sent(now.sent, requested, roadmap, mission, p_MA)
+        goal = goal_there(now.goal, sent.node, roadmap) if sent.node >= 0 else now.goal
+        return _SelectorState(goal, now.remembered, sent)
 
 
 def _is_nearest(goal: GoalChoice, roadmap: Roadmap, reach: float) -> bool:

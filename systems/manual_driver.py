@@ -12,16 +12,19 @@ from tfg_drake.config import RobotConfig
 from tfg_drake.messages import (
     FollowerStatus,
     GoalChoice,
+    MapEstimate,
     MissionStatus,
     Path,
     PathStatus,
     PoseEstimate,
+    Roadmap,
     TfgMap,
     message,
     replace,
 )
 from tfg_drake.mission.manual_drive import END, LOOK, Pressed, steered
 from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.planning.scripted_drive import end_of_drive
 from tfg_drake.systems.ports import (
     declare_message_input,
@@ -41,7 +44,8 @@ LEFT = 10.0
 @message
 class _Driving:
     """goal and path as the mission is told. velocity: (v, w) of the keys, m/s and rad/s. looks: the driver wants to
-    look round here; ends: to end then. pressed: all keys so far."""
+    look round here; ends: to end then. pressed: all keys so far. sent: where the driver has sent the robot. planned:
+    the id of the planner's path that it is on, or was last."""
 
     goal: GoalChoice
     path: Path
@@ -49,6 +53,8 @@ class _Driving:
     looks: bool = False
     ends: bool = False
     pressed: tuple[Pressed, ...] = ()
+    sent: Sent = Sent()
+    planned: int = 0
 
 
 class ManualDriver(LeafSystem):
@@ -58,42 +64,56 @@ class ManualDriver(LeafSystem):
 
         name: ManualDriver
         input_ports:
+        - map
         - tfg
+        - roadmap
         - pose
         - mission
-        - turn_commanded
-        - turn_status
+        - requested_goal
+        - planned_path
+        - planned_status
+        - following_commanded
+        - following_status
         output_ports:
         - velocity_commanded
         - goal
+        - planned_goal
         - path
         - path_status
         - follower_status
 
-    turn_commanded, turn_status: the follower's velocity_commanded and follower_status. While the robot moves the
-    mission glances ahead as it does on any way. The key "look" ends the way, so that the robot turns round; so does
-    "end", and the mission ends after that.
+    following_commanded, following_status: the follower's velocity_commanded and follower_status. While the robot moves
+    the mission glances ahead as it does on any way. The key "look" ends the way, so that the robot turns round; so does
+    "end", and the mission ends after that. requested_goal: a RequestedGoal message, optional: the robot drives there by
+    itself until a key is pressed, on the planner's path (planned_path, planned_status) to planned_goal, which is goal
+    then, and none otherwise.
     """
 
-    def __init__(self, robot: RobotConfig, keys: Callable[[], Sequence[str]], drive: Sequence[Pressed] = ()):
+    def __init__(
+        self, robot: RobotConfig, keys: Callable[[], Sequence[str]], drive: Sequence[Pressed] = (), glances: bool = True
+    ):
         """keys: returns those pressed since it was last called, of `manual_drive.KEYS`; drive: pressed at their
-        times."""
+        times; glances: the mission glances ahead, and so comes to a choice without a look round."""
         super().__init__()
-        self._robot, self._keys, self._drive = robot, keys, tuple(drive)
+        self._robot, self._keys, self._drive, self._glances = robot, keys, tuple(drive), glances
+        self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
+        self._roadmap = declare_message_input(self, "roadmap")
         self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
-        self._turn = self.DeclareVectorInputPort("turn_commanded", 2)
-        self._turn_status = declare_message_input(self, "turn_status")
+        self._requested = declare_message_input(self, "requested_goal")
+        self._planned = declare_message_input(self, "planned_path")
+        self._planned_status = declare_message_input(self, "planned_status")
+        self._following = self.DeclareVectorInputPort("following_commanded", 2)
+        self._following_status = declare_message_input(self, "following_status")
         initial = _Driving(empty_choice(), Path(0, 0, np.zeros((0, 2))))
         self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
         ticket = {self.abstract_state_ticket(self._state)}
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity)
         declare_message_output(self, "goal", lambda context: self._State(context).goal, ticket)
+        declare_message_output(self, "planned_goal", self._PlannedGoal, ticket)
         declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
-        declare_message_output(
-            self, "path_status", lambda context: PathStatus(self._State(context).path.id, free=True), ticket
-        )
+        declare_message_output(self, "path_status", self._PathStatus, {self.all_sources_ticket()})
         declare_message_output(self, "follower_status", self._Status, {self.all_sources_ticket()})
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
@@ -106,8 +126,8 @@ class ManualDriver(LeafSystem):
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
         mission = eval_message(self._mission, context, MissionStatus)
-        if mission.phase == "observe":
-            output.SetFromVector(self._turn.Eval(context))
+        if mission.phase == "observe" or self._State(context).sent.node >= 0:
+            output.SetFromVector(self._following.Eval(context))
         elif mission.phase in ("done", "paused"):
             output.SetFromVector([0.0, 0.0])
         else:
@@ -115,21 +135,42 @@ class ManualDriver(LeafSystem):
 
     def _Status(self, context: Context) -> FollowerStatus:
         mission, now = eval_message(self._mission, context, MissionStatus), self._State(context)
-        turn = eval_message(self._turn_status, context, FollowerStatus)
-        if mission.phase == "observe":
-            return turn
-        # Of a robot that stands nothing is told: the mission waits.
-        told = now.path.id if now.looks or any(now.velocity) else -1
-        return replace(turn, path_id=told, arrived=now.looks, turn_done=False, stalled=False, left=LEFT)
+        following = eval_message(self._following_status, context, FollowerStatus)
+        if mission.phase == "observe" or now.sent.node >= 0:
+            return following
+        # Of a robot that stands nothing is told: the mission waits. A driver who sends it somewhere waits for a stage.
+        waits = self._Requested(context).count > now.sent.count
+        told = now.path.id if now.looks or waits or any(now.velocity) else -1
+        arrived = now.looks or (waits and not self._glances)
+        return replace(following, path_id=told, arrived=arrived, turn_done=False, stalled=False, left=LEFT)
+
+    def _Requested(self, context: Context) -> RequestedGoal:
+        has_value = self._requested.HasValue(context)
+        return eval_message(self._requested, context, RequestedGoal) if has_value else RequestedGoal()
+
+    def _PlannedGoal(self, context: Context) -> GoalChoice:
+        now = self._State(context)
+        return now.goal if now.sent.node >= 0 else empty_choice()
+
+    def _PathStatus(self, context: Context) -> PathStatus:
+        now, planned = self._State(context), eval_message(self._planned_status, context, PathStatus)
+        is_free = now.sent.node < 0 or planned.path_id != now.planned or planned.free
+        return PathStatus(now.path.id, free=is_free)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission, before = eval_message(self._mission, context, MissionStatus), self._State(context)
         now = self._Press(before, context.get_time())
+        if mission.phase == "paused" and any(now.velocity):
+            now = replace(now, velocity=(0.0, 0.0))  # What goes on after a stop stands until the next key.
         if mission.phase == "observe" and now.looks:
             now = replace(now, looks=False, velocity=(0.0, 0.0))
         if mission.phase == "choose" and mission.stage > now.goal.stage:
-            now = replace(now, goal=self._Goal(context, mission, now))
-        if mission.phase == "plan" and now.path.stage != mission.stage:
+            now = self._Choose(context, mission, now)
+        if mission.phase == "plan" and now.sent.node >= 0:
+            planned = eval_message(self._planned, context, Path)
+            if planned.stage == mission.stage and planned.id > now.planned:
+                now = replace(now, path=replace(planned, id=now.path.id + 1), planned=planned.id)
+        elif mission.phase == "plan" and now.path.id <= mission.path_id:
             x, y, theta = eval_message(self._pose, context, PoseEstimate).X_MB.tolist()
             points = np.array([[x, y], [x + AHEAD * np.cos(theta), y + AHEAD * np.sin(theta)]])
             now = replace(now, path=Path(now.path.id + 1, mission.stage, points))
@@ -150,11 +191,23 @@ class ManualDriver(LeafSystem):
                 looks=now.looks or key in (LOOK, END),
                 ends=now.ends or key == END,
                 pressed=(*now.pressed, Pressed(time, key)),
+                sent=replace(now.sent, node=-1),
             )
         return now
 
-    def _Goal(self, context: Context, mission: MissionStatus, now: _Driving) -> GoalChoice:
+    def _Choose(self, context: Context, mission: MissionStatus, now: _Driving) -> _Driving:
         if now.ends:
-            return end_of_drive(mission.stage, eval_message(self._tfg, context, TfgMap))
+            return replace(now, goal=end_of_drive(mission.stage, eval_message(self._tfg, context, TfgMap)))
         p_MB = eval_message(self._pose, context, PoseEstimate).X_MB[:2]
-        return replace(empty_choice(), stage=mission.stage, node=0, p_MG=p_MB, reason="Somebody drives.")
+        goal = replace(empty_choice(), stage=mission.stage, node=0, p_MG=p_MB, reason="Somebody drives.")
+        requested = self._Requested(context)
+        if now.sent.node < 0 and requested.count == now.sent.count:
+            return replace(now, goal=goal)
+        roadmap = eval_message(self._roadmap, context, Roadmap)
+        if roadmap.stage != mission.stage:
+            return now  # The planner extends it in a moment.
+        p_MA = eval_message(self._map, context, MapEstimate).X_MA[-1, :2]
+        sent = where_sent(now.sent, requested, roadmap, mission, p_MA)
+        if sent.node < 0:
+            return replace(now, goal=goal, sent=sent)
+        return replace(now, goal=goal_there(goal, sent.node, roadmap), sent=sent, velocity=(0.0, 0.0))

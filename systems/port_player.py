@@ -6,7 +6,7 @@ from functools import partial
 
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from tfg_drake.storage.port_recording import COMMAND, MESSAGES, PortRecording
+from tfg_drake.storage.port_recording import COMMAND, GOAL, MESSAGES, PortRecording
 from tfg_drake.systems.ports import declare_message_output
 
 
@@ -25,6 +25,7 @@ class PortPlayer(LeafSystem):
         - tags.detections
         - scan.ranges
         - base.enabled
+        - operator.goal
 
     The inputs change nothing: what the robot did it has done. It has no state, the time says all.
     """
@@ -37,6 +38,8 @@ class PortPlayer(LeafSystem):
         for name in MESSAGES:
             declare_message_output(self, name, partial(self._Message, name), {self.time_ticket()})
         self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.time_ticket()})
+        goal = lambda context: self._recording.requested_goal(context.get_time())  # noqa: E731
+        declare_message_output(self, GOAL, goal, {self.time_ticket()})
 
     def _Message(self, name: str, context: Context) -> object:
         return self._recording.at(name, context.get_time())

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, OutputPort, System
 
 from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
-from tfg_drake.storage.port_recording import COMMAND, ENABLED, MESSAGES, PortWriter
+from tfg_drake.planning.requested_goal import RequestedGoal
+from tfg_drake.storage.port_recording import COMMAND, ENABLED, GOAL, MESSAGES, PortWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
 # The explorer's: it sees no message that is not recorded.
@@ -29,12 +30,14 @@ class PortRecorder(LeafSystem):
         - scan.ranges
         - base.velocity_commanded
         - base.enabled
+        - operator.goal
         - pose
         - path
         - map
         - tfg
 
-    The last four are the explorer's, as far as it has them: they are recorded to be shown, not to be played. It changes
+    operator.goal: where the robot is sent, if somebody may do so. The last four are the explorer's, as far as it has
+    them: they are recorded to be shown, not to be played. It changes
     nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it records at an
     instant is what updates at that instant see, since both come before the instant's changes.
     """
@@ -46,17 +49,26 @@ class PortRecorder(LeafSystem):
         self._messages = {name: (declare_message_input(self, name), kind) for name, kind in MESSAGES.items()}
         self._command = self.DeclareVectorInputPort(COMMAND, 2)
         self._enabled = self.DeclareVectorInputPort(ENABLED, 1)
+        self._goal = declare_message_input(self, GOAL)
         self._shown = {name: (declare_message_input(self, name), kind) for name, kind in SHOWN.items()}
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
 
     @staticmethod
-    def AddToBuilder(builder: DiagramBuilder, station: System, explorer: System, writer: PortWriter) -> PortRecorder:
-        """Adds a recorder of what a station and an explorer say to each other."""
+    def AddToBuilder(
+        builder: DiagramBuilder,
+        station: System,
+        explorer: System,
+        writer: PortWriter,
+        requested: OutputPort | None = None,
+    ) -> PortRecorder:
+        """Adds a recorder of what a station and an explorer say to each other. requested: a RequestedGoal message."""
         recorder = PortRecorder(writer)
         builder.AddNamedSystem("port_recorder", recorder)
         for name in (*MESSAGES, ENABLED):
             builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(name))
         builder.Connect(explorer.GetOutputPort(COMMAND), recorder.GetInputPort(COMMAND))
+        if requested is not None:
+            builder.Connect(requested, recorder.GetInputPort(GOAL))
         for name in SHOWN:
             if explorer.HasOutputPort(name):
                 builder.Connect(explorer.GetOutputPort(name), recorder.GetInputPort(name))
@@ -68,6 +80,9 @@ class PortRecorder(LeafSystem):
             self._writer.write(name, now, eval_message(port, context, kind))
         self._writer.write_command(now, self._command.Eval(context))
         self._writer.write_enabled(now, float(self._enabled.Eval(context)[0]))
+        requested = eval_message(self._goal, context, RequestedGoal) if self._goal.HasValue(context) else None
+        if requested is not None and requested.count:
+            self._writer.write(GOAL, now, requested)
         pose, path = self._Look("pose", context), self._Look("path", context)
         if pose is not None:
             self._writer.write_pose(now, pose)

@@ -128,8 +128,8 @@ def open_robot(
 
 
 @contextlib.contextmanager
-def keys_of_terminal(method: Method) -> Iterator[Method]:
-    """The method manual with the keys of standard input."""
+def keys_of_driver(method: Method, cockpit: Cockpit | None) -> Iterator[Method]:
+    """The method manual with the keys of standard input and, if there is one, of the page."""
     import dataclasses
 
     from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
@@ -138,7 +138,11 @@ def keys_of_terminal(method: Method) -> Iterator[Method]:
 
     with contextlib.closing(Keyboard(KEYS)) as keyboard:
         print(HELP, flush=True)
-        yield dataclasses.replace(method, MakeExplorer=lambda scenario: MakeManualExplorer(scenario, keyboard.requests))
+        keys: Callable[[], Sequence[str]] = keyboard.requests
+        if cockpit is not None:
+            cockpit.drives, page = True, cockpit.keys
+            keys = lambda: [*keyboard.requests(), *page()]  # noqa: E731
+        yield dataclasses.replace(method, MakeExplorer=lambda scenario: MakeManualExplorer(scenario, keys))
 
 
 @contextlib.contextmanager

@@ -21,7 +21,8 @@ from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario, ScenarioError
 from tfg_drake.geometry.se2 import transform
-from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, Roadmap, replace
+from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, Roadmap
+from tfg_drake.planning.requested_goal import goal_there
 from tfg_drake.storage.run import Run, load_run
 
 # A goal asked for is the reachable place of the roadmap next to it, no farther away than this, m.
@@ -109,15 +110,7 @@ class Fork:
         if self._node < 0 or row < 0 or arrived or not roadmap.reachable[row]:
             self._over = True
             return
-        held = replace(
-            choice,
-            node=self._node,
-            p_MG=roadmap.points[row],
-            verdict="goal",
-            reason=f"It was asked for at stage {self.stage}.",
-            spent=False,
-            look=np.zeros(0),
-        )
+        held = goal_there(choice, self._node, roadmap, f"It was asked for at stage {self.stage}.")
         selector = explorer.GetSubsystemByName("goal_selector")
         selector.Choose(selector.GetMyMutableContextFromRoot(root), held)
 

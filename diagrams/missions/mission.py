@@ -302,6 +302,7 @@ class Mission:
             self._timeline,
             (self._cockpit.requests,) if self._cockpit is not None else (),
             self._cockpit.pushes if self._cockpit is not None else None,
+            self._cockpit.goals if self._cockpit is not None else None,
         )
         self._simulator = Simulator(diagram)
         if monitor is not None:
@@ -311,6 +312,8 @@ class Mission:
         self._explorer = diagram.GetSubsystemByName("explorer")
         if self._timeline is not None:
             self._recorder = diagram.GetSubsystemByName("timeline_recorder")
+        if self._cockpit is not None:
+            self._cockpit.sends = diagram.HasSubsystemNamed("goal_requester")
         self.meter.attach(self._explorer)
         self._context = self._simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self.scenario.seed))

@@ -127,6 +127,35 @@ def test_any_time_is_shown(page):
     assert page.text("wheels") == "wheels enabled"
 
 
+def test_what_is_told_of_the_very_time_that_is_shown_is_shown(page):
+    """A page that follows a mission has written its panels just before the wheels are stopped."""
+    page.seek(10.0)
+    stopped = """setLive(true); tell();
+        timeline.layers.get("enabled").times.push(10);
+        timeline.layers.get("enabled").records.push({ told: { enabled: false }, time: 10 });
+        fed = true; picture(performance.now());"""
+    page(stopped)
+    try:
+        page.until("return element('wheels').innerText === 'wheels stopped'")
+    finally:
+        page("for (const name of ['times', 'records']) timeline.layers.get('enabled')[name].pop(); setLive(false)")
+
+
+def test_what_stands_still_is_drawn_once(page):
+    page.seek(6.0)
+    key, before = page("return kept.key"), page.picture()
+    page.seek(6.2)
+    assert page("return kept.key") == key
+    assert page.picture() != before  # The robot has moved.
+    for change in (lambda: page.click("layer-frontiers"), lambda: page.seek(8.1), lambda: page.click("mode")):
+        before = page("return kept.key")
+        change()
+        page("render()")
+        assert page("return kept.key") != before
+    page.click("layer-frontiers")
+    page.click("mode")
+
+
 def test_numbers_and_the_goal_are_explained(page):
     page.seek(6.0)
     numbers = page.text("numbers").splitlines()
@@ -245,6 +274,26 @@ def test_dark_and_light(page):
     assert background("light") == light
 
 
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_place_that_is_clicked_is_found_on_the_floor(page, flat):
+    page.seek(6.0)
+    if not flat:
+        page.click("mode")
+    place = page(
+        """render();
+        const p = map.localToWorld(new T.Vector3(2, -1, 0)).project(viewer.camera);
+        const box = viewer.renderer.domElement.getBoundingClientRect();
+        const found = placeAt({
+          clientX: box.left + (p.x + 1) / 2 * box.width,
+          clientY: box.top + (1 - p.y) / 2 * box.height,
+        });
+        return [found.x, found.y];"""
+    )
+    np.testing.assert_allclose(place, [2.0, -1.0], atol=1e-3)
+    if not flat:
+        page.click("mode")
+
+
 @pytest.mark.slow
 def test_a_film_shows_the_mission_to_its_end(driver, exported):
     said = []
@@ -358,6 +407,56 @@ def test_a_mission_under_way(driver, live):
     page.until("return !element('card').hidden && element('stop').disabled")
     assert "Mission complete" in page.text("card")
     assert page.complaints() == []
+
+
+@pytest.mark.slow
+def test_the_robot_is_sent_and_driven(driver, tmp_path):
+    from selenium.webdriver import ActionChains
+
+    live = Live(tmp_path)
+    with live.cockpit, live.writer:
+        live.begin()
+        live.drive(2.0, 1)
+        page = Page(driver, live.cockpit.address)
+        page.until("return stageTimes.length === 1")
+        assert not page.driver.find_element("id", "send").is_displayed()
+        live.cockpit.sends = live.cockpit.drives = True
+        page.until("return !element('send').hidden && !element('drive').hidden")
+
+        scene = page.driver.find_element("id", "scene")
+
+        def click():
+            x, y = page("""render();
+                const p = map.localToWorld(new T.Vector3(2, -1, 0)).project(viewer.camera);
+                return [p.x * element("scene").clientWidth / 2, -p.y * element("scene").clientHeight / 2];""")
+            ActionChains(driver).move_to_element_with_offset(scene, round(x), round(y)).click().perform()
+
+        click()
+        assert list(live.cockpit.goals()) == []  # Who has not asked for it only looks.
+        page.click("send")
+        click()
+        (place,) = live.until(lambda: list(live.cockpit.goals()))
+        np.testing.assert_allclose(place, [2.0, -1.0], atol=0.05)  # A pixel is a centimetre or two.
+        assert page("return asked.children.length") == 1
+        live.drive(3.0, 2)
+        page.until("return asked.children.length === 0")
+
+        page.click("drive")
+        assert page("return [element('send'), element('drive')].map((b) => b.getAttribute('aria-pressed'))") == [
+            "false",
+            "true",
+        ]
+        page("document.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowUp' }))")
+        assert live.until(lambda: list(live.cockpit.keys())) == ["forward"]
+        pad = "{ axes: [0, arguments[0], 0, 0], buttons: [{ pressed: arguments[1] }, { pressed: false }] }"
+        page(f"const pad = {pad}; navigator.getGamepads = () => [null, pad];", -0.5, False)
+        assert "stick 0.50 0.00" in live.until(lambda: list(live.cockpit.keys()))
+        page(f"const pad = {pad}; navigator.getGamepads = () => [pad];", 0.05, True)
+        pressed = []
+        live.until(lambda: pressed.extend(live.cockpit.keys()) or {"stick 0.00 0.00", "look"} <= set(pressed))
+        page("document.dispatchEvent(new KeyboardEvent('keydown', { key: 'Escape' }))")
+        assert "halt" in live.until(lambda: list(live.cockpit.keys()))
+        assert page.complaints() == []
 
 
 @pytest.mark.slow

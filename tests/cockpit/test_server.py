@@ -68,17 +68,20 @@ def test_who_only_looks_needs_no_token(cockpit, mission):
     assert status == 200
     assert cockpit.token.encode() not in page
     assert get(cockpit, "/viewer.js") == (200, b"/* viewer */")
-    assert json.loads(get(cockpit, "/state")[1]) == {"word": "", "begun": True, "held": False, "rate": 8.0}
+    state = {"word": "", "begun": True, "send": False, "drive": False, "held": False, "rate": 8.0}
+    assert json.loads(get(cockpit, "/state")[1]) == state
     assert get(cockpit, "/timeline.tfg")[0] == get(cockpit, "/../secret")[0] == 404
     assert Stream(cockpit).read(mission.stat().st_size) == mission.read_bytes()
     assert Stream(cockpit, 100).read(mission.stat().st_size - 100) == mission.read_bytes()[100:]
 
 
 def test_a_stop_needs_no_token_and_all_else_does(cockpit):
-    for what in ("enable", "hold", "resume", "step", "recall", "end", "rate"):
+    cockpit.sends = cockpit.drives = True
+    more = {"rate": 1.0, "x": 0.5, "y": 0.5, "key": "forward"}
+    for what in ("enable", "hold", "resume", "step", "recall", "end", "rate", "goal", "key", "stick"):
         for token in ("", "guess", cockpit.token[:-1]):
-            assert ask(cockpit, what, token, rate=1.0)[0] == 403
-    assert cockpit.requests() == []
+            assert ask(cockpit, what, token, **more)[0] == 403
+    assert [*cockpit.requests(), *cockpit.goals(), *cockpit.keys()] == []
     assert not cockpit.clock.held
     assert ask(cockpit, "stop")[0] == 200
     assert cockpit.requests() == ["stop"]
@@ -138,6 +141,34 @@ def test_a_simulations_clock_is_held_and_goes_on(cockpit):
     ask(cockpit, "recall", cockpit.token)
     assert not cockpit.clock.held
     assert cockpit.requests() == ["recall"]
+
+
+def test_a_robot_is_sent_to_a_place_where_its_explorer_can_be(cockpit):
+    assert ask(cockpit, "goal", cockpit.token, x=1.5, y=-2.0)[0] == 400
+    cockpit.sends = True
+    cockpit.clock.hold()
+    assert ask(cockpit, "goal", cockpit.token, x=1.5, y=-2.0)[0] == 200
+    assert not cockpit.clock.held
+    for nowhere in ({}, {"x": 1.0}, {"x": 1.0, "y": float("nan")}, {"x": 1.0, "y": "here"}):
+        assert ask(cockpit, "goal", cockpit.token, **nowhere)[0] == 400
+    assert cockpit.goals() == [(1.5, -2.0)]
+    assert cockpit.goals() == []
+
+
+def test_somebody_drives_by_keys_and_by_a_stick(cockpit, monkeypatch):
+    assert ask(cockpit, "key", cockpit.token, key="forward")[0] == 400
+    cockpit.drives = True
+    for key in ("forward", "left", "look"):
+        assert ask(cockpit, "key", cockpit.token, key=key)[0] == 200
+    assert ask(cockpit, "key", cockpit.token, key="end")[0] == 400
+    assert ask(cockpit, "stick", cockpit.token, x=0.5, y=-2.0)[0] == 200
+    assert list(cockpit.keys()) == ["forward", "left", "look", "stick 0.50 -1.00"]
+    assert ask(cockpit, "stick", cockpit.token, x=0, y=0)[0] == 200
+    # A page that has pushed the stick and says nothing more has gone.
+    monkeypatch.setattr(module, "STICK_HELD", -1.0)
+    assert ask(cockpit, "stick", cockpit.token, x=1, y=0)[0] == 200
+    assert list(cockpit.keys()) == ["stick 0.00 0.00", "stick 1.00 0.00", "stick 0.00 0.00"]
+    assert list(cockpit.keys()) == []
 
 
 def test_a_simulated_robot_is_pushed_and_a_real_one_is_not(cockpit, mission):

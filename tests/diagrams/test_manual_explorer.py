@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.config import RobotConfig
 from tfg_drake.diagrams.methods import FindMethod, MethodError
 from tfg_drake.diagrams.missions import run
@@ -10,6 +11,7 @@ from tfg_drake.diagrams.missions.sweep import SweepError, parse_methods
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mission import manual_drive
 from tfg_drake.mission.manual_drive import Pressed, drive_csv, read_drive, steered
+from tfg_drake.storage.timeline import read_timeline
 
 ROOM = """
 seed: 3
@@ -23,7 +25,7 @@ DRIVE = (
     *(Pressed(8.0, "forward"),) * 3,
     Pressed(14.0, "look"),
     *(Pressed(23.0, "forward"),) * 2,
-    Pressed(24.0, "left"),
+    Pressed(24.0, "stick 0.60 0.30"),
     Pressed(28.0, "halt"),
     Pressed(30.0, "end"),
 )
@@ -86,6 +88,24 @@ def test_keys_change_the_velocity_within_the_robots_limits():
         assert expected is None or velocity == pytest.approx(expected)
 
 
+def test_a_stick_is_a_share_of_the_robots_most():
+    robot = RobotConfig(max_speed=0.25, max_turn_rate=0.5)
+    assert steered((0.1, 0.3), manual_drive.stick(0.5, -1.5), robot) == (0.125, -0.5)
+    assert steered((0.1, 0.3), manual_drive.stick(0.0, 0.0), robot) == (0.0, 0.0)
+
+
+def test_the_robot_drives_by_itself_where_its_driver_sends_it(tmp_path, monkeypatch):
+    asked = iter([()] * 160 + [[(3.0, 1.0)]])
+    monkeypatch.setattr(Cockpit, "goals", lambda _: next(asked, ()))
+    with Cockpit("", "room", rate=0.0) as cockpit:
+        result = run.explore(room(), method=FindMethod("manual"), out_dir=tmp_path, max_time=30.0, cockpit=cockpit)
+    # It has looked round there, on the planner's path, and then waits for its driver.
+    x, y, _ = result.stages[-1]["goal"]
+    assert np.hypot(x - 4.0, y - 3.0) < 0.6
+    assert result.summary["distance_m"] > 2.0
+    assert [one.told["reason"] for one in read_timeline(tmp_path) if one.layer == "goal"][-1] == "Somebody drives."
+
+
 def test_a_comparison_wants_keys_that_were_pressed(driven):
     keys = driven.folder / "keys.csv"
     assert parse_methods(f"tfg,{keys}", room()) == {"tfg": "", "manual": str(keys)}
@@ -97,6 +117,7 @@ def test_a_comparison_wants_keys_that_were_pressed(driven):
     ("text", "complaint"),
     [
         ("x,y\n1,2\n", "holds no drive; name the keys.csv of a run with --method manual"),
+        ("time_s,key\n1.0,stick 0.5 1.5\n", "line 2: expected a time, not before the last, and a key; mend the line"),
         ("time_s,key\n1.0,jump\n", "line 2: expected a time, not before the last, and a key; mend the line"),
         ("time_s,key\n2.0,look\n1.0,look\n", "line 3: expected a time"),
     ],

@@ -25,7 +25,8 @@ def test_its_ports_are_those_of_any_station(finished):
     inputs, outputs = names(MakeReplayStation(read_recording(finished.folder)))
     simulated_inputs, simulated_outputs = names(MakeTurtlebotStation(room()))
     assert inputs == {name for name in simulated_inputs if not name.startswith("truth.")} | {"base.enable"}
-    assert outputs == {name for name in simulated_outputs if not name.startswith("truth.")} | {"base.enabled"}
+    others = {"base.enabled", "operator.goal"}
+    assert outputs == {name for name in simulated_outputs if not name.startswith("truth.")} | others
 
 
 def test_the_same_explorer_comes_to_the_same_map(finished, tmp_path):

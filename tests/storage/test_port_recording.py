@@ -13,9 +13,11 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage.port_recording import (
     COMMAND,
     ENABLED,
+    GOAL,
     MESSAGES,
     PORTS,
     Enabled,
@@ -42,6 +44,7 @@ def messages(stamp):
         "scan.ranges": scan(stamp),
         COMMAND: Velocity(0.5, -stamp),
         ENABLED: Enabled(stamp),
+        GOAL: RequestedGoal(int(stamp), np.array([stamp, -0.0])),
     }
 
 
@@ -98,6 +101,15 @@ def test_a_message_is_recorded_once_and_counts_from_when_it_came(tmp_path):
         assert recording.log_times[port].tolist() == [0, 750_000_000]
         for time, expected in ((0.0, first), (0.7499, first), (0.75, second), (9.0, second)):
             assert same(recording.at(port, time), expected[port])
+
+
+def test_where_nobody_has_been_sent_yet_nobody_is(tmp_path):
+    with PortWriter(tmp_path / "ports.mcap", "sim") as writer:
+        for time in (1.0, 2.0):
+            for port in (*MESSAGES, *([GOAL] if time > 1.0 else [])):
+                writer.write(port, time, messages(time)[port])
+    recording = read_recording(tmp_path)
+    assert [recording.requested_goal(time).count for time in (0.0, 1.9, 2.0, 9.0)] == [0, 0, 2, 2]
 
 
 def test_a_command_is_recorded_where_it_changes(tmp_path):

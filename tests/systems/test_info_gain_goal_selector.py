@@ -11,6 +11,7 @@ from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
 from tfg_drake.planning.candidates import time_all_round, time_at_goal
 from tfg_drake.planning.goal_choice import empty_choice, remember
 from tfg_drake.planning.planner import with_frontiers
+from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
@@ -112,6 +113,18 @@ def test_chooses_the_best_reachable_node_once():
     assert roadmap().reachable[goal.candidates].all()
     assert np.hypot(*points[goal.candidates].T).min() >= 0.3
     assert selector.goal() is goal
+
+
+def test_somebody_sends_the_robot_to_another_place():
+    alone, selector = Selector(), Selector()
+    points = roadmap().points
+    reachable = np.flatnonzero(roadmap().reachable)
+    alone.ready()
+    node = int(reachable[reachable != alone.goal().node][0])
+    selector.ready(requested_goal=RequestedGoal(1, points[node] + 0.01))
+    goal = selector.goal()
+    assert (goal.node, goal.verdict, goal.reason) == (node, "goal", "Somebody has sent the robot there.")
+    np.testing.assert_array_equal(goal.gain, alone.goal().gain)
 
 
 def test_a_closed_and_certain_map_is_complete():

@@ -5,6 +5,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage.port_recording import MESSAGES, PortWriter, read_recording
 from tfg_drake.systems.port_player import PortPlayer
 from tfg_drake.systems.port_recorder import PERIOD, PortRecorder
@@ -26,6 +27,8 @@ class LateStation(LeafSystem):
         self.DeclareVectorOutputPort(
             "base.enabled", 1, lambda context, output: output.SetFromVector([context.get_time() >= 1.0])
         )
+        sent = lambda context: RequestedGoal(int(2.0 * context.get_time()), np.ones(2))  # noqa: E731
+        declare_message_output(self, "operator.goal", sent, {self.time_ticket()})
         self.DeclareVectorOutputPort("base.velocity_commanded", 2, lambda _, output: output.SetFromVector([0.25, 0.0]))
 
     def message(self, name, context):
@@ -42,7 +45,7 @@ def test_the_player_says_at_every_time_what_the_recorder_heard_then(tmp_path):
     builder = DiagramBuilder()
     station = builder.AddNamedSystem("station", LateStation())
     with PortWriter(tmp_path / "ports.mcap", "late") as writer:
-        PortRecorder.AddToBuilder(builder, station, station, writer)
+        PortRecorder.AddToBuilder(builder, station, station, writer, station.GetOutputPort("operator.goal"))
         Simulator(builder.Build()).AdvanceTo(2.0)
     recording = read_recording(tmp_path)
     assert recording.end_time == 2.0 - 2.0 % PERIOD
@@ -57,6 +60,7 @@ def test_the_player_says_at_every_time_what_the_recorder_heard_then(tmp_path):
         for name in MESSAGES:
             heard, said = player.GetOutputPort(name).Eval(context), station.GetOutputPort(name).Eval(original)
             assert heard.stamp == said.stamp
+        assert player.GetOutputPort("operator.goal").Eval(context).count == int(2.0 * k * PERIOD)
         assert player.GetOutputPort("base.enabled").Eval(context)[0] == (k * PERIOD >= 1.0)
 
 

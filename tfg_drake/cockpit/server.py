@@ -24,6 +24,7 @@ from typing import Any
 
 from tfg_drake.cockpit.page import served_page
 from tfg_drake.mission.clock import Clock
+from tfg_drake.mission.manual_drive import BACK, FORWARD, HALT, LEFT, LOOK, RIGHT, stick
 from tfg_drake.mission.operation import Request
 
 # Where the server looks for a free port first.
@@ -36,6 +37,10 @@ LONGEST = 4096
 # A page that goes on reading after the mission's end is waited for so long, s.
 FAREWELL = 2.0
 
+# A stick that is pushed is asked about again within so long, s; a page that does not has gone.
+STICK_HELD = 0.6
+NOWHERE = math.nan, math.nan
+
 # What a page may ask of an operator. Of a simulation it holds the clock instead of pausing the mission.
 _OPERATOR: tuple[Request, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
 _log = logging.getLogger("tfg_drake.cockpit")
@@ -45,7 +50,8 @@ class Cockpit:
     """The page of one mission, served from threads of its own until it is closed; a context manager.
 
     clock: what a page wants of a simulation's clock, None where there is none to be set. word: what is done while there
-    is nothing to see. watched: whether a page is open.
+    is nothing to see. watched: whether a page is open. sends: the robot can be sent to places; drives: somebody drives
+    it by hand.
     """
 
     def __init__(
@@ -76,6 +82,7 @@ class Cockpit:
         """
         self.clock = Clock(rate) if rate is not None else None
         self.word = ""
+        self.sends = self.drives = False
         self._title, self._live, self._controls = title, live, controls
         self._page = served_page(title, {"live": live, "controls": controls, "rate": rate}).encode()
         self._viewer = viewer.encode()
@@ -84,6 +91,9 @@ class Cockpit:
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._asked: list[Request] = []
+        self._goals: list[tuple[float, float]] = []
+        self._keys: list[str] = []
+        self._stick_until = math.inf
         self._streams, self._pushed = 0, 0
         self._stepping, self._stage, self._from = False, 0, 0
         self.token = secrets.token_urlsafe(16)
@@ -129,6 +139,22 @@ class Cockpit:
             taken, self._pushed = self._pushed, 0
         return taken
 
+    def goals(self) -> Sequence[tuple[float, float]]:
+        """The places (x, y), m in M, that the robot was sent to since the last call."""
+        with self._lock:
+            taken, self._goals = self._goals, []
+        return taken
+
+    def keys(self) -> Sequence[str]:
+        """What a driver has pressed since the last call, see tfg_drake.mission.manual_drive: also a stick let go where
+        the page of one that was held has fallen silent."""
+        with self._lock:
+            taken, self._keys = self._keys, []
+            if time.monotonic() > self._stick_until:
+                self._stick_until = math.inf
+                taken.append(stick(0.0, 0.0))
+        return taken
+
     def at_stage(self, stage: int) -> None:
         """The mission is in this stage: a step ends here."""
         self._stage = stage
@@ -151,8 +177,9 @@ class Cockpit:
 
     # Requests
 
-    def take(self, what: str, rate: float = math.nan) -> bool:
-        """Do what a page asks for; whether that is something to ask for here."""
+    def take(self, what: str, rate: float = math.nan, place: tuple[float, float] = NOWHERE, key: str = "") -> bool:
+        """Do what a page asks for; whether that is something to ask for here. rate: of the clock; place: (x, y), m in
+        M, where the robot is to go, or how far a stick is pushed forward and to the left, of 1; key: of a driver."""
         if not self._controls:
             return False
         clock = self.clock
@@ -163,6 +190,18 @@ class Cockpit:
             self._ask("resume")
         elif what == "rate" and clock is not None and math.isfinite(rate) and rate >= 0.0:
             clock.set_rate(rate)
+        elif what == "key" and self.drives and key in (FORWARD, BACK, LEFT, RIGHT, HALT, LOOK):
+            with self._lock:
+                self._keys.append(key)
+        elif what == "stick" and self.drives and math.isfinite(math.hypot(*place)):
+            with self._lock:
+                self._keys.append(stick(*place))
+                self._stick_until = time.monotonic() + STICK_HELD if any(place) else math.inf
+        elif what == "goal" and self.sends and math.isfinite(math.hypot(*place)):
+            with self._lock:
+                self._goals.append(place)
+            if clock is not None:
+                clock.go()  # Nobody drives while it stands.
         elif what == "push" and clock is not None:
             with self._lock:
                 self._pushed += 1
@@ -180,7 +219,7 @@ class Cockpit:
             self._asked.append(request)
 
     def _state(self) -> dict[str, Any]:
-        state: dict[str, Any] = {"word": self.word, "begun": self.begun}
+        state: dict[str, Any] = {"word": self.word, "begun": self.begun, "send": self.sends, "drive": self.drives}
         if self.clock is not None:
             state |= {"held": self.clock.held, "rate": self.clock.rate}
         return state
@@ -214,6 +253,7 @@ class Cockpit:
                 try:
                     asked = json.loads(self.rfile.read(int(length)))
                     what, rate = str(asked["request"]), float(asked.get("rate", math.nan))
+                    place = float(asked.get("x", math.nan)), float(asked.get("y", math.nan))
                 except (ValueError, KeyError, TypeError, AttributeError):
                     self._answer(400, "text/plain", b"That is no request.\n")
                     return
@@ -227,7 +267,7 @@ class Cockpit:
                         )
                         self._answer(403, "text/plain", refusal)
                         return
-                if cockpit.take(what, rate):
+                if cockpit.take(what, rate, place, str(asked.get("key", ""))):
                     self._answer(200, "application/json", json.dumps(cockpit._state()).encode())
                 else:
                     self._answer(400, "text/plain", b"That cannot be asked for here.\n")

@@ -35,15 +35,34 @@ class DriveError(ValueError):
 
 @message
 class Pressed:
-    """A key pressed at a time, s; key: one of KEYS' values."""
+    """A key pressed at a time, s; key: one of KEYS' values, or what `stick` makes."""
 
     time: float
     key: str
 
 
+def stick(forward: float, left: float) -> str:
+    """What a gamepad's stick is as a key: how far it is pushed forward and to the left, of 1."""
+    bounded = (max(-1.0, min(share, 1.0)) for share in (forward, left))
+    return " ".join(["stick", *(f"{share:.2f}" for share in bounded)])
+
+
+def _pushed(key: str) -> tuple[float, float] | None:
+    """How far a stick is pushed, None of a key."""
+    name, *shares = key.split(" ")
+    try:
+        forward, left = map(float, shares)
+    except ValueError:
+        return None
+    return (forward, left) if name == "stick" and abs(forward) <= 1.0 and abs(left) <= 1.0 else None
+
+
 def steered(velocity: tuple[float, float], key: str, robot: RobotConfig) -> tuple[float, float]:
     """The velocity (m/s, rad/s) after a key, within the robot's limits; it stays until the next."""
     v, w = velocity
+    pushed = _pushed(key)
+    if pushed is not None:
+        return round(pushed[0] * robot.max_speed, 6), round(pushed[1] * robot.max_turn_rate, 6)
     if key in (HALT, LOOK, END):
         return 0.0, 0.0
     v += SPEED_STEP * ((key == FORWARD) - (key == BACK))
@@ -73,6 +92,6 @@ def read_drive(path: Path) -> tuple[Pressed, ...]:
             drive.append(Pressed(float(time), key))
         except ValueError:
             key = ""
-        if key not in KEYS.values() or (len(drive) > 1 and not drive[-1].time >= drive[-2].time):
+        if not (key in KEYS.values() or _pushed(key)) or (len(drive) > 1 and not drive[-1].time >= drive[-2].time):
             raise DriveError(f"{path}, line {number}: expected a time, not before the last, and a key; mend the line")
     return tuple(drive)

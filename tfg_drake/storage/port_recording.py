@@ -42,6 +42,7 @@ from tfg_drake.messages import (
     message,
 )
 from tfg_drake.messages import Path as PathMessage
+from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage import foxglove
 
 FILE_NAME = "ports.mcap"
@@ -89,7 +90,8 @@ MESSAGES: Mapping[str, type] = {
 }
 COMMAND = "base.velocity_commanded"
 ENABLED = "base.enabled"
-PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled}
+GOAL = "operator.goal"
+PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled, GOAL: RequestedGoal}
 
 
 class RecordingError(Exception):
@@ -254,6 +256,11 @@ class PortRecording:
     def enabled(self, time: float) -> float:
         """1.0 while the base might move, at a time, s, else 0.0; 1.0 where that was not recorded."""
         return float(self.at(ENABLED, time).enabled) if self.messages[ENABLED] else 1.0
+
+    def requested_goal(self, time: float) -> RequestedGoal:
+        """Where the robot had been sent by a time, s."""
+        sent = bool(len(self.log_times[GOAL])) and nanoseconds(time) >= self.log_times[GOAL][0]
+        return self.at(GOAL, time) if sent else RequestedGoal()
 
 
 def read_recording(path: Path) -> PortRecording:

@@ -15,19 +15,22 @@ async function readState() {
       if (waiting && state.word) notice(state.word);
       else if (element("notice").dataset.word) notice("");
       element("notice").dataset.word = waiting ? state.word : "";
+      for (const what of ["send", "drive"]) element(what).hidden = !state[what] || Boolean(ended());
       if (SOURCE.controls && "held" in state) {
         const buttons = [element("request-hold"), element("request-resume")];
         if (buttons[0]) [buttons[0].disabled, buttons[1].disabled] = [state.held, !state.held];
         if (element("clock-rate") && document.activeElement !== element("clock-rate"))
           element("clock-rate").value = state.rate;
         element("clock").dataset.held = state.held;
+        untold = true;
       }
     } catch {
       /* readServed tells it */
     }
     if (ended()) {
       for (const part of element("controls").children) part.disabled = true;
-      element("stop").disabled = true;
+      element("stop").disabled = element("send").hidden = element("drive").hidden = true;
+      if (armed) arm("");
       notice("");
       return;
     }
@@ -53,7 +56,7 @@ async function readServed() {
         marks = [...marks.filter(([t]) => now - t < 3), [now, timeline.end]];
         const [first] = marks;
         speed = now - first[0] > 0.5 ? (timeline.end - first[1]) / (now - first[0]) : speed;
-        dirty = true;
+        fed = true;
       }
     } catch {
       /* told below */

@@ -104,8 +104,13 @@ function paint() {
 document.addEventListener("keydown", (event) => {
   if (event.target.tagName === "SELECT" || event.ctrlKey || event.metaKey || event.altKey) return;
   const keys = { k: "play", v: "mode", f: "follow", 0: "fit", l: "live" };
+  if (!element("send").hidden) keys.g = "send";
+  if (!element("drive").hidden) keys.m = "drive";
   if (event.key === " " && SOURCE && SOURCE.controls) element("stop").click();
-  else if (event.key === "ArrowRight" || event.key === "ArrowLeft") step(event.key === "ArrowRight" ? 1 : -1);
+  else if (event.key === "Escape" && armed) arm("");
+  else if (drivenBy(event.key)) {
+    /* It is asked for. */
+  } else if (event.key === "ArrowRight" || event.key === "ArrowLeft") step(event.key === "ArrowRight" ? 1 : -1);
   else if (keys[event.key]) element(keys[event.key]).click();
   else return;
   event.preventDefault();

@@ -139,7 +139,7 @@ const draw = {
 
   people(record) {
     put(
-      world,
+      people,
       "people",
       copies(
         new T.CylinderGeometry(0.25, 0.25, 1.6, 20).rotateX(Math.PI / 2).translate(0, 0, 0.8),

@@ -26,15 +26,17 @@ function clock(t) {
 const number = (value, digits, unit) =>
   Number.isFinite(value) ? `${value.toFixed(digits)}${unit ? " " + unit : ""}` : "–";
 
+// Panels are written anew so often at most, ms, while time goes on by itself.
+const TOLD_EVERY = 150;
 let told = "",
-  toldAt = -1;
+  toldAt = -Infinity,
+  untold = false; // The panels say less than is known: `picture` has them written when it is time to.
 function tell() {
-  const now = performance.now();
+  untold = false;
+  toldAt = performance.now();
   element("slider").max = timeline.end || 1;
   if (!sliding) element("slider").value = time;
   element("time").textContent = `${clock(time)} of ${clock(timeline.end)}`;
-  if (now - toldAt < 80 && (live || playing)) return;
-  toldAt = now;
   const mission = timeline.at("mission", time),
     mapped = timeline.at("map", time),
     enabled = timeline.at("enabled", time);

@@ -1,9 +1,12 @@
 // Every picture: what is shown at a time.
 
+// While time goes on by itself there are so many pictures a second at most: the explorer needs the processor, too.
+const MOST = 20;
 let time = 0,
   live = false,
   playing = false,
   dirty = true,
+  fed = false, // There is something new in the timeline.
   last = 0,
   shownBounds = "";
 
@@ -47,7 +50,7 @@ function show(t) {
     groups.camera.rotation.z = pose[2];
     const covariance = [pose[3], pose[4], pose[5]];
     put(
-      groups.uncertainty,
+      mine,
       "robot",
       ellipses(
         [pose[0], pose[1]],
@@ -99,7 +102,7 @@ const DRAWS_INTO = {
   ],
 };
 function clear(name) {
-  for (const [group, object] of DRAWS_INTO[name] ?? [[name, name]]) put(groups[group] ?? world, object, null);
+  for (const [group, object] of DRAWS_INTO[name] ?? [[name, name]]) put(groups[group] ?? people, object, null);
 }
 
 function redraw(names) {
@@ -109,6 +112,8 @@ function redraw(names) {
 
 function picture(now) {
   requestAnimationFrame(picture);
+  readGamepad(now);
+  if (now - last < 1000 / MOST && !dirty) return;
   const passed = Math.min((now - last) / 1000, 0.25);
   last = now;
   const from = time;
@@ -120,11 +125,13 @@ function picture(now) {
     if (time >= timeline.end && (ended() || !SOURCE)) setPlaying(false);
   }
   if (dark.matches !== painted) paint();
-  if (time !== from || dirty) render();
+  if (time !== from || dirty || fed) render();
+  // Also what has come since, at the very time that is shown already.
+  if (untold && performance.now() >= toldAt + TOLD_EVERY) tell();
 }
 
 function render() {
-  dirty = false;
+  dirty = fed = false;
   show(time);
   if (framed || following) frame();
   const wanted = Math.min(Math.max(1.9 * metresPerPixel(), 0.015), 0.6);
@@ -139,9 +146,10 @@ function render() {
   viewer.controls.update();
   viewer.scene.background = null;
   viewer.renderer.setClearColor(new T.Color(colour("ground")), 1);
-  viewer.renderer.render(viewer.scene, viewer.camera);
+  kept.draw();
   dirty = false;
-  tell();
+  untold = true;
+  if (!live && !playing) tell();
 }
 
 /** Keeps what is known, or the robot, in the window as it grows. */

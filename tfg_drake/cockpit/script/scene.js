@@ -3,7 +3,10 @@
 const viewer = new MeshCat.Viewer(element("scene"), false);
 viewer.gui.domElement.remove();
 for (const name of ["Background", "Grid", "Axes", "Lights"]) viewer.set_property([name], "visible", false);
-viewer.renderer.toneMapping = T.NoToneMapping; // A colour is what it is named.
+// A colour is what it is named, also where one is mixed with another.
+viewer.renderer.toneMapping = T.NoToneMapping;
+viewer.renderer.outputColorSpace = T.LinearSRGBColorSpace;
+T.ColorManagement.enabled = false;
 
 const world = new T.Group(); // z up, whatever the viewer's scene is turned by
 world.rotation.x = -Math.PI / 2 - viewer.scene.rotation.x;
@@ -38,16 +41,10 @@ const PLATE = new T.PlaneGeometry(1, 1),
   UPRIGHT = new T.PlaneGeometry(1, 1).rotateX(Math.PI / 2);
 const DISC = new T.CircleGeometry(1, 12),
   SQUARE = new T.PlaneGeometry(1.8, 1.8);
-/** A box without its bottom, and without its ends. */
-const [BOX, WALL] = [
-  [0, 30],
-  [12, 30],
-].map(([first, last]) => {
-  const box = new T.BoxGeometry(1, 1, 1);
-  box.setIndex([...box.index.array.slice(first, last)]);
-  box.clearGroups();
-  return box;
-});
+/** A box without its bottom. */
+const BOX = new T.BoxGeometry(1, 1, 1);
+BOX.setIndex([...BOX.index.array.slice(0, 30)]);
+BOX.clearGroups();
 const OVAL = new T.CircleGeometry(1, 20),
   RING = new T.RingGeometry(0.86, 1, 24, 1);
 
@@ -90,3 +87,7 @@ for (const name of ["map", "uncertainty", "frontiers", "gains", "roadmap", "path
 const trails = { pose: new T.Group(), truth: new T.Group() };
 map.add(trails.pose, groups.scan, groups.camera);
 world.add(trails.truth, groups.trail);
+const people = new T.Group(),
+  mine = new T.Group(); // the robot's own uncertainty
+world.add(people);
+groups.uncertainty.add(mine);

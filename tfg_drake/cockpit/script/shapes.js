@@ -16,9 +16,12 @@ function material(name, options = {}) {
   return materials.get(key);
 }
 
+let shapes = 0; // changes so far of what stands still
+
 /** Puts an object into a group in place of the one of that name there. */
 function put(group, name, object) {
-  const old = group.getObjectByName(name);
+  const old = group.getObjectByName(name),
+    moving = !group.layers.isEnabled(STILL);
   if (old) {
     group.remove(old);
     old.traverse((part) => {
@@ -28,8 +31,9 @@ function put(group, name, object) {
   }
   if (object) {
     object.name = name;
-    group.add(object);
+    group.add(moving ? moves(object) : object);
   }
+  if (!moving && (old || object)) shapes++;
 }
 
 /** So many copies of a shape as one mesh, each placed by a matrix (16 numbers, by columns): with a graphics card and
@@ -77,11 +81,11 @@ function copies(shape, look, count, place, order = 0) {
   return mesh;
 }
 
-/** Segments (n, 4) as boxes: width across, height up from z. */
+/** Segments (n, 4) as boxes: width across, height up from z; in space as plates that stand, where there are many. */
 function boxes(segments, rows, width, height, z, look, order = 0) {
   const count = rows ? rows.length : segments.length / 4;
   return copies(
-    flat || height < 0.02 ? PLATE : count > MANY ? WALL : BOX,
+    flat || height < 0.02 ? PLATE : count > MANY ? UPRIGHT : BOX,
     look,
     count,
     (i, m) => {

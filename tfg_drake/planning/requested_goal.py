@@ -1,0 +1,75 @@
+"""Somebody sends the robot to a place: it drives there by the roadmap, looks round, and goes on as before."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray, GoalChoice, MissionStatus, Roadmap, message, replace
+
+# Who looks round this near to the place, m, was there.
+AT_PLACE = 0.5
+# After so many attempts in a row that failed the robot is not sent there any more.
+MOST_FAILURES = 3
+REASON = "Somebody has sent the robot there."
+
+
+@message
+class RequestedGoal:
+    """The place that the robot was sent to last. count: how many there have been; p_MG: (2,) m in M."""
+
+    count: int = 0
+    p_MG: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+
+
+@message
+class Sent:
+    """Where the robot is on its way to. count: of the request; node: its id in the roadmap, -1 where nobody has sent
+    the robot anywhere, or it has been there."""
+
+    count: int = 0
+    node: int = -1
+
+
+def where_sent(
+    before: Sent, requested: RequestedGoal, roadmap: Roadmap, mission: MissionStatus, p_MA: FloatArray
+) -> Sent:
+    """Where the robot is to go, asked whenever it chooses a goal.
+
+    A new request is for the node next to its place of all that can be reached, however far that is. It holds until the
+    robot has looked round there, cannot get there any more, or has failed to MOST_FAILURES times.
+
+    Args:
+        before: the answer to the last such question.
+        requested: the newest request.
+        roadmap: with its reachable nodes.
+        mission: its status.
+        p_MA: (2,) m in M, where the newest view was taken.
+    """
+    if requested.count != before.count:
+        reachable = np.flatnonzero(roadmap.reachable)
+        if not len(reachable):
+            return Sent(requested.count)
+        next_to_it = np.hypot(*(roadmap.points[reachable] - requested.p_MG).T).argmin()
+        return Sent(requested.count, int(roadmap.node_ids(reachable[[next_to_it]])[0]))
+    if before.node < 0:
+        return before
+    row = int(roadmap.nodes(np.array([before.node]))[0])
+    over = row < 0 or not roadmap.reachable[row] or mission.failures >= MOST_FAILURES
+    if over or (not mission.moving and np.hypot(*(roadmap.points[row] - p_MA)) < AT_PLACE):
+        return Sent(before.count)
+    return before
+
+
+def goal_there(choice: GoalChoice, node: int, roadmap: Roadmap, reason: str = REASON) -> GoalChoice:
+    """A stage's choice with another goal: a node of the roadmap by its id, to look all round at."""
+    return replace(
+        choice,
+        node=node,
+        p_MG=roadmap.points[int(roadmap.nodes(np.array([node]))[0])],
+        verdict="goal",
+        reason=reason,
+        spent=False,
+        look=np.zeros(0),
+    )
