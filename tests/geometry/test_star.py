@@ -8,6 +8,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.arrays import frozen
 from tfg_drake.geometry.star import ALONG, inside_any, inspected, looked_through
 
 
@@ -49,7 +50,7 @@ def test_nothing_is_inside_no_star() -> None:
 )
 def test_inspected_needs_range_and_incidence(normal_angle: float, max_range: float, expected: bool) -> None:
     square = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
-    normal = np.array([[np.cos(normal_angle), np.sin(normal_angle)]])
+    normal = frozen([[np.cos(normal_angle), np.sin(normal_angle)]])
     seen = inspected(
         np.array([[2.0, 0.0]]), normal, np.array([0, 4]), square, np.zeros((1, 2)), max_range, np.deg2rad(75.0)
     )
@@ -59,7 +60,7 @@ def test_inspected_needs_range_and_incidence(normal_angle: float, max_range: flo
 def test_inspected_needs_free_line_of_sight() -> None:
     square = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
     seen = inspected(
-        np.array([[4.0, 0.0]]), np.array([[-1.0, 0.0]]), np.array([0, 4]), square, np.zeros((1, 2)), 9.0, 1.3
+        np.array([[4.0, 0.0]]), frozen([[-1.0, 0.0]]), np.array([0, 4]), square, np.zeros((1, 2)), 9.0, 1.3
     )
     assert seen.tolist() == [False]
 
@@ -88,7 +89,8 @@ def test_looked_through_agrees_with_shapely(seed: int, count: int) -> None:
             near = np.hypot(*(line[0] - centers[j])) <= 2.0
             aside = all(sine_of_view(a, b, centers[j]) < ALONG for a, b in itertools.pairwise(line))
             expected[i] |= deep and near and aside and star_rank[j] < rank[i]
-    result = looked_through(offsets, vertices, rank, star_offsets, star_vertices, centers, star_rank, 0.1, 2.0)
+    surfaces, stars = frozen(offsets, np.int64), frozen(star_offsets, np.int64)
+    result = looked_through(surfaces, vertices, rank, stars, star_vertices, centers, star_rank, 0.1, 2.0)
     np.testing.assert_array_equal(result, expected)
 
 
@@ -117,6 +119,6 @@ def test_looked_through_agrees_with_shapely(seed: int, count: int) -> None:
 )
 def test_a_surface_in_what_was_seen_free(surface: tuple, depth: float, rank: float, expected: bool) -> None:
     square = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
-    of = np.array([0, len(surface)]), np.array(surface), np.array([rank])
-    seen = looked_through(*of, np.array([0, 4]), square, np.zeros((1, 2)), np.zeros(1), depth, 5.0)
+    of = frozen([0, len(surface)], np.int64), np.array(surface), np.array([rank])
+    seen = looked_through(*of, frozen([0, 4], np.int64), square, np.zeros((1, 2)), np.zeros(1), depth, 5.0)
     assert seen.tolist() == [expected]

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tests.planning.test_information_gain import NOISE, kernel, problem, problem_of, whitened
 from tfg_drake.planning.approximate_gain import AUTHORS_NATS, AUTHORS_WEIGHT, authors_gain, limit_gain, paper_gain
 
@@ -105,7 +106,9 @@ def test_authors_gain_is_that_of_their_program(seen):
     Sigma = covariance[: 2 * seen, : 2 * seen]
     p_MU = (point + np.array([4.0, 0.0]))[None]
     normal = np.array([[-math.cos(0.5), math.sin(0.5)]])
-    gains = authors_gain(*without_arrival(point, range(seen), p_ML, covariance, p_MU, np.array([2.0 * 0.4])), normal)[0]
+    gains = authors_gain(
+        *without_arrival(point, range(seen), p_ML, covariance, p_MU, np.array([2.0 * 0.4])), frozen(normal)
+    )[0]
     assert gains[0] == pytest.approx(logdet(np.eye(2 * seen) + Sigma @ A), abs=1e-9)
     assert gains[1] == pytest.approx(AUTHORS_NATS * 2.0 * 0.4 * math.cos(0.5) / 4.0)
 
@@ -114,5 +117,5 @@ def test_authors_program_does_not_look_at_places_that_see_two_tags():
     _, p_ML, _, covariance, point, _ = problem(1)
     p_MU = (point + np.array([4.0, 0.0]))[None]
     arguments = without_arrival(point, [0, 1], p_ML, covariance, p_MU, np.ones(1))
-    gains = authors_gain(*arguments, np.array([[-1.0, 0.0]]))
+    gains = authors_gain(*arguments, frozen([[-1.0, 0.0]]))
     assert gains.tolist() == [[0.0, 0.0, 0.0]]

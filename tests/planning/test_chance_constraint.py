@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from tests.arrays import frozen
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.chance_constraint import (
@@ -23,7 +24,8 @@ def deviation(targets, noise=(0.02, 0.01, 0.01, 4.0), covariance=None):
     n = len(targets)
     entry, errors = (np.full(n, -1), np.zeros((3, 3))) if covariance is None else (np.arange(n), covariance)
     views, facing = (np.array([0, n]), np.arange(n)), -targets / np.hypot(*targets.T)[:, None]
-    sigma, sees, knows = localised_deviation(np.zeros((1, 2)), *views, targets, facing, 9.0, 1.2, noise, entry, errors)
+    given = frozen(targets), frozen(facing), 9.0, 1.2, noise, entry, frozen(errors)
+    sigma, sees, knows = localised_deviation(np.zeros((1, 2)), *views, *given)
     assert (sees.tolist(), knows.tolist()) == ([n], [0 if covariance is None else n])
     return sigma[0]
 
@@ -186,7 +188,7 @@ def test_a_robot_is_not_sure_of_its_place_by_what_is_behind_it():
     drift = 0.02**2 * path[:, 0] + (0.015 * path[:, 0]) ** 2
     np.testing.assert_allclose(deviation_along(path, *rest) ** 2, at_each[0] ** 2 + drift, rtol=1e-9)
     # The way back to them it is.
-    np.testing.assert_allclose(deviation_along(path[::-1], *rest)[-1], at_each[0], rtol=1e-9)
+    np.testing.assert_allclose(deviation_along(path[::-1].copy(), *rest)[-1], at_each[0], rtol=1e-9)
 
 
 def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the_nearest_place_that_sees_some():

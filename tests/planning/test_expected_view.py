@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
+from tests.arrays import frozen
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.visibility import surely_visible
@@ -16,8 +17,8 @@ STEEPEST = np.radians(75)
 
 
 def view(points, targets, normals, segments, range_max=10.0, incidence=STEEPEST, tolerance=0.1, graze=0.0):
-    arguments = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (points, targets, normals))
-    walls = np.asarray(segments, dtype=float).reshape(-1, 4)
+    arguments = np.atleast_2d(np.asarray(points, dtype=float)), frozen(targets), frozen(normals)
+    walls = frozen(np.asarray(segments, dtype=float).reshape(-1, 4))
     within = range_max, incidence, tolerance, graze, 0.0
     offsets, index = visible_targets(*arguments, walls, segment_grid(walls), *within)
     return [index[a:b].tolist() for a, b in itertools.pairwise(offsets)]
@@ -55,7 +56,7 @@ def test_the_planner_expects_the_looks_that_the_map_counts_as_attempts():
     for place in rng.uniform(-6, 6, (40, 2)):
         targets = rng.uniform(-6, 6, (60, 2))
         d = place - targets
-        looks = surely_visible(segments, place, targets, 0.1)
+        looks = surely_visible(segments, frozen(place), targets, 0.1)
         normals = d / np.hypot(*d.T)[:, None]
         assert view([place], targets, normals, segments, range_max=20.0, tolerance=0.0, graze=0.1) == [
             np.flatnonzero(looks).tolist()

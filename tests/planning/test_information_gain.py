@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
@@ -78,9 +79,9 @@ def problem_of(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma
     rows = np.asarray(known, dtype=np.int64)
     return (
         point[None],
-        Arrival(X_MD, given, Q),
-        Known(np.array([0, len(rows)]), rows, p_ML, S),
-        New(np.array([0, len(p_MU)]), np.arange(len(p_MU)), p_MU, count, prior_sigma, np.array([SEE_ALL, 1.0])),
+        Arrival(frozen(X_MD), given, Q),
+        Known(np.array([0, len(rows)]), rows, p_ML, frozen(S)),
+        New(np.array([0, len(p_MU)]), np.arange(len(p_MU)), frozen(p_MU), count, prior_sigma, np.array([SEE_ALL, 1.0])),
     )
 
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tests.planning.test_roadmap import ROBOT
 from tfg_drake.messages import LaserScan, replace
 from tfg_drake.planning.path import BODY, STRAYS, path_is_free, seen_past, shortcut, unmapped_obstacles
@@ -16,7 +17,7 @@ def returns(distance, bearing=0.0, stamp=1.0):
 @pytest.mark.parametrize(("distance", "free", "mapped"), [(1.1, False, False), (1.5, True, False), (1.5, False, True)])
 def test_a_path_is_watched_from_the_robot_on(distance, free, mapped):
     """Two metres ahead where the map has a surface that is touched, less far where it has nothing."""
-    path = np.stack([np.linspace(0.0, 6.0, 61), np.zeros(61)], axis=1)
+    path = frozen(np.stack([np.linspace(0.0, 6.0, 61), np.zeros(61)], axis=1))
     X_MB = np.array([3.0, 0.0, 0.0])
     surface = np.array([[4.5, -0.1, 4.5, 0.1]])[: int(mapped)]
     assert path_is_free(path, returns(distance), X_MB, ROBOT.radius, surface) == free

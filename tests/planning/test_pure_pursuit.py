@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.arrays import frozen
 from tfg_drake.config import RobotConfig
 from tfg_drake.planning.pure_pursuit import (
     ALL_ROUND,
@@ -24,9 +25,10 @@ DT = 1 / 32
 
 def drive(points, X_MB, seconds=120.0):
     """The poses of a unicycle with the base's limits that follows a path, and the time it took."""
+    points = frozen(points)
     X, v, w, progress, turning, poses, speeds = np.array(X_MB, float), 0.0, 0.0, 0.0, False, [], []
     for step in range(round(seconds / DT)):
-        command = follow(points, X, v, progress, turning, ROBOT)
+        command = follow(points, frozen(X), v, progress, turning, ROBOT)
         progress, turning = command.progress, command.turning
         assert abs(command.speed) <= ROBOT.max_speed
         assert abs(command.turn_rate) <= ROBOT.max_turn_rate

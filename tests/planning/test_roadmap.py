@@ -6,6 +6,7 @@ import shapely
 from scipy.spatial import cKDTree
 from scipy.stats import norm
 
+from tests.arrays import frozen
 from tfg_drake.config import (
     NODE_MARGIN,
     ExplorerConfig,
@@ -402,8 +403,9 @@ def test_no_path_to_where_no_edge_leads():
 def test_shortcuts_and_rounding_lose_no_clearance():
     _, tfg = known(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     detour = np.array([[-5.0, 1.5], [-4, -1.2], [-3, 1.2], [-0.6, 0], [0.6, 0], [2, -1.4], [5, 0]])
-    short = shortcut(detour, tfg, tfg.segments, 0.35)
-    smooth = round_corners(short, tfg.segments, 0.35)
+    segments = tfg.segments.copy()
+    short = shortcut(detour, tfg, segments, 0.35)
+    smooth = round_corners(short, segments, 0.35)
     walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
     assert shapely.LineString(short).length < 0.8 * shapely.LineString(detour).length
     assert shapely.LineString(short).distance(walls) >= 0.35 - 1e-9
@@ -456,16 +458,16 @@ def test_to_a_bold_robot_only_what_it_would_touch_is_in_the_way():
 
 
 def test_passages_are_the_middle_of_narrow_gaps():
-    segments = two_rooms(0.8)
+    segments = frozen(two_rooms(0.8))
     found = passages(segments, 0.5, 1.5)
     assert np.hypot(*found.T).min() < 1e-9
     assert np.hypot(*(found - [0.5, 0.0]).T).min() < 1e-9
     assert len(passages(segments, 0.9, 0.95)) == 0
-    assert len(passages(np.zeros((0, 4)), 0.5, 1.5)) == 0
+    assert len(passages(frozen(np.zeros((0, 4))), 0.5, 1.5)) == 0
 
 
 def test_a_gap_between_an_end_and_the_side_of_a_wall_is_a_passage_too():
-    segments = np.array([[-5.0, 0.0, 5.0, 0.0], [0.0, 0.8, 0.0, 3.0]])
+    segments = frozen([[-5.0, 0.0, 5.0, 0.0], [0.0, 0.8, 0.0, 3.0]])
     found = passages(segments, 0.5, 1.5)
     np.testing.assert_allclose(found, [[0.5, 0.4], [0.0, 0.4], [-0.5, 0.4]], atol=1e-12)
 
