@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.messages import Hazards, LaserScan, Odometry
 from tfg_drake.safety.scan_watch import no_watch, watched
@@ -37,7 +38,8 @@ def filtered_command(state, stamp, command, hazards, scan, watch=None, X_OB=ORIG
     """The filter's state a period later; without a watch all that it knows is this scan, taken where the robot is."""
     watch = watch_of(scan) if watch is None else watch
     odometry = Odometry(stamp, X_OB, np.zeros(2), at_rest=True)
-    return filter_command(state, stamp, np.array(command), hazards, scan, watch, odometry, ROBOT, SAFETY, PERIOD)
+    inputs = frozen(state), stamp, np.array(command), hazards, scan, watch, odometry
+    return filter_command(*inputs, ROBOT, SAFETY, PERIOD)
 
 
 def run(command, duration=2.0, hazards=NONE, scan=CLEAR, state=None):

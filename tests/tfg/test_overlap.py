@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.drift import MOST_DRIFT
@@ -57,10 +58,12 @@ def test_of_two_surfaces_in_each_others_way_that_stands_whose_view_is_tied_more_
     star_view = np.array([0, 2, 4])
     centers = X_MA[star_view, :2]
     stars = (
-        4 * np.arange(4),
+        frozen(4 * np.arange(4), np.int64),
         np.vstack([centers[0] + 2.0 * square, centers[1] + 2.0 * square, centers[2] + 0.1 * square]),
     )
-    stand = standing(surfaces, surfaces.vertices, np.array([7]), np.array([2]), (*stars, centers), star_view, estimate)
+    stand = standing(
+        surfaces, surfaces.vertices.copy(), np.array([7]), np.array([2]), (*stars, centers), star_view, estimate
+    )
     np.testing.assert_array_equal(stand, [*expected, True, True])
 
 

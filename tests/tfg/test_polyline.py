@@ -117,6 +117,6 @@ def test_a_polyline_is_joined_by_what_goes_on_not_by_the_same_face_once_more() -
         found = joined(end, outwards, np.array([True]), np.array([0]), segments, np.array([0, 1]), 0.15)
         assert found.tolist() == [is_joined]
         # The same polyline, run the other way, as it is seen from the other side.
-        flipped = segments[:, [2, 3, 0, 1]]
+        flipped = segments[:, [2, 3, 0, 1]].copy(order="C")
         found = joined(end, outwards, np.array([False]), np.array([0]), flipped, np.array([0, 1]), 0.15)
         assert found.tolist() == [is_joined]
