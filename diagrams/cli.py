@@ -32,8 +32,6 @@ from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.missions import run_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.missions.run import RunResult
     from tfg_drake.diagrams.scenario import Scenario

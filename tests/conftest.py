@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import fcntl
 import os
+import signal
 import time
 
 # Before anything loads BLAS, and for every process that a test starts: small dense operations are many times slower
@@ -67,6 +68,28 @@ def compiled():
             with contextlib.closing(kernels.Compilation()) as compilation:
                 while not compilation.ended:
                     time.sleep(0.1)
+
+
+@pytest.fixture
+def call(capsys, monkeypatch):
+    """tfg-drake with some arguments: its exit code, standard output and standard error, in which nothing that takes
+    long on a busy machine is said meanwhile."""
+    # Not before it is known where the kernels are kept.
+    from tfg_drake.diagrams import cli
+    from tfg_drake.diagrams.commands import screen
+
+    monkeypatch.setattr(screen, "INTERVAL", 1e6)
+
+    def run(*arguments):
+        handler = signal.getsignal(signal.SIGINT)
+        try:
+            with pytest.raises(SystemExit) as caught:
+                cli.main([str(argument) for argument in arguments])
+        finally:
+            signal.signal(signal.SIGINT, handler)
+        return (caught.value.code, *capsys.readouterr())
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -14,10 +14,9 @@ from tfg_drake import __version__
 from tfg_drake.diagrams.missions.errors import KnownWorld, path_length, pose_errors
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.run_folder import RunFolder
-from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.mapfile.saved_map import save_map
-from tfg_drake.messages import MapEstimate
+from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import write_tum
@@ -26,13 +25,47 @@ SCHEMA = 1
 NO_POSES = np.zeros((0, 3))
 
 
-def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
+def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
     """Write map.npz or grid.npz, summary.json, trajectory.tum, truth.tum and figure.png, and return the summary.
 
     What would take the world or the truth is null where that is not known, and there is no truth.tum. The distance is
     that of the estimate then, and every landmark that is not doubtful counts as mapped. A file that cannot be written
     is told to the folder, and the others are written all the same.
     """
+    estimate, tfg, map_bytes = _keep_map(mission, folder)
+    stamps, X_WB = mission.estimated_poses()
+    true_poses = mission.true_poses()
+    summary = _known_to_any(mission, estimate, X_WB, map_bytes)
+    summary |= {"scenario": name, "world": world_name}
+    reachable = np.zeros(0, dtype=np.bool_)
+    world = mission.world_then
+    if world is not None:
+        known = KnownWorld(world, mission.scenario, None if true_poses is None else true_poses[1][-1])
+        reachable = known.reachable
+        summary |= known.map_figures(mission, estimate, tfg)
+        if true_poses is not None:
+            summary |= known.way_figures(mission, stamps, X_WB, *true_poses)
+    if mission.truth is not None:
+        truth = mission.truth
+        summary |= {
+            "contacts": truth.contacts,
+            "contacts_received": truth.contacts_received,
+            "min_clearance_m": truth.clearance,
+        }
+    summary = _null_where_not_finite(summary)
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    folder.attempt("summary.json", lambda path: write_atomic(path, text))
+    folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
+    if true_poses is not None:
+        folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
+    X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
+    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM)
+    folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
+    return summary
+
+
+def _keep_map(mission: Mission, folder: RunFolder) -> tuple[MapEstimate | None, TfgMap | None, int]:
+    """Writes the map and the keys that drove; the final estimate and TFG, None where there are none, and bytes."""
     tfg, estimate, grid = mission.tfg, mission.map, mission.grid
     map_bytes = 0
     final = mission.final_map()
@@ -45,15 +78,17 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         map_bytes = _size(folder.path / "grid.npz")
     if (pressed := mission.pressed()) is not None:
         folder.attempt("keys.csv", lambda path: write_atomic(path, drive_csv(pressed)))
-    stamps, X_WB = mission.estimated_poses()
-    true_poses = mission.true_poses()
+    return estimate, tfg, map_bytes
 
-    summary: dict[str, Any] = {
+
+def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArray, map_bytes: int) -> dict[str, Any]:
+    """Every field of the summary in its order, those that take the world or the truth null. X_WB: (n, 3) estimated."""
+    return {
         "schema": SCHEMA,
         "version": __version__,
-        "scenario": name,
-        "world": world_name,
-        "seed": scenario.seed,
+        "scenario": None,
+        "world": None,
+        "seed": mission.scenario.seed,
         "method": mission.method.name,
         "outcome": mission.outcome,
         "reason": mission.reason,
@@ -93,31 +128,6 @@ def write_report(mission: Mission, scenario: Scenario, folder: RunFolder, name: 
         "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "stage_ms": _spread([1e3 * seconds for stage, seconds in mission.stage_cpu.items() if stage > 0]),
     }
-    reachable = np.zeros(0, dtype=np.bool_)
-    world = mission.world_then
-    if world is not None:
-        known = KnownWorld(world, scenario, None if true_poses is None else true_poses[1][-1])
-        reachable = known.reachable
-        summary |= known.map_figures(mission, estimate, tfg)
-        if true_poses is not None:
-            summary |= known.way_figures(mission, stamps, X_WB, *true_poses)
-    if mission.truth is not None:
-        truth = mission.truth
-        summary |= {
-            "contacts": truth.contacts,
-            "contacts_received": truth.contacts_received,
-            "min_clearance_m": truth.clearance,
-        }
-    summary = _null_where_not_finite(summary)
-    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-    folder.attempt("summary.json", lambda path: write_atomic(path, text))
-    folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
-    if true_poses is not None:
-        folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
-    X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
-    seen = (world, estimate, tfg, grid, X_WB, X_WB_true, reachable, mission.X_WM)
-    folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
-    return summary
 
 
 def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, Any]:

@@ -154,7 +154,7 @@ def explore(
             runner = MissionRunner(mission, stop, realtime_rate, max_time, cockpit, on_progress)
             runner.run(lambda line: folder.append("stages.jsonl", line), keep, kernels, monitor)
             folder.give_up_reserve()
-            summary = write_report(mission, scenario, folder, name, world_name or name)
+            summary = write_report(mission, folder, name, world_name or name)
             mission.say(mission.outcome.replace("_", " "))
             mission.show()
             if timeline is not None:

@@ -1,37 +1,15 @@
-"""The command line, called in this process."""
-
-import signal
+"""A room to explore, and a mission in one."""
 
 import pytest
 
 from tests.diagrams.rooms import ROOM
 from tests.diagrams.rooms import room as divided_room
-from tfg_drake.diagrams import cli
-from tfg_drake.diagrams.commands import screen
 from tfg_drake.diagrams.missions import run
 
 
 @pytest.fixture(autouse=True)
 def _compiled(compiled):
     """No command waits for kernels."""
-
-
-@pytest.fixture
-def call(capsys, monkeypatch):
-    """tfg-drake with some arguments: its exit code, standard output and standard error, in which nothing that takes
-    long on a busy machine is said meanwhile."""
-    monkeypatch.setattr(screen, "INTERVAL", 1e6)
-
-    def run(*arguments):
-        handler = signal.getsignal(signal.SIGINT)
-        try:
-            with pytest.raises(SystemExit) as caught:
-                cli.main([str(argument) for argument in arguments])
-        finally:
-            signal.signal(signal.SIGINT, handler)
-        return (caught.value.code, *capsys.readouterr())
-
-    return run
 
 
 @pytest.fixture

@@ -2,30 +2,23 @@
 
 import gzip
 import json
-import signal
 
 import pytest
 
 from tests.diagrams.rooms import QUICK_LOOK
-from tfg_drake.diagrams import cli
 
 BOX = "[[-0.5, -0.5, 0.5, -0.5], [0.5, -0.5, 0.5, 0.5], [0.5, 0.5, -0.5, 0.5], [-0.5, 0.5, -0.5, -0.5]]"
 ROOM = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]"
 
 
 @pytest.fixture
-def tool(capsys, tmp_path):
+def tool(call, tmp_path):
     """Runs `tfg-drake explore` headless: exit code, standard output, standard error, the summary or None."""
 
     def run(*arguments):
-        handler = signal.getsignal(signal.SIGINT)
-        try:
-            with pytest.raises(SystemExit) as caught:
-                cli.main(["explore", *map(str, arguments), "--headless", "--out", str(tmp_path / "run")])
-        finally:
-            signal.signal(signal.SIGINT, handler)
+        ended = call("explore", *arguments, "--headless", "--out", tmp_path / "run")
         summary = tmp_path / "run" / "summary.json"
-        return caught.value.code, *capsys.readouterr(), json.loads(summary.read_text()) if summary.exists() else None
+        return *ended, json.loads(summary.read_text()) if summary.exists() else None
 
     return run
 

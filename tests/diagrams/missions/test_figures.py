@@ -1,6 +1,5 @@
 import pytest
 
-from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.missions import figures
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 
@@ -16,14 +15,13 @@ def test_stages_hold_what_belongs_together_and_end_when_told():
 
 
 @pytest.mark.slow
-def test_the_command_writes_every_figure_and_names_it(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_every_figure_and_names_it(call, tmp_path, monkeypatch):
     stages_of = figures.stages_of
     monkeypatch.setattr(figures, "stages_of", lambda scenario, _: stages_of(scenario, lambda stage, time: stage == 2))
     monkeypatch.setattr(figures, "RUNS", 1)
     monkeypatch.setattr(figures, "LONGEST", 40.0)
-    with pytest.raises(SystemExit) as end:
-        cli.main(["figures", "--out", str(tmp_path)])
-    assert end.value.code == 0
+    code, said, _ = call("figures", "--out", tmp_path)
+    assert code == 0
     names = sorted(path.name for path in tmp_path.iterdir())
     figures_of = ("growth", "information_gain", "priors", "tfg")
     assert names == sorted(
@@ -32,12 +30,10 @@ def test_the_command_writes_every_figure_and_names_it(tmp_path, monkeypatch, cap
     tables = (tmp_path / "tables.md").read_text()
     assert "| landmarks | 274 | 274 |" in tables
     assert "| running time (s) | 2433 ± 546 | 40 | 2293 ± 375 | 40 |" in tables
-    assert str(tmp_path / "growth.png") in capsys.readouterr().out
+    assert str(tmp_path / "growth.png") in said
 
 
-def test_a_folder_that_cannot_be_written_is_refused_in_one_line(tmp_path, capsys):
+def test_a_folder_that_cannot_be_written_is_refused_in_one_line(call, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(SystemExit) as end:
-        cli.main(["figures", "--out", str(tmp_path / "file")])
-    assert end.value.code == 2
-    assert capsys.readouterr().err == f"tfg-drake: --out {tmp_path / 'file'}: is a file; name a folder\n"
+    complaint = f"tfg-drake: --out {tmp_path / 'file'}: is a file; name a folder\n"
+    assert call("figures", "--out", tmp_path / "file") == (2, "", complaint)
