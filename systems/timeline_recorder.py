@@ -168,11 +168,11 @@ class TimelineRecorder(LeafSystem):
         elif name == "goal":
             roadmap = self._Get(context, "roadmap")
             there = scene.goal(message) if message.node >= 0 else {"points": np.zeros((0, 2))}
-            write("goal", now, there, verdict=message.verdict, reason=message.reason)
+            write("goal", now, there, verdict=message.verdict, reason=message.reason, stage=message.stage)
             if roadmap is not None:
                 layer = dict(scene.gains(message, roadmap))
                 layer["share"] = layer["share"].astype(np.float32)
-                write("gains", now, layer, explained=scene.explained(message, roadmap))
+                write("gains", now, layer, explained=scene.explained(message, roadmap), stage=message.stage)
         elif name == "path":
             write("path", now, scene.path(message))
         elif name == "grid":

@@ -9,6 +9,7 @@ from tfg_drake.cockpit.browser import BrowserMissing, film_page
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter
 from tfg_drake.diagrams.commands.page import open_page
+from tfg_drake.diagrams.commands.page_forks import PageForks, can_fork
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.diagrams.missions.run_folder import claimed
@@ -18,9 +19,15 @@ from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError
 
 def serve_run(run: Path, host: str, port: int | None) -> None:
     """Serve the page of a run until the user has seen enough. Raises BadInput where there is nothing to serve."""
-    given = {"timeline": _timeline(run), "live": is_under_way(run), "controls": False}
+    live = is_under_way(run)
+    forks = PageForks(run) if not live and can_fork(run) else None
+    given = {"timeline": _timeline(run), "live": live, "controls": False, "forks": forks}
     with open_page(run.resolve().name, host, port, **given):
-        wait_for_enter()
+        try:
+            wait_for_enter()
+        finally:
+            if forks is not None:
+                forks.close()
 
 
 def export_run(run: Path, out: Path) -> None:

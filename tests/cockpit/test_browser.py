@@ -459,6 +459,51 @@ def test_the_robot_is_sent_and_driven(driver, tmp_path):
         assert page.complaints() == []
 
 
+class Futures:
+    """A fork that this test drives."""
+
+    def __init__(self, timeline):
+        self.timeline, self.is_running, self.rows, self.asked = timeline, False, [], []
+
+    def start(self, stage, goal):
+        self.asked.append((stage, goal))
+        self.is_running = True
+        return True
+
+    def state(self):
+        told = {"stage": 2, "folder": "runs/fork", "line": "5 s  stage 1", "rows": self.rows, "failure": ""}
+        return {"number": len(self.asked), "running": self.is_running, **told}
+
+
+@pytest.mark.slow
+def test_a_run_is_forked_on_its_page(driver, mission, tmp_path):
+    forks = Futures(tmp_path / "fork.tfg")
+    with (
+        Cockpit(viewer_script(), "room", timeline=mission, live=False, controls=False, forks=forks) as cockpit,
+        TimelineWriter(forks.timeline) as writer,
+    ):
+        page = Page(driver, cockpit.address)
+        page.seek(5.2)
+        assert "Click another candidate of stage 2" in page.text("fork")
+        page("document.querySelectorAll('tr[data-row]')[1].click()")
+        page.click("request-fork")
+        page.until("return forks.number === 1")
+        assert forks.asked == [(2, (2.0, 3.0))]  # (1, 1) in M
+        page.until("return element('fork').innerText.includes('5 s  stage 1')")
+        begin(writer)
+        for time_s in np.arange(0.25, 12.01, 0.25):
+            drive(writer, time_s)
+        writer.flush()
+        page.until("return forks.timeline && forks.timeline.end === 12")
+        page.seek(12.0)
+        np.testing.assert_allclose(page("return forkRobot.position.toArray().slice(0, 2)"), [4.8, 0.0], atol=1e-5)
+        assert page("return robot.position.x") == pytest.approx(4.0)  # The run itself was over by then.
+        forks.rows, forks.is_running = [["", "run", "fork", "difference"], ["time", "10 s", "12 s", "+2 s"]], False
+        page.until("return element('fork').innerText.includes('+2 s')")
+        assert "runs/fork" in page.text("fork")
+        assert page.complaints() == []
+
+
 @pytest.mark.slow
 def test_two_pages_one_reloaded_and_one_closed_in_the_middle(driver, tmp_path):
     live = Live(tmp_path)
