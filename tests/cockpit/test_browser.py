@@ -1,16 +1,16 @@
 """The page in a browser: every button and every toggle is pressed, and does what it says."""
 
-import io
 import itertools
 import json
 import time
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
 from tests.cockpit.conftest import STAGES, begin, drive, end, stage
-from tfg_drake.cockpit.browser import SEEK, BrowserMissing, film_page, open_browser, wait_for_page
+from tfg_drake.cockpit.browser import SEEK, BrowserMissing, open_browser, wait_for_page, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
@@ -295,12 +295,18 @@ def test_a_place_that_is_clicked_is_found_on_the_floor(page, flat):
 
 
 @pytest.mark.slow
-def test_a_film_shows_the_mission_to_its_end(driver, exported):
-    said = []
-    film = Image.open(io.BytesIO(film_page(exported, said.append, 3)))
-    assert film.n_frames == 3
+@pytest.mark.parametrize("write", [write_gif, write_mp4])
+def test_a_film_shows_the_mission_to_its_end(driver, exported, tmp_path, write):
+    said, out = [], tmp_path / f"film.{write.__name__[-3:]}"
+    write(exported, out, said.append, 3)
     assert said[-1] == "filming the mission, picture 3 of 3"
-    frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
+    if write is write_gif:
+        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(Image.open(out))]
+    else:
+        film = cv2.VideoCapture(str(out))
+        frames = [film.read()[1] for _ in range(3)]
+        assert not film.read()[0]
+    assert len(frames) == 3
     assert all(np.any(one != other) for one, other in itertools.pairwise(frames))
 
 
@@ -489,7 +495,7 @@ def test_a_run_is_forked_on_its_page(driver, mission, tmp_path):
         page.click("request-fork")
         page.until("return forks.number === 1")
         assert forks.asked == [(2, (2.0, 3.0))]  # (1, 1) in M
-        page.until("return element('fork').innerText.includes('5 s  stage 1')")
+        page.until("return element('fork').textContent.includes('5 s  stage 1')")
         begin(writer)
         for time_s in np.arange(0.25, 12.01, 0.25):
             drive(writer, time_s)
