@@ -102,7 +102,8 @@ function tellChoice() {
   element("choice").hidden = !table.length;
   if (!table.length) return;
   const world = timeline.at("world", Infinity),
-    rule = RULES[world && world.told.rule] ?? "";
+    goal = timeline.at("goal", time),
+    rule = goal && goal.told.sent ? "Somebody has sent the robot there." : (RULES[world && world.told.rule] ?? "");
   const cell = (v) => `<td>${number(v, Math.abs(v) < 99.95 ? 1 : 0)}</td>`;
   const head = [
     ["goal", ""],
