@@ -37,6 +37,7 @@ from tfg_drake.slam.doubt import (
     disputed,
     doubtful,
     forgotten,
+    missed,
     only,
     overturned,
     weighed,
@@ -47,6 +48,7 @@ from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, 
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
+from tfg_drake.slam.missing_tags import TagWatch, missing, renewed, watched
 from tfg_drake.slam.noise_correlation import less_certain
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
@@ -81,6 +83,8 @@ MOST_SOLVES = 6
 IN_PLACE = 0.1
 # A frame is compared with a scan if the robot has moved by less than this meanwhile, m and rad.
 SAME_PLACE = 0.004
+# ... and tells what hides its tags by less than this.
+NEARLY_THERE = 0.05
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
 NO_MAP = empty_map()
@@ -300,13 +304,30 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         turn=turn,
         piece=piece,
     )
-    state = replace(state, suspect=_suspect(state, taken))
+    state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if (contradictions >= CONTRADICTIONS or state.lost) and len(frame.ids):
         state = find_itself(state, stamp)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
         state = _end_piece(state)
     return state
+
+
+def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> TagWatch:
+    """Which tags should have been seen, with a frame at the state's stamp and the robot's twist (2,) then."""
+    if (
+        state.map is None
+        or state.contradictions
+        or state.lost
+        or state.kidnapped
+        or not (len(frame.ids) and state.scans)
+    ):
+        return state.watch
+    scan = min(state.scans, key=lambda scan: abs(scan.stamp - state.stamp))
+    if abs(scan.stamp - state.stamp) * float(np.max(np.abs(twist))) > NEARLY_THERE:
+        return state.watch
+    X_MC = se2.compose(state.localizer.X_MD, state.localizer.filter.mean[:3])
+    return watched(state.watch, state.map.p_ML, X_MC, float(state.graph.yaw[0]), frame, scan)
 
 
 def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
@@ -379,6 +400,11 @@ def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
             moved = True
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
+    not_there, frames = missing(state.watch)
+    before_missed, evidence = doubtful(evidence), missed(evidence, not_there, frames)
+    not_there = np.setdiff1d(np.intersect1d(not_there, doubtful(evidence)), before_missed)
+    if len(not_there):
+        _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(not_there))
     corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
     if (
         moved
@@ -411,6 +437,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
         map=replace(estimate, doubtful=doubtful(evidence), frame_worth=state.correlation.frame_worth),
         localizer=start_localizer(model, estimate),
         evidence=evidence,
+        watch=renewed(state.watch, estimate.ids),
         rejected=rejected,
         dropped=solution.dropped,
     )

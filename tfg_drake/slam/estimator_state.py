@@ -19,6 +19,7 @@ from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel, exact_camera
 from tfg_drake.slam.doubt import Evidence, Sighted, no_evidence
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
+from tfg_drake.slam.missing_tags import TagWatch, no_watch
 from tfg_drake.slam.noise_correlation import NoiseCorrelation, no_correlation
 from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
 from tfg_drake.slam.range_scale import RangeScale, unknown_scale
@@ -57,7 +58,7 @@ class EstimatorState:
     piece of the way, way: those before it since the last view. graph: its landmarks as they lay at its last solve or
     when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
     view. rejected: (r,) ids of known tags left out of the newest view, dropped: sightings left out of its turn.
-    evidence: for the places where it has its tags, and against them.
+    evidence: for the places where it has its tags, and against them. watch: which of them should have been seen since.
     """
 
     model: OdometryModel
@@ -85,6 +86,7 @@ class EstimatorState:
     solved: KeyframeGraph
     map: MapEstimate | None
     evidence: Evidence
+    watch: TagWatch
     rejected: IntArray
     dropped: int
 
@@ -126,6 +128,7 @@ def initial_state(
         solved=empty_graph(yaw),
         map=None,
         evidence=no_evidence(),
+        watch=no_watch(),
         rejected=np.empty(0, dtype=np.int64),
         dropped=0,
     )

@@ -82,7 +82,7 @@ def _moments(information: FloatArray, vector: FloatArray) -> tuple[float, float,
 
 
 @njit(cache=True)
-def _surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
+def surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
     """Distance (m) to the surface at a bearing (rad), and the tangent of the incidence; nan without a surface.
 
     One over the range is a sinusoid of the angle along a line, straight over a few rays, whose angles are evenly spaced
@@ -123,7 +123,7 @@ def _compare(
     determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
     more, more_vector, pairs = information.copy(), vector.copy(), 0
     for k in range(len(range_)):
-        distance, slant = _surface(bearing[k], angles, ranges)
+        distance, slant = surface(bearing[k], angles, ranges)
         if not slant < STEEPEST:
             continue
         lever = -math.sqrt(1.0 + slant * slant)

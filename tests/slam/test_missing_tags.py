@@ -1,0 +1,71 @@
+"""Tags on a wall 3 m ahead, one of which fell off: which frames should have shown it."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.messages import LaserScan, TagDetections, replace
+from tfg_drake.slam.missing_tags import LEAST_FRAMES, missing, no_watch, renewed, watched
+
+IDS = np.array([3, 5, 8])
+P_ML = np.array([[3.0, -1.0], [3.0, 0.2], [3.0, 1.0]])
+ANGLES = np.linspace(-1.1, 1.1, 221)
+HERE, SCAN = np.zeros(3), LaserScan(0.0, ANGLES, 3.0 / np.cos(ANGLES), 10.0, 0.01)
+
+
+def frame(ids, X_MC=HERE):
+    d = P_ML[np.searchsorted(IDS, ids)] - X_MC[:2]
+    bearing = np.arctan2(d[:, 1], d[:, 0]) - X_MC[2]
+    one = np.ones(len(ids))
+    return TagDetections(0.0, np.array(ids), np.hypot(*d.T), bearing, one, one)
+
+
+def look(watch, ids, frames, X_MC=HERE, scan=SCAN):
+    for _ in range(frames):
+        watch = watched(watch, P_ML, X_MC, 0.0, frame(ids, X_MC), scan)
+    return watch
+
+
+@pytest.fixture
+def known():
+    """All three were seen for ten frames, up to 0.6 rad aside, before the newest view."""
+    watch = look(renewed(no_watch(), IDS), [3, 5, 8], 10)
+    assert not len(missing(watch)[0])
+    return renewed(replace(watch, widest=0.6), IDS)
+
+
+def test_a_tag_that_frames_should_show_and_do_not_is_missing(known):
+    for frames, ids in ((LEAST_FRAMES - 1, []), (LEAST_FRAMES, [5])):
+        found = missing(look(known, [3, 8], frames))
+        assert found[0].tolist() == ids
+        assert found[1].tolist() == [frames] * len(ids)
+
+
+def test_one_frame_that_shows_it_is_enough(known):
+    assert not len(missing(look(look(known, [3, 8], 20), [5], 1))[0])
+
+
+def test_frames_without_any_tag_of_the_map_say_nothing(known):
+    assert look(known, [], 20) is known
+
+
+def test_who_stands_before_it_hides_it(known):
+    person = replace(SCAN, ranges=np.where(np.abs(ANGLES - 0.07) < 0.1, 1.5, SCAN.ranges))
+    assert not len(missing(look(known, [3, 8], 20, scan=person))[0])
+
+
+def test_from_the_other_side_of_a_thin_wall_it_is_not_expected(known):
+    beyond = np.array([6.0, 0.0, np.pi])
+    assert not len(missing(look(known, [8], 20, X_MC=beyond))[0])
+
+
+def test_where_detection_fails_often_more_frames_must(known):
+    poor = replace(known, all_expected=1000, all_seen=300)
+    assert not len(missing(look(poor, [3, 8], 20))[0])
+    assert missing(look(poor, [3, 8], 40))[0].tolist() == [5]
+
+
+def test_a_new_map_keeps_from_where_its_tags_were_seen(known):
+    after = renewed(known, np.array([5, 6, 8]))
+    np.testing.assert_array_equal(after.seen_from[[0, 2]], known.seen_from[[1, 2]])
+    assert not after.seen_from[1].any()
+    assert not after.expected.any()
