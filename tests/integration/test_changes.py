@@ -43,3 +43,4 @@ def test_a_chair_and_a_tag_are_moved_and_another_falls_off(tmp_path, seed):
     saved = load_map(tmp_path / "map.npz")
     assert summary["landmark_error_max_m"] < 0.1
     assert first.id in saved.ids
+    assert summary["landmarks_doubtful"] == [other.id]

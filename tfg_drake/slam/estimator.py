@@ -266,11 +266,12 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
     increment, dt = seen_from_camera(arc(state.X_OB, X_OB), float(state.graph.yaw[0])), clock - state.clock
     twist = _twist(state.odometry[before], state.odometry[after])
-    scale = state.scale
+    scale, compared = state.scale, state.compared
     if len(frame.ids) and state.scans:
         scan = min(state.scans, key=lambda scan: abs(scan.stamp - stamp))
         if abs(scan.stamp - stamp) * float(np.max(np.abs(twist))) < SAME_PLACE:
-            scale = compare(scale, replace(frame, bearing=frame.bearing + state.graph.yaw[0]), scan)
+            seen_from_body = replace(frame, bearing=frame.bearing + state.graph.yaw[0])
+            scale, compared = compare(scale, compared, seen_from_body, scan)
     seen = corrected(frame, scale)
     turn, piece = state.turn, state.piece
     taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.camera.offset)
@@ -295,6 +296,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         odometry=state.odometry[before:],
         pending=pending,
         scale=scale,
+        compared=compared,
         stamp=stamp,
         clock=clock,
         X_OB=X_OB,

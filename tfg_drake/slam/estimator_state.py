@@ -22,7 +22,7 @@ from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.missing_tags import TagWatch, no_watch
 from tfg_drake.slam.noise_correlation import NoiseCorrelation, no_correlation
 from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
-from tfg_drake.slam.range_scale import RangeScale, unknown_scale
+from tfg_drake.slam.range_scale import Compared, RangeScale, none_compared, unknown_scale
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
@@ -50,8 +50,9 @@ class EstimatorState:
 
     camera, correlation: what is known of the camera and of the noise of tags. path_keyframe_period: s of way that are
     mapped as one piece; 0 where only its motion is. newest: the last odometry message. odometry: dead reckoning from
-    the localiser's instant on. pending: frames that wait for it. scans: the newest scans. scale: what they say of the
-    tags' ranges. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
+    the localiser's instant on. pending: frames that wait for it. scans: the newest scans. scale, compared: what they
+    say of the tags' ranges, and by which frames. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
+    reckoning then. contradictions:
     frames that contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was
     seen since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
     kidnapped: the robot was moved since the last view by something else than its wheels. turn, piece: the open turn and
@@ -70,6 +71,7 @@ class EstimatorState:
     pending: tuple[TagDetections, ...]
     scans: tuple[LaserScan, ...]
     scale: RangeScale
+    compared: Compared
     stamp: float
     clock: float
     X_OB: FloatArray
@@ -112,6 +114,7 @@ def initial_state(
         pending=(),
         scans=(),
         scale=unknown_scale(),
+        compared=none_compared(),
         stamp=-np.inf,
         clock=-np.inf,
         X_OB=np.zeros(3),

@@ -1,9 +1,10 @@
 """The scale of the tag sensor's ranges, learnt from the laser scan: tags stand on the surfaces that the scan meets.
 
 A range scale error is invisible to a map of bearings and ranges alone, scales all of it and dominates every other
-error; one turn beside a scan tells it to a part in a thousand. Measured range = (1 + r) * true range + noise, and tags
-stand an unknown distance o before their surfaces, so that the range to the surface is longer by o over the cosine of
-the incidence.
+error; a few turns beside a scan tell it to a part in a thousand. Measured range = (1 + r) * true range + noise, and
+tags stand an unknown distance o before their surfaces, so that the range to the surface is longer by o over the cosine
+of the incidence. Each tag has an error of its own beside, the same in all frames: however often a few tags were seen,
+they tell no scale that those errors may make up.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import FloatArray, LaserScan, TagDetections, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, TagDetections, message
 
 # Prior standard deviations of the scale error r and of the offset o (m).
 SCALE_SIGMA = 0.01
 OFFSET_SIGMA = 0.02
+# Standard deviation of a tag's own error in range, m: tags are printed, measured and hung to a centimetre.
+TAG_SIGMA = 0.01
 # Pairs that differ by more than this many standard deviations are of two different things.
 GATE = 4.0
 # A scale error is corrected when it is this many standard deviations from none.
@@ -49,27 +52,51 @@ class RangeScale:
         return float(_moments(self.information, self.vector)[2])
 
 
+@message
+class Compared:
+    """In how many frames, (t,), each of the tags ids (t,), ascending, was compared with a scan."""
+
+    ids: IntArray
+    frames: IntArray
+
+
+def none_compared() -> Compared:
+    """Before the first pair."""
+    none = np.zeros(0, dtype=np.int64)
+    return Compared(none, none)
+
+
 def unknown_scale() -> RangeScale:
     """Before the first pair: r = 0, o = 0 within their priors."""
     return RangeScale(np.diag([SCALE_SIGMA**-2, OFFSET_SIGMA**-2]), np.zeros(2), 0)
 
 
-def compare(scale: RangeScale, detections: TagDetections, scan: LaserScan) -> RangeScale:
-    """The scale after one frame of tags, ranges as measured, and the scan of the same instant."""
+def compare(
+    scale: RangeScale, before: Compared, detections: TagDetections, scan: LaserScan
+) -> tuple[RangeScale, Compared]:
+    """The scale, and what it comes from, after one frame of tags, ranges as measured, and the scan of the same
+    instant."""
     if len(scan.angles) < 2 or not len(detections.ids):
-        return scale
-    information, vector, pairs = _compare(
+        return scale, before
+    ids = np.union1d(before.ids, detections.ids)
+    frames, rows = np.zeros(len(ids), dtype=np.int64), np.searchsorted(ids, detections.ids)
+    frames[np.searchsorted(ids, before.ids)] = before.frames
+    information, vector, agree = _compare(
         scale.information,
         scale.vector,
         detections.range,
         detections.bearing,
         detections.sigma_range,
         detections.sigma_bearing,
+        frames[rows],
         scan.angles,
         scan.ranges,
         scan.sigma,
     )
-    return RangeScale(information, vector, scale.pairs + pairs) if pairs else scale
+    if not agree.any():
+        return scale, before
+    frames[rows[agree]] += 1
+    return RangeScale(information, vector, scale.pairs + int(np.count_nonzero(agree))), Compared(ids, frames)
 
 
 @njit(cache=True)
@@ -114,14 +141,19 @@ def _compare(
     bearing: FloatArray,
     sigma_range: FloatArray,
     sigma_bearing: FloatArray,
+    frames: IntArray,
     angles: FloatArray,
     ranges: FloatArray,
     sigma_scan: float,
-) -> tuple[FloatArray, FloatArray, int]:
-    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and their number."""
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and which those are.
+
+    frames: (n,) of each tag, compared before. Of k frames with variance v each and an error of variance t in common the
+    last adds 1 / (v / k + t) - 1 / (v / (k - 1) + t) to what they tell.
+    """
     r, o, _ = _moments(information, vector)
     determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
-    more, more_vector, pairs = information.copy(), vector.copy(), 0
+    more, more_vector, agree = information.copy(), vector.copy(), np.zeros(len(range_), dtype=np.bool_)
     for k in range(len(range_)):
         distance, slant = surface(bearing[k], angles, ranges)
         if not slant < STEEPEST:
@@ -133,14 +165,16 @@ def _compare(
         error = range_[k] - distance - r * distance - o * lever
         if error * error > GATE**2 * (variance + predicted / determinant):
             continue
+        in_common = TAG_SIGMA**2 / variance
+        variance *= (1.0 + frames[k] * in_common) * (1.0 + (frames[k] + 1) * in_common)
         more[0, 0] += distance * distance / variance
         more[0, 1] += distance * lever / variance
         more[1, 0] += distance * lever / variance
         more[1, 1] += lever * lever / variance
         more_vector[0] += distance * (range_[k] - distance) / variance
         more_vector[1] += lever * (range_[k] - distance) / variance
-        pairs += 1
-    return more, more_vector, pairs
+        agree[k] = True
+    return more, more_vector, agree
 
 
 def correction(scale: RangeScale) -> float:
