@@ -7,7 +7,7 @@ import pytest
 
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan, TagDetections, replace
-from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, none_compared, unknown_scale
+from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, correction, none_compared, unknown_scale
 
 FRAMES = itertools.count()
 WALLS = np.array([[4.0, -6.0, 5.0, 6.0], [-6.0, 5.0, 6.0, 5.0], [-6.0, -5.0, 6.0, -5.0], [-5.0, -6.0, -5.0, 6.0]])
@@ -77,11 +77,13 @@ def test_a_corrected_range_is_the_true_one():
     rng = np.random.default_rng(1)
     scale, compared = unknown_scale(), none_compared()
     detections, _ = frame(rng, 1.01)
-    assert corrected(detections, scale) is detections
+    assert corrected(detections, correction(scale, compared)) is detections
     for _ in range(200):
         scale, compared = compare(scale, compared, *frame(rng, 1.01))
-    np.testing.assert_allclose(corrected(detections, scale).range, detections.range / 1.01, rtol=3e-3)
-    np.testing.assert_array_equal(corrected(detections, scale).bearing, detections.bearing)
+    np.testing.assert_allclose(
+        corrected(detections, correction(scale, compared)).range, detections.range / 1.01, rtol=3e-3
+    )
+    np.testing.assert_array_equal(corrected(detections, correction(scale, compared)).bearing, detections.bearing)
 
 
 def test_a_scale_that_may_well_be_true_is_not_corrected():
@@ -91,7 +93,7 @@ def test_a_scale_that_may_well_be_true_is_not_corrected():
         scale, compared = compare(scale, compared, *frame(rng, 1.0))
     detections, _ = frame(rng, 1.0)
     assert scale.pairs > 1000
-    assert corrected(detections, scale) is detections
+    assert corrected(detections, correction(scale, compared)) is detections
 
 
 def test_what_a_few_tags_err_by_in_all_frames_alike_is_no_scale():
@@ -103,7 +105,7 @@ def test_what_a_few_tags_err_by_in_all_frames_alike_is_no_scale():
             noisy = errors + detections.sigma_range * rng.normal(size=12)
             scale, compared = compare(scale, compared, replace(detections, range=detections.range + noisy), scan)
         assert scale.pairs > 1000
-        assert corrected(detections, scale) is detections
+        assert corrected(detections, correction(scale, compared)) is detections
 
 
 def test_without_a_pair_nothing_is_learnt():

@@ -272,7 +272,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         if abs(scan.stamp - stamp) * float(np.max(np.abs(twist))) < SAME_PLACE:
             seen_from_body = replace(frame, bearing=frame.bearing + state.graph.yaw[0])
             scale, compared = compare(scale, compared, seen_from_body, scan)
-    seen = corrected(frame, scale)
+    seen = corrected(frame, correction(scale, compared))
     turn, piece = state.turn, state.piece
     taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.camera.offset)
     if turn is not None:
@@ -365,11 +365,12 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 
 def _solve(state: EstimatorState, turn: OpenObservation) -> TurnSolution:
     """A turn or piece solved by itself."""
-    frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
+    r = correction(state.scale, state.compared)
+    frames = tuple(replace(frame, detections=corrected(frame.detections, r)) for frame in turn.frames)
     solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state), state.correlation)
     # The body's heading is what the scans are placed by.
     X_AB = solution.observation.X_AB - np.array([0.0, 0.0, state.graph.yaw[0]])
-    observation = replace(solution.observation, X_AB=X_AB, range_scale=correction(state.scale))
+    observation = replace(solution.observation, X_AB=X_AB, range_scale=r)
     return replace(solution, observation=observation)
 
 
@@ -407,7 +408,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
     not_there = np.setdiff1d(np.intersect1d(not_there, doubtful(evidence)), before_missed)
     if len(not_there):
         _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(not_there))
-    corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
+    corrected_graph, solved = rescaled(graph, correction(state.scale, state.compared)), state.solved
     if (
         moved
         or state.kidnapped

@@ -4,7 +4,7 @@ A range scale error is invisible to a map of bearings and ranges alone, scales a
 error; a few turns beside a scan tell it to a part in a thousand. Measured range = (1 + r) * true range + noise, and
 tags stand an unknown distance o before their surfaces, so that the range to the surface is longer by o over the cosine
 of the incidence. Each tag has an error of its own beside, the same in all frames: however often a few tags were seen,
-they tell no scale that those errors may make up.
+a scale that those errors may make up is not beyond doubt.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, TagDetections, message
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, TagDetections, message, replace
 
 # Prior standard deviations of the scale error r and of the offset o (m).
 SCALE_SIGMA = 0.01
@@ -54,16 +54,15 @@ class RangeScale:
 
 @message
 class Compared:
-    """In how many frames, (t,), each of the tags ids (t,), ascending, was compared with a scan."""
+    """What the error of each tag would do to the scale. ids: (t,), ascending. pull: (t, 2) derivative of vector on it."""
 
     ids: IntArray
-    frames: IntArray
+    pull: FloatArray
 
 
 def none_compared() -> Compared:
     """Before the first pair."""
-    none = np.zeros(0, dtype=np.int64)
-    return Compared(none, none)
+    return Compared(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
 
 
 def unknown_scale() -> RangeScale:
@@ -78,25 +77,25 @@ def compare(
     instant."""
     if len(scan.angles) < 2 or not len(detections.ids):
         return scale, before
-    ids = np.union1d(before.ids, detections.ids)
-    frames, rows = np.zeros(len(ids), dtype=np.int64), np.searchsorted(ids, detections.ids)
-    frames[np.searchsorted(ids, before.ids)] = before.frames
-    information, vector, agree = _compare(
+    information, vector, more = _compare(
         scale.information,
         scale.vector,
         detections.range,
         detections.bearing,
         detections.sigma_range,
         detections.sigma_bearing,
-        frames[rows],
         scan.angles,
         scan.ranges,
         scan.sigma,
     )
-    if not agree.any():
+    pairs = int(np.count_nonzero(more[:, 0]))
+    if not pairs:
         return scale, before
-    frames[rows[agree]] += 1
-    return RangeScale(information, vector, scale.pairs + int(np.count_nonzero(agree))), Compared(ids, frames)
+    ids = np.union1d(before.ids, detections.ids)
+    pull = np.zeros((len(ids), 2))
+    pull[np.searchsorted(ids, before.ids)] = before.pull
+    pull[np.searchsorted(ids, detections.ids)] += more
+    return RangeScale(information, vector, scale.pairs + pairs), Compared(ids, pull)
 
 
 @njit(cache=True)
@@ -141,19 +140,15 @@ def _compare(
     bearing: FloatArray,
     sigma_range: FloatArray,
     sigma_bearing: FloatArray,
-    frames: IntArray,
     angles: FloatArray,
     ranges: FloatArray,
     sigma_scan: float,
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and which those are.
-
-    frames: (n,) of each tag, compared before. Of k frames with variance v each and an error of variance t in common the
-    last adds 1 / (v / k + t) - 1 / (v / (k - 1) + t) to what they tell.
-    """
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and the derivative
+    (n, 2) of the vector on each tag's error in range: not zero where they agree."""
     r, o, _ = _moments(information, vector)
     determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
-    more, more_vector, agree = information.copy(), vector.copy(), np.zeros(len(range_), dtype=np.bool_)
+    more, more_vector, pull = information.copy(), vector.copy(), np.zeros((len(range_), 2))
     for k in range(len(range_)):
         distance, slant = surface(bearing[k], angles, ranges)
         if not slant < STEEPEST:
@@ -165,38 +160,28 @@ def _compare(
         error = range_[k] - distance - r * distance - o * lever
         if error * error > GATE**2 * (variance + predicted / determinant):
             continue
-        in_common = TAG_SIGMA**2 / variance
-        variance *= (1.0 + frames[k] * in_common) * (1.0 + (frames[k] + 1) * in_common)
         more[0, 0] += distance * distance / variance
         more[0, 1] += distance * lever / variance
         more[1, 0] += distance * lever / variance
         more[1, 1] += lever * lever / variance
-        more_vector[0] += distance * (range_[k] - distance) / variance
-        more_vector[1] += lever * (range_[k] - distance) / variance
-        agree[k] = True
-    return more, more_vector, agree
+        pull[k, 0], pull[k, 1] = distance / variance, lever / variance
+        more_vector += pull[k] * (range_[k] - distance)
+    return more, more_vector, pull
 
 
-def correction(scale: RangeScale) -> float:
+def correction(scale: RangeScale, compared: Compared) -> float:
     """The expected scale error r where it is beyond doubt, else 0.
 
     A correction that is itself in doubt would tie all tags of a view together by an error that their covariance does
     not know.
     """
     r, _, sigma = _moments(scale.information, scale.vector)
-    return float(r) if scale.pairs and abs(r) >= SIGNIFICANT * sigma else 0.0
+    by_tags = TAG_SIGMA * compared.pull @ np.linalg.inv(scale.information)[0]
+    return float(r) if scale.pairs and abs(r) >= SIGNIFICANT * math.hypot(sigma, *by_tags) else 0.0
 
 
-def corrected(detections: TagDetections, scale: RangeScale) -> TagDetections:
-    """The detections with the scale's error taken out of their ranges."""
-    r = correction(scale) if len(detections.ids) else 0.0
-    if r == 0.0:
+def corrected(detections: TagDetections, r: float) -> TagDetections:
+    """The detections with a scale error r taken out of their ranges."""
+    if r == 0.0 or not len(detections.ids):
         return detections
-    return TagDetections(
-        stamp=detections.stamp,
-        ids=detections.ids,
-        range=detections.range / (1.0 + r),
-        bearing=detections.bearing,
-        sigma_range=detections.sigma_range,
-        sigma_bearing=detections.sigma_bearing,
-    )
+    return replace(detections, range=detections.range / (1.0 + r))
