@@ -54,7 +54,7 @@ class RangeScale:
 
 @message
 class Compared:
-    """What the error of each tag would do to the scale. ids: (t,), ascending. pull: (t, 2) derivative of vector on it."""
+    """What tags' own errors would do to the scale. ids: (t,), ascending. pull: (t, 2) derivative of vector on each."""
 
     ids: IntArray
     pull: FloatArray
