@@ -3,8 +3,8 @@
 An id may be misread, a range grossly wrong, and a tag moved elsewhere. So a tag is believed to be at a place when it
 was seen there in several frames, of one keyframe or of many, and what was believed is taken back when more has been
 seen of it elsewhere since. Each frame speaks for one place and against all others; the frames of one keyframe have
-their errors in common, and old ones fade, so neither counts without limit. A frame that should show a tag where the map
-has it, and does not, speaks against that place, too (`missing_tags.py`).
+their errors in common, and old ones fade, so neither counts without limit. Where frames should show a tag and do
+not, nothing speaks for its place any more (`missing_tags.py`).
 """
 
 from __future__ import annotations
@@ -126,19 +126,9 @@ def forgotten(evidence: Evidence, ids: IntArray) -> Evidence:
     return evidence.kept(~(evidence.is_mapped & np.isin(evidence.ids, ids)))
 
 
-def missed(evidence: Evidence, ids: IntArray, frames: IntArray) -> Evidence:
-    """The evidence after so many frames (m,) that should have shown some tags (m,), ids ascending, where the map has
-    them, and did not."""
-    row, is_missed = rows_of(evidence.ids, ids)
-    against = np.zeros(len(row), dtype=np.int64)
-    against[is_missed] = np.minimum(frames[row[is_missed]], MOST_AT_ONCE)
-    against[~evidence.is_mapped] = 0
-    return replace(evidence, frames=np.maximum(evidence.frames - against, 0))
-
-
-def disputed(evidence: Evidence, tag: int) -> Evidence:
-    """The evidence with nothing left that speaks for where the map has a tag."""
-    return replace(evidence, frames=np.where(evidence.is_mapped & (evidence.ids == tag), 0, evidence.frames))
+def disputed(evidence: Evidence, ids: IntArray) -> Evidence:
+    """The evidence with nothing left that speaks for where the map has some tags (t,)."""
+    return replace(evidence, frames=np.where(evidence.is_mapped & np.isin(evidence.ids, ids), 0, evidence.frames))
 
 
 def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:

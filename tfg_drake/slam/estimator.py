@@ -37,7 +37,6 @@ from tfg_drake.slam.doubt import (
     disputed,
     doubtful,
     forgotten,
-    missed,
     only,
     overturned,
     weighed,
@@ -227,7 +226,7 @@ def finished_map(state: EstimatorState) -> EstimatorState:
         if wrong is None:
             break
         _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, wrong[0])
-        graph, evidence = taken_back(graph, *wrong), disputed(evidence, wrong[0])
+        graph, evidence = taken_back(graph, *wrong), disputed(evidence, np.array(wrong[:1]))
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
     estimate = replace(estimate, doubtful=doubtful(evidence))
     return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
@@ -403,11 +402,10 @@ def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
             moved = True
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
-    not_there, frames = missing(state.watch)
-    before_missed, evidence = doubtful(evidence), missed(evidence, not_there, frames)
-    not_there = np.setdiff1d(np.intersect1d(not_there, doubtful(evidence)), before_missed)
-    if len(not_there):
-        _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(not_there))
+    gone = np.setdiff1d(state.watch.ids[missing(state.watch)], doubtful(evidence))
+    if len(gone):
+        _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(gone))
+        evidence = disputed(evidence, gone)
     corrected_graph, solved = rescaled(graph, correction(state.scale, state.compared)), state.solved
     if (
         moved

@@ -18,30 +18,29 @@ from tfg_drake.slam.range_scale import surface
 # From farther away, m, and nearer than this, rad, to where no tag has been seen yet, detectors miss tags, and so they
 # do on surfaces whose incidence has a larger tangent than this.
 NEAR = 4.0
-INSIDE = 0.2
-STEEPEST = 1.0
+INSIDE = 0.1
+STEEPEST = 1.2
 # Cosine of the angle to the mean direction that a tag has been seen from, within which it is on the same side.
 SAME_SIDE = math.cos(math.radians(60.0))
 # The surface that the scan meets is the tag's where its distance differs by no more than this, m.
 SAME_SURFACE = 0.1
 # A tag is missing where no fewer frames in a row fail to show it than this, and by chance as seldom as that.
-LEAST_FRAMES = 8
+LEAST_FRAMES = 5
 LEAST_CHANCE = 1e-4
 
 
 @message
 class TagWatch:
-    """Which tags of the map the frames since its newest view should have shown, and which they did.
+    """Which tags of the map frames should have shown, and did not.
 
     ids: (k,) the map's. seen_from: (k, 2) sums of unit vectors from each tag to the camera in the frames that showed
-    it, in M. expected, seen: (k,) frames since the newest view that should have shown it, and those of them and others
-    that did. widest: rad, the greatest bearing of any sighting. all_expected, all_seen: frames of all tags so far.
+    it, in M. failed: (k,) frames in a row that should have shown it. widest: rad, the greatest bearing of any sighting.
+    all_expected: frames that should have shown a tag, of all tags together, all_seen: those that did.
     """
 
     ids: IntArray
     seen_from: FloatArray
-    expected: IntArray
-    seen: IntArray
+    failed: IntArray
     widest: float
     all_expected: int
     all_seen: int
@@ -50,7 +49,7 @@ class TagWatch:
 def no_watch() -> TagWatch:
     """Before the first view."""
     none = np.empty(0, dtype=np.int64)
-    return TagWatch(none, np.empty((0, 2)), none, none, 0.0, 0, 0)
+    return TagWatch(none, np.empty((0, 2)), none, 0.0, 0, 0)
 
 
 def watched(
@@ -74,29 +73,26 @@ def watched(
     return replace(
         watch,
         seen_from=seen_from,
-        expected=watch.expected + expected,
-        seen=watch.seen + shown,
+        failed=np.where(shown, 0, watch.failed + expected),
         widest=widest,
         all_expected=watch.all_expected + int(np.count_nonzero(expected)),
         all_seen=watch.all_seen + int(np.count_nonzero(expected & shown)),
     )
 
 
-def missing(watch: TagWatch) -> tuple[IntArray, IntArray]:
-    """The ids (m,) of tags that no frame since the newest view showed though so many (m,) should have."""
+def missing(watch: TagWatch) -> BoolArray:
+    """(k,) which of the tags are not where the map has them."""
     share = (watch.all_seen + 1.0) / (watch.all_expected + 2.0)
-    enough = max(LEAST_FRAMES, math.log(LEAST_CHANCE) / math.log1p(-share))
-    gone = (watch.seen == 0) & (watch.expected >= enough)
-    return watch.ids[gone], watch.expected[gone]
+    return np.asarray(watch.failed >= max(LEAST_FRAMES, math.log(LEAST_CHANCE) / math.log1p(-share)))
 
 
 def renewed(watch: TagWatch, ids: IntArray) -> TagWatch:
-    """The watch from a new view on, with the map's tags (n,) as they are now."""
+    """The watch after a new view, with the map's tags (n,) as they are now: of what was missing it begins anew."""
     rows, known = rows_of(ids, watch.ids)
-    seen_from = np.zeros((len(ids), 2))
+    seen_from, failed = np.zeros((len(ids), 2)), np.zeros(len(ids), dtype=np.int64)
     seen_from[known] = watch.seen_from[rows[known]]
-    none = np.zeros(len(ids), dtype=np.int64)
-    return replace(watch, ids=ids, seen_from=seen_from, expected=none, seen=none)
+    failed[known] = np.where(missing(watch), 0, watch.failed)[rows[known]]
+    return replace(watch, ids=ids, seen_from=seen_from, failed=failed)
 
 
 @njit(cache=True)
