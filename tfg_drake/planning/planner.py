@@ -52,7 +52,7 @@ DRIVEN_STEP = 0.1
 BOLD_AFTER = 2
 # Obstacles met on the way are kept for this many stages, or until they are seen past: they may be too small for the
 # map, or walk away.
-OBSTACLE_MEMORY = 4
+OBSTACLE_MEMORY = 10
 # Where obstacles bar every way, the robot waits for so long, s, and looks for a way so often, s.
 PATIENCE = 5.0
 ASK_AGAIN = 0.5
