@@ -59,9 +59,14 @@ def test_who_stands_before_it_hides_it(known):
     assert gone(look(known, [3, 8], 20, scan=person)) == []
 
 
-def test_from_the_other_side_of_a_thin_wall_it_is_not_expected(known):
-    beyond = np.array([6.0, 0.0, np.pi])
-    assert gone(look(known, [8], 20, X_MC=beyond)) == []
+@pytest.mark.parametrize("beyond", [[6.0, 0.0, np.pi], [4.5, -1.2, 2.39]])
+def test_from_the_other_side_of_a_thin_wall_it_is_not_expected(known, beyond):
+    """The second place is not far from where it was seen from, but for the wall between."""
+    beyond = np.array(beyond)
+    known = replace(known, seen_from=np.tile([-1.0, -9.0], (3, 1)), widest=1.3)
+    d = (3.0 - beyond[0]) / np.cos(ANGLES + beyond[2])
+    scan = replace(SCAN, ranges=np.where(d > 0.0, d, np.inf))
+    assert gone(look(known, [8], 20, X_MC=beyond, scan=scan)) == []
 
 
 def test_where_detection_fails_often_more_frames_must(known):

@@ -20,8 +20,10 @@ from tfg_drake.slam.range_scale import surface
 NEAR = 4.0
 INSIDE = 0.1
 STEEPEST = 1.2
-# Cosine of the angle to the mean direction that a tag has been seen from, within which it is on the same side.
-SAME_SIDE = math.cos(math.radians(60.0))
+# Cosine of the angle to the mean direction that a tag has been seen from, within which it is seen again, and of the
+# angle of that direction to the surface's normal: else the tag is on its other side.
+NEAR_BY = math.cos(math.radians(60.0))
+SAME_SIDE = math.cos(math.radians(80.0))
 # The surface that the scan meets is the tag's where its distance differs by no more than this, m.
 SAME_SURFACE = 0.1
 # A tag is missing where no fewer frames in a row fail to show it than this, and by chance as seldom as that.
@@ -114,11 +116,13 @@ def _expected(
             continue
         bearing = math.atan2(-y, -x) - X_MC[2]
         bearing = math.atan2(math.sin(bearing), math.cos(bearing))
-        side = seen_from[i, 0] * x + seen_from[i, 1] * y
-        if abs(bearing) > widest - INSIDE or not side > SAME_SIDE * distance * math.hypot(
-            seen_from[i, 0], seen_from[i, 1]
-        ):
+        from_x, from_y = seen_from[i, 0], seen_from[i, 1]
+        often = math.hypot(from_x, from_y)
+        if abs(bearing) > widest - INSIDE or not from_x * x + from_y * y > NEAR_BY * often * distance:
             continue
         met, slant = surface(bearing + yaw, angles, ranges)
-        expected[i] = slant < STEEPEST and abs(met - distance) < SAME_SURFACE
+        straight = X_MC[2] + bearing + math.atan(slant)
+        side = -from_x * math.cos(straight) - from_y * math.sin(straight)
+        is_there = abs(slant) < STEEPEST and abs(met - distance) < SAME_SURFACE
+        expected[i] = is_there and side > SAME_SIDE * often
     return expected

@@ -109,7 +109,8 @@ def _moments(information: FloatArray, vector: FloatArray) -> tuple[float, float,
 
 @njit(cache=True)
 def surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
-    """Distance (m) to the surface at a bearing (rad), and the tangent of the incidence; nan without a surface.
+    """Distance (m) to the surface at a bearing (rad), and the tangent of how much farther to the left it is looked at
+    straight, the incidence; nan without a surface.
 
     One over the range is a sinusoid of the angle along a line, straight over a few rays, whose angles are evenly spaced
     or nearly so: those of a depth image are the closer together the farther from its middle.
@@ -129,7 +130,7 @@ def surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[flo
         slope += (i - first - RAYS + 0.5) / ranges[i]
     slope /= RAYS * (4 * RAYS * RAYS - 1) / 6.0
     inverse = total / (2 * RAYS) + slope * (bearing - middle) / step
-    return 1.0 / inverse, abs(slope) / (step * inverse)
+    return 1.0 / inverse, slope / (step * inverse)
 
 
 @njit(cache=True)
@@ -151,7 +152,7 @@ def _compare(
     more, more_vector, pull = information.copy(), vector.copy(), np.zeros((len(range_), 2))
     for k in range(len(range_)):
         distance, slant = surface(bearing[k], angles, ranges)
-        if not slant < STEEPEST:
+        if not abs(slant) < STEEPEST:
             continue
         lever = -math.sqrt(1.0 + slant * slant)
         variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2 / RAYS
