@@ -18,6 +18,7 @@ from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObserv
 from tfg_drake.slam.keyframe_graph import decoupled, rows_of
 from tfg_drake.slam.localizer import Localizer, localized_pose, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
+from tfg_drake.slam.missing_tags import renewed
 from tfg_drake.slam.range_scale import corrected, correction
 from tfg_drake.slam.relocalization import Expected, disagreeing, relocalize
 from tfg_drake.slam.sightings import select
@@ -95,7 +96,7 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     graph = replace(graph, p_ML=estimate.p_ML)
     _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
     graph, estimate = solve(graph, estimate.stamp, estimate.observation)
-    state = replace(state, graph=graph, solved=graph, map=estimate)
+    state = replace(state, graph=graph, solved=graph, map=estimate, watch=renewed(state.watch, estimate.ids))
     localizer = restart_localizer(state.model, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
     return _kidnapped(state, begun)
