@@ -114,6 +114,13 @@ def test_chooses_the_best_reachable_node_once():
     assert selector.goal() is goal
 
 
+def test_where_frames_tell_less_than_they_seem_the_first_look_goes_on():
+    estimate, _ = half_known_room()
+    selector = Selector()
+    selector.ready(map=dataclasses.replace(estimate, frame_worth=0.25))
+    assert (selector.goal().verdict, selector.goal().node) == ("look", -1)
+
+
 def test_a_closed_and_certain_map_is_complete():
     estimate, tfg = half_known_room()
     selector = Selector()
