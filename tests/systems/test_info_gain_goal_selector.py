@@ -127,6 +127,13 @@ def test_somebody_sends_the_robot_to_another_place():
     np.testing.assert_array_equal(goal.gain, alone.goal().gain)
 
 
+def test_where_frames_tell_less_than_they_seem_the_first_look_goes_on():
+    estimate, _ = half_known_room()
+    selector = Selector()
+    selector.ready(map=dataclasses.replace(estimate, frame_worth=0.25))
+    assert (selector.goal().verdict, selector.goal().node) == ("look", -1)
+
+
 def test_a_closed_and_certain_map_is_complete():
     estimate, tfg = half_known_room()
     selector = Selector()

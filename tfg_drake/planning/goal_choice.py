@@ -29,6 +29,8 @@ from tfg_drake.planning.revisit import worth_revisiting
 
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
+# Where frames tell less than they seem to, the first look has up to so many times its turns.
+MOST_FIRST_TURNS = 2.0
 
 
 def empty_choice() -> GoalChoice:
@@ -63,6 +65,7 @@ def choose(
     found worth remembering (see remember). everything: they are no part of a larger map. recalled: the robot was called
     back, so that no place is worth going to but home.
 
+    Where the tags' errors are found to be correlated, the robot first turns as often again as `more_first_turns` says.
     A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
     sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Where
     none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`).
@@ -77,6 +80,9 @@ def choose(
         return replace(ended, verdict=verdict, reason=reason, passages_revisited=looked)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
+    if estimate.stage <= more_first_turns(estimate.frame_worth, explorer) and not recalled:
+        reason = "The tags' errors go on from frame to frame: it turns once more before it drives."
+        return replace(empty_choice(), stage=estimate.stage, verdict="look", reason=reason)
     stay = time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
     open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
@@ -138,6 +144,12 @@ def choose(
         passages_revisited=looked,
         explored=explored,
     )
+
+
+def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:
+    """Turns to make where the mission starts, after those of the first look: how well these tell its heading goes with
+    the root of what a frame tells, in frames, and all that is mapped later inherits its error."""
+    return round(explorer.first_turns * (min(frame_worth**-0.5, MOST_FIRST_TURNS) - 1.0))
 
 
 def _homewards(
