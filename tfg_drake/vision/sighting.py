@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 # A corner so near to the image's edge may lie beyond it, pixels.
 EDGE = 1.0
+# A tag whose longer side is shorter, pixels, has too few of them a cell: its range is off by a per cent.
+LEAST_SIDE = 18.0
 # Nearer than that a bearing means nothing, m.
 LEAST_RANGE = 0.01
 
@@ -69,8 +71,8 @@ def sighted(
     """Range and bearing of the tags' centres in the body's horizontal plane, ids ascending, and what was left out.
 
     stamp: s. least_margin: the decision margin, grey levels, below which a tag is not believed. Left out are tags that
-    are not believed, of no known size, twice in the image, cut off by its edge, or no squares; and all tags of an image
-    that is not of the calibration's size.
+    are not believed, of no known size, twice in the image, too small in it, cut off by its edge, or no squares; and all
+    tags of an image that is not of the calibration's size.
     """
     noise = noise or TagNoise()
     if (tags.width, tags.height) != (calibration.width, calibration.height):
@@ -84,6 +86,7 @@ def sighted(
     distance, bearing, sigma_range, sigma_bearing = in_plane(p_CT, unit, mount, noise)
     last = np.array([tags.width - 1.0, tags.height - 1.0])
     cut_off = np.asarray(((tags.corners < EDGE) | (tags.corners > last - EDGE)).any(axis=(1, 2)))
+    side_seen = np.linalg.norm(np.roll(tags.corners, -1, axis=1) - tags.corners, axis=2).max(axis=1, initial=0.0)
     counts = dict(zip(*np.unique(tags.ids, return_counts=True), strict=True))
     good, remarks = np.ones(len(tags.ids), dtype=bool), dict[str, None]()
     for i, (tag, family) in enumerate(zip(tags.ids.tolist(), tags.families, strict=True)):
@@ -98,6 +101,8 @@ def sighted(
             why = "at the edge of the image; left out"
         elif not distance[i] > LEAST_RANGE:
             why = "its corners are no square's; left out"
+        elif side_seen[i] < LEAST_SIDE:
+            why = f"{side_seen[i]:.0f} pixels wide, below {LEAST_SIDE:g}; left out as too far"
         if why:
             good[i] = False
             remarks[f"tag {tag}: {why}"] = None

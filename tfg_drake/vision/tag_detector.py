@@ -10,6 +10,7 @@ import robotpy_apriltag
 
 from tfg_drake.messages import FloatArray, IntArray, message
 from tfg_drake.vision.image import Image, grey
+from tfg_drake.vision.tag_corners import refined
 
 # Those that robotpy_apriltag is compiled with.
 FAMILIES = ("tag36h11", "tag16h5")
@@ -78,6 +79,8 @@ class TagDetector:
         found = self._detector.detect(grey_image) if min(width, height) >= self._least_side else []
         corners = np.array([one.getCorners((0.0,) * 8) for one in found]).reshape(-1, 4, 2) - _PIXEL_CENTRE
         ids = np.array([one.getId() for one in found], dtype=np.int64)
+        for k, one in enumerate(found):
+            corners[k] = refined(grey_image, corners[k], one.getId(), one.getFamily())
         # Threads end in any order.
         order = np.lexsort((corners[:, 0, 0], ids))
         return TagsInImage(
