@@ -31,7 +31,9 @@ def test_corners_are_exact_however_blurred_the_image_is(distance, incidence, blu
     for seed in range(4):
         image, exact = drawn(distance, incidence, blur, seed=seed)
         near = exact + np.random.default_rng(seed).uniform(-0.4, 0.4, (4, 2))
-        found.append(refined(image, near, 7, "tag36h11") - exact)
+        corners, likeness = refined(image, near, 7, "tag36h11")
+        assert likeness > 0.97
+        found.append(corners - exact)
     outward = exact - exact.mean(axis=0)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     assert abs(np.mean(np.sum(found * outward, axis=2))) < 0.05
@@ -46,12 +48,14 @@ def test_corners_of_something_else_stay_as_they_were():
         (exact - [300.0, 0.0], 7, image),  # at the image's edge
         (np.zeros((4, 2)), 7, image),
     ):
-        np.testing.assert_array_equal(refined(picture, corners, tag, "tag36h11"), corners)
+        found, likeness = refined(picture, corners, tag, "tag36h11")
+        np.testing.assert_array_equal(found, corners)
+        assert likeness == 0.0
 
 
 def test_a_large_tag_is_left_as_it_is():
     image, exact = drawn(0.4, 0.2, 0.5)
-    np.testing.assert_array_equal(refined(image, exact + 0.3, 7, "tag36h11"), exact + 0.3)
+    np.testing.assert_array_equal(refined(image, exact + 0.3, 7, "tag36h11")[0], exact + 0.3)
 
 
 def test_the_other_family_too():
@@ -59,4 +63,4 @@ def test_the_other_family_too():
     image = np.full((100, 100), 255, np.uint8)
     image[20:68, 30:78] = cv2.aruco.generateImageMarker(dictionary, 3, 48)
     exact = np.array([[77.5, 19.5], [29.5, 19.5], [29.5, 67.5], [77.5, 67.5]])
-    np.testing.assert_allclose(refined(image, exact + 0.4, 3, "tag16h5"), exact, atol=0.05)
+    np.testing.assert_allclose(refined(image, exact + 0.4, 3, "tag16h5")[0], exact, atol=0.05)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 EDGE = 1.0
 # A tag whose longer side is shorter, pixels, has too few of them a cell: its range is off by a per cent.
 LEAST_SIDE = 18.0
+# What an image has less in common with a tag's cells is no tag that can be seen as a whole. Real ones have 0.91 to 1.
+LEAST_LIKENESS = 0.9
 # Nearer than that a bearing means nothing, m.
 LEAST_RANGE = 0.01
 
@@ -41,14 +43,16 @@ class TagSizes:
 @dataclasses.dataclass(frozen=True)
 class TagNoise:
     """Standard deviations of a sighting: pixels, of each corner along either axis, and place, m, of the tag's centre,
-    what no pixel explains: calibration, mount, tags that are not flat.
+    what no pixel explains: calibration, mount, tags that are not flat. unlike: pixels, of a corner too, times the root
+    of what the correlation of the image with the tag's cells lacks to 1: of a tag that is cut by a wall or seen aslant.
 
-    They fit TagSLAM's recording in a building, whose survey and reference are in `place` too. Most of it is no white
-    noise: the frames of one visit err alike. In rendered images a corner errs by 0.06 pixels.
+    The first two fit TagSLAM's recording in a building, whose survey and reference are in `place` too. Most of it is no
+    white noise: the frames of one visit err alike. The third fits rendered tags, whose corners err by 0.06 pixels.
     """
 
     pixels: float = 0.4
     place: float = 0.02
+    unlike: float = 1.0
 
 
 @message
@@ -83,6 +87,7 @@ def sighted(
         return Sighting(_message(stamp, tags, np.zeros(len(tags.ids), dtype=bool)), (remark,))
     side = np.array([sizes.of(int(i), family) or np.nan for i, family in zip(tags.ids, tags.families, strict=True)])
     p_CT, unit = tag_positions(tags.corners, side, calibration)
+    unit *= (1.0 + (noise.unlike / noise.pixels) ** 2 * (1.0 - tags.likeness))[:, None, None]
     distance, bearing, sigma_range, sigma_bearing = in_plane(p_CT, unit, mount, noise)
     last = np.array([tags.width - 1.0, tags.height - 1.0])
     cut_off = np.asarray(((tags.corners < EDGE) | (tags.corners > last - EDGE)).any(axis=(1, 2)))
@@ -95,6 +100,8 @@ def sighted(
             why = f"{counts[tag]} times in one image; all are left out, print each id once"
         elif tags.margin[i] < least_margin:
             why = f"decision margin {tags.margin[i]:.0f}, below {least_margin:g}; left out as hidden, blurred or far"
+        elif tags.likeness[i] < LEAST_LIKENESS:
+            why = "its cells are not where its outline is; left out as half hidden"
         elif np.isnan(side[i]):
             why = f"the size of {family} is not given; left out"
         elif cut_off[i]:

@@ -31,18 +31,21 @@ _FARTHEST, _FARTHEST_SHARE = 1.0, 0.05
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 6, 1e-5)
 
 
-def refined(image: Image, corners: FloatArray, tag: int, family: str) -> FloatArray:
-    """The corners (4, 2) of a tag in a grey image (h, w), pixels, as they were where its cells are not found there.
+def refined(image: Image, corners: FloatArray, tag: int, family: str) -> tuple[FloatArray, float]:
+    """The corners (4, 2) of a tag in a grey image (h, w), pixels, and how well its cells correlate with it.
 
-    They begin at the upper right one of the upright tag and run counter-clockwise.
+    corners: from the upper right one of the upright tag counter-clockwise. They stay as they were where the cells are
+    not found, then the correlation is 0, and of a tag so large that it needs no refinement, then it is 1.
     """
     cells = _cells(tag, family)
     n = len(cells) - 2
     across = 0.5 * (np.linalg.norm(corners[0] - corners[1]) + np.linalg.norm(corners[3] - corners[2])) / n
     down = 0.5 * (np.linalg.norm(corners[2] - corners[1]) + np.linalg.norm(corners[3] - corners[0])) / n
     cell = max(across, down)
-    if not 0.0 < min(across, down) <= cell < _LARGE:
-        return corners
+    if not 0.0 < min(across, down) <= cell:
+        return corners, 0.0
+    if cell > _LARGE:
+        return corners, 1.0
     fine = int(np.clip(round(cell), _COARSEST, _FINEST))
     # Half a cell of the white border: what lies beyond it is anything.
     cut = fine - fine // 2
@@ -62,23 +65,29 @@ def refined(image: Image, corners: FloatArray, tag: int, family: str) -> FloatAr
     try:
         warp = cv2.getPerspectiveTransform(square, (corners - first).astype(np.float32)).astype(np.float32)
         warp = _aligned(pattern(blur), part, warp)
-        seen = cv2.warpPerspective(part, warp, pattern(blur).shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+        seen = _straightened(part, warp, pattern(blur).shape)
         for side in range(2):
             tried = [(b, blur[1]) if side == 0 else (blur[0], b) for b in _BLURS]
             blur = max(tried, key=lambda one: _likeness(pattern(one), seen))
-        if blur != (_BLUR, _BLUR):
-            warp = _aligned(pattern(blur), part, warp)
+        warp = _aligned(pattern(blur), part, warp)
     except cv2.error:
-        return corners
+        return corners, 0.0
     found = cv2.perspectiveTransform(square[None], warp.astype(float))[0] + first
-    moved = np.linalg.norm(found - corners, axis=1).max()
-    return np.asarray(found) if moved < _FARTHEST + _FARTHEST_SHARE * n * cell else corners
+    if not np.linalg.norm(found - corners, axis=1).max() < _FARTHEST + _FARTHEST_SHARE * n * cell:
+        return corners, 0.0
+    return np.asarray(found), _likeness(pattern(blur), _straightened(part, warp, pattern(blur).shape))
 
 
 def _aligned(pattern: Image32, image: Image32, warp: Image32) -> Image32:
     """The homography (3, 3) from the pattern's pixels to the image's, near one to begin with; raises cv2.error."""
     found = cv2.findTransformECC(pattern, image, warp.copy(), cv2.MOTION_HOMOGRAPHY, _CRITERIA, None, 1)
     return np.asarray(found[1], dtype=np.float32)
+
+
+def _straightened(image: Image32, warp: Image32, shape: tuple[int, ...]) -> Image32:
+    """The part of an image that a homography lays a pattern of that shape over."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpPerspective(image, warp, shape[::-1], flags=flags), dtype=np.float32)
 
 
 def _likeness(one: Image32, other: Image32) -> float:
