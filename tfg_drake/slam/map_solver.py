@@ -20,8 +20,9 @@ from tfg_drake.slam.large_system import Parts, parts_of
 from tfg_drake.slam.small_system import Cells, cells_of
 from tfg_drake.slam.tag_error import learnt, suspected
 
-# Landmarks known jointly: those nearest to the robot.
+# Landmarks known jointly: those nearest to the robot; and so many of all others once everything is explored.
 JOINT = 400
+SPREAD = 600
 # At the end of a mission those of the whole map are, if they are no more than this: their covariance has 200 MB then.
 MOST_JOINT = 2500
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
@@ -40,6 +41,7 @@ def solve(
     node: int = -1,
     also: IntArray | None = None,
     joint: int = JOINT,
+    spread: int = 0,
 ) -> tuple[KeyframeGraph, MapEstimate]:
     """The graph at its maximum a posteriori values, and the map with the joint Gaussian round a place.
 
@@ -49,17 +51,21 @@ def solve(
         place: (2,), m in M, where the nearest landmarks are known jointly; where the node is by default.
         node: whose pose X_MD is, from 1 to k; the newest by default.
         also: (r,) rows of landmarks that are to be among them however far away.
-        joint: how many landmarks are known jointly.
+        joint: how many landmarks are known jointly. spread: and how many of the others.
     """
     factors = factors_of(graph)
     node = len(graph.keyframes) if node < 0 else node
     if place is None:
         place = graph.X_MN[node, :2]
-    local = np.sort(np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")[:joint])
+    by_distance = np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")
+    local = np.sort(by_distance[:joint])
+    if spread:
+        others = np.sort(by_distance[joint:])
+        local = np.union1d(local, others[np.linspace(0, len(others) - 1, min(spread, len(others))).astype(np.int64)])
     local = local if also is None else np.union1d(local, also)
     values = Values(graph.X_MN.copy(), graph.p_ML.copy(), np.zeros(graph.p_ML.shape))
     system: Cells | Parts
-    if len(local) == len(graph.ids):
+    if len(local) == len(graph.ids) <= JOINT:
         system = cells_of(graph, factors, node)
         values, linear, solved = _converged(factors, system, values)
     else:
