@@ -67,7 +67,8 @@ def choose(
 
     Where the tags' errors are found to be correlated, the robot first turns as often again as `more_first_turns` says.
     A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
-    sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Where
+    sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Of a
+    large map that is known after one look more: with `explored` the choice asks for what it takes. Where
     none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
@@ -86,7 +87,8 @@ def choose(
     stay = time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
     open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
-    if explorer.revisit and explorer.goal == "tour" and everything and not open_left and not recalled:
+    looks_again = explorer.revisit and explorer.goal == "tour" and everything and not recalled
+    if looks_again and (not open_left if estimate.is_joint else previous.explored < math.inf):
         again = _second_look(now, previous)
         if again is not None:
             return again
@@ -122,6 +124,10 @@ def choose(
     else:
         node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
+        near = _soonest(roadmap, budget)
+        to_ask = looks_again and not estimate.is_joint and previous.explored == math.inf
+        if verdict == "complete" and to_ask and near >= 0:
+            node, verdict, reason = near, "goal", "All is explored: it looks where the map can grow more accurate yet."
     if verdict != "goal" and explorer.return_home:
         node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
     name, p_MG = _named(roadmap, node)
@@ -150,6 +156,13 @@ def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:
     """Turns to make where the mission starts, after those of the first look: how well these tell its heading goes with
     the root of what a frame tells, in frames, and all that is mapped later inherits its error."""
     return round(explorer.first_turns * (min(frame_worth**-0.5, MOST_FIRST_TURNS) - 1.0))
+
+
+def _soonest(roadmap: Roadmap, budget: Budget) -> int:
+    """The node that the robot reaches soonest, -1 without any."""
+    nodes = np.flatnonzero(roadmap.reachable)
+    nodes = nodes[budget.affords(roadmap, nodes)]
+    return int(nodes[np.argmin(roadmap.travel_time[nodes])]) if len(nodes) else -1
 
 
 def _homewards(

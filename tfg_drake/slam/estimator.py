@@ -45,7 +45,7 @@ from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, came
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
-from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.missing_tags import TagWatch, missing, renewed, watched
 from tfg_drake.slam.noise_correlation import less_certain
@@ -146,17 +146,18 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     return replace(state, turn=opened(state), piece=None)
 
 
-def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
+def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> EstimatorState:
     """The state with the open turn solved and added to the map as a view, and the localiser at the departure pose D.
 
-    The stamp is brought into the span of the odometry at hand. Raises ValueError where no turn is open.
+    explored: everything is, so of a large map landmarks all over it are known jointly too. The stamp is brought into
+    the span of the odometry at hand. Raises ValueError where no turn is open.
     """
     if state.turn is None:
         raise ValueError("No turn is open.")
     state = _step_to(state, stamp)
     turn = state.turn
     assert turn is not None
-    return _add_view(state, turn)
+    return _add_view(state, turn, SPREAD if explored else 0)
 
 
 def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -174,7 +175,7 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     in_doubt = state.lost or state.contradictions >= CONTRADICTIONS
     if in_doubt and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
         return state
-    return _add_view(state, piece)
+    return _add_view(state, piece, 0)
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -386,8 +387,8 @@ def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorStat
     return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph, pending=pending)
 
 
-def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
-    """The state with a turn or piece added to the map as a view, and the localiser at its end."""
+def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
+    """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
     state, way = _with_camera(state, solution), state.way
     if state.kidnapped and state.turn is None and state.map is not None:
@@ -413,9 +414,10 @@ def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
         or before is not state.graph
         or corrected_graph is not graph
         or needs_solve(graph, solved, estimate)
+        or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
         corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
-        graph, estimate = _solved(corrected_graph, state.stamp, solution.observation)
+        graph, estimate = _solved(corrected_graph, state.stamp, solution.observation, spread)
         solved = graph
     else:
         graph, estimate = finished(graph, estimate, state.stamp, solution.observation)
@@ -476,9 +478,11 @@ def _with_keyframe(
     return graph, estimate, evidence, rejected, np.union1d(anew, others)
 
 
-def _solved(graph: KeyframeGraph, stamp: float, observation: Observation) -> tuple[KeyframeGraph, MapEstimate]:
+def _solved(
+    graph: KeyframeGraph, stamp: float, observation: Observation, spread: int
+) -> tuple[KeyframeGraph, MapEstimate]:
     """A graph of one keyframe or more solved, the empty graph as it is."""
-    return solve(graph, stamp, observation) if graph.keyframes else (graph, NO_MAP)
+    return solve(graph, stamp, observation, spread=spread) if graph.keyframes else (graph, NO_MAP)
 
 
 def _names(ids: IntArray) -> str:
