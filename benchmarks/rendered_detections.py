@@ -24,7 +24,7 @@ from tfg_drake.messages import FloatArray, TagDetections
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
 from tfg_drake.systems.rendered_world import MakeCameraInfo, WorldView
 from tfg_drake.vision.camera_sheet import FIELD_OF_VIEW
-from tfg_drake.vision.exposure import exposed, sharpened
+from tfg_drake.vision.exposure import exposed
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagSizes, sighted
 from tfg_drake.vision.tag_detector import TagDetector
@@ -49,7 +49,7 @@ class Rendered:
         self._view, self._detector = WorldView(WORLD, self._mount, info), TagDetector()
 
     def see(self, X_WB: FloatArray, rng: np.random.Generator) -> TagDetections:
-        image = exposed(sharpened(self._view.colour(X_WB)), 0.0, CameraRealityConfig(), int(rng.integers(2**32)))
+        image = exposed(self._view.image(X_WB), 0.0, CameraRealityConfig(), int(rng.integers(2**32)))
         tags = self._detector.detect(image)
         return sighted(tags, 0.0, self._view.calibration, self._sizes, self._mount, TAG_NOISE).detections
 

@@ -263,7 +263,7 @@ def view(
 @app.command()
 def export(
     run: RunArgument,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write: .html, .gif.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write: .html, .gif, .mp4.")],
 ) -> None:
     """Write a mission as one page that needs nothing else, with a slider for the time, or as a film."""
     from tfg_drake.diagrams.commands.view import export_run

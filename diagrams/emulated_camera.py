@@ -105,7 +105,7 @@ def serve(connection: Connection) -> None:
         poses = [one for one in told if not isinstance(one, bool)]
         if stream.watched and poses:
             taken, X_WB = poses[-1]
-            image = view.colour(X_WB)
+            image = view.image(X_WB)
             time.sleep(max(0.0, taken + LATENCY - time.monotonic()))
             stream.show(image)
         if board.watched and time.monotonic() - held > _BOARD_EVERY:

@@ -23,8 +23,8 @@ from tfg_drake.world.world import World
 
 # What stands between these heights the robot could run into, m.
 _LOW, _HIGH = 0.05, 0.5
-# Of corners in what is rendered, and what blur of a far tag does to its range.
-TAG_NOISE = TagNoise(pixels=0.25, place=0.005)
+# Of corners in what is rendered, and of tags that hang a millimetre before their place.
+TAG_NOISE = TagNoise(pixels=0.06, place=0.002)
 
 
 def MakeRenderedEyes(scenario: Scenario, world: World) -> Diagram:

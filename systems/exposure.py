@@ -9,14 +9,15 @@ from pydrake.systems.sensors import ImageRgba8U
 
 from tfg_drake.config import CameraRealityConfig
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.vision.exposure import exposed, sharpened
+from tfg_drake.vision.exposure import exposed
+from tfg_drake.vision.hue import photographed
 
 # A number between 0 and 1 is so many seeds.
 _SEEDS = 2**32
 
 
 class Exposure(LeafSystem):
-    """Sharpens what is rendered, blurs and darkens it and puts noise on it, see tfg_drake.vision.exposure.
+    """Makes grey of hues, blurs, darkens, puts noise on it, see tfg_drake.vision.hue and tfg_drake.vision.exposure.
 
     .. pydrake_system::
 
@@ -50,6 +51,6 @@ class Exposure(LeafSystem):
     def _CalcImage(self, context: Context, output: AbstractValue) -> None:
         rendered = self._image.Eval(context).data
         seed = int(_SEEDS * self._noise.Eval(context)[0])
-        seen = exposed(sharpened(rendered), self._blur * self._pose.Eval(context)[4], self._reality, seed)
+        seen = exposed(photographed(rendered), self._blur * self._pose.Eval(context)[4], self._reality, seed)
         data = output.get_mutable_value().mutable_data
         data[..., :3], data[..., 3] = seen[..., None], 255

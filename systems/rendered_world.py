@@ -34,6 +34,7 @@ from pydrake.systems.sensors import CameraInfo
 from tfg_drake.simulation.people import RADIUS
 from tfg_drake.systems.camera_info import calibration_of
 from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.hue import hue_of, photographed
 from tfg_drake.vision.image import Image
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.world.scene import SceneConfig, make_scene
@@ -45,8 +46,8 @@ _NEAREST, _FARTHEST = 0.03, 100.0
 # Lamps on three sides of every wall, so far away that they shine alike everywhere: rad above the horizon.
 _LAMP_HEADINGS, _LAMP_HEIGHT = np.radians([20.0, 140.0, 260.0]), math.radians(20.0)
 
-# How tall people are, m, and the colour of what they wear.
-_TALL, _CLOTHES = 1.7, (0.25, 0.35, 0.55)
+# How tall people are, m, and the grey levels of what they wear and of the sky.
+_TALL, _CLOTHES, _SKY = 1.7, 85.0, 225.0
 
 
 def AddScene(scene: SceneGraph, world: World, config: SceneConfig | None = None) -> SourceId:
@@ -55,7 +56,8 @@ def AddScene(scene: SceneGraph, world: World, config: SceneConfig | None = None)
     Raises WorldError where it cannot be drawn.
     """
     drawn = make_scene(world, config)
-    scene.AddRenderer(_RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(lights=[_Lamp(a) for a in _LAMP_HEADINGS])))
+    look = RenderEngineVtkParams(default_clear_color=_Hue(_SKY), lights=[_Lamp(a) for a in _LAMP_HEADINGS])
+    scene.AddRenderer(_RENDERER, MakeRenderEngineVtk(look))
     source = scene.RegisterSource("building")
     files = {
         "scene.mtl": MemoryFile(drawn.mtl, ".mtl", "scene.mtl"),
@@ -75,11 +77,16 @@ def AddPeople(scene: SceneGraph, source: SourceId, count: int) -> list[FrameId]:
         frame = scene.RegisterFrame(source, GeometryFrame(f"person{k}"))
         body = GeometryInstance(RigidTransform([0.0, 0.0, 0.5 * _TALL]), Cylinder(RADIUS, _TALL), "body")
         properties = PerceptionProperties()
-        properties.AddProperty("phong", "diffuse", Rgba(*_CLOTHES))
+        properties.AddProperty("phong", "diffuse", Rgba(*_Hue(_CLOTHES)))
         body.set_perception_properties(properties)
         scene.RegisterGeometry(source, frame, body)
         frames.append(frame)
     return frames
+
+
+def _Hue(grey: float) -> NDArray[np.float64]:
+    """(3,) shares of red, green, blue."""
+    return hue_of(np.array(grey)) / 255.0
 
 
 def _Lamp(heading: float) -> LightParameter:
@@ -130,12 +137,12 @@ class WorldView:
         self._X_BC = MountPose(mount)
         self.calibration: CameraCalibration = calibration_of(info)
 
-    def colour(self, X_WB: NDArray[np.float64]) -> Image:
-        """(h, w, 3) RGB of what the camera sees from a body at the pose X_WB (3,)."""
+    def image(self, X_WB: NDArray[np.float64]) -> Image:
+        """(h, w) in grey, of what the camera sees from a body at the pose X_WB (3,)."""
         image = self._Query().RenderColorImage(
             self._colour, self._scene.world_frame_id(), PlanarPose(X_WB) @ self._X_BC
         )
-        return np.ascontiguousarray(image.data[..., :3])
+        return photographed(image.data)
 
     def depth(self, X_WB: NDArray[np.float64]) -> NDArray[np.float32]:
         """(h, w) m along the optical axis, 0 too near, inf too far."""

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
-from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
+from tfg_drake.messages import (
+    GoalChoice,
+    LaserScan,
+    MapEstimate,
+    MissionStatus,
+    Odometry,
+    PoseEstimate,
+    TagDetections,
+)
 from tfg_drake.slam.camera_model import camera_model
 from tfg_drake.slam.estimator import (
     begin_turn,
@@ -43,11 +53,13 @@ class SlamEstimator(LeafSystem):
         - detections
         - scan
         - mission
+        - goal
         output_ports:
         - pose
         - map
 
-    odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the
+    odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, may be
+    unconnected: once it says that all is explored, more of a large map is known jointly. pose: PoseEstimate at the
     newest odometry. map: MapEstimate after the newest view, of stage 0 and empty before the first. A turn is open while
     the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's
     stage plus one. Messages are taken once each, by their stamps.
@@ -62,6 +74,7 @@ class SlamEstimator(LeafSystem):
         self._detections = declare_message_input(self, "detections")
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
+        self._goal = declare_message_input(self, "goal")
         self._state = self.DeclareAbstractState(
             AbstractValue.Make(initial_state(odometry_config, path_keyframe_period, camera_model(sensor)))
         )
@@ -99,6 +112,9 @@ class SlamEstimator(LeafSystem):
         if mission.phase in ("observe", "glance") and estimator.turn is None and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
         elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:
-            estimator = end_turn(estimator, odometry.stamp)
+            explored = (
+                self._goal.HasValue(context) and eval_message(self._goal, context, GoalChoice).explored < math.inf
+            )
+            estimator = end_turn(estimator, odometry.stamp, explored=explored)
         set_state_message(state, self._state, estimator)
         return EventStatus.Succeeded()

@@ -10,6 +10,7 @@ from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
+from tfg_drake.vision.same_view import Views, no_views, weighed
 from tfg_drake.vision.sighting import Sighting, TagNoise, TagSizes, nothing_sighted, sighted
 from tfg_drake.vision.tag_detector import DetectorConfig
 from tfg_drake.vision.tag_detector import TagDetector as Detector
@@ -49,6 +50,7 @@ class TagDetector(LeafSystem):
         self._sheet = (calibration, sizes, mount, noise, least_margin)
         self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageRgba8U()))
         self._state = self.DeclareAbstractState(AbstractValue.Make(nothing_sighted()))
+        self._views = self.DeclareAbstractState(AbstractValue.Make(no_views()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / rate, 0.0, self._Detect)
         tickets = {self.abstract_state_ticket(self._state)}
         declare_message_output(self, "detections", lambda context: self._Newest(context).detections, tickets)
@@ -60,4 +62,7 @@ class TagDetector(LeafSystem):
     @metered("tag_detector")
     def _Detect(self, context: Context, state: State) -> None:
         tags = self._detector.detect(self._image.Eval(context).data)
-        set_state_message(state, self._state, sighted(tags, context.get_time(), *self._sheet))
+        sighting = sighted(tags, context.get_time(), *self._sheet)
+        detections, views = weighed(sighting.detections, tags, state_message(context, self._views, Views))
+        set_state_message(state, self._state, Sighting(detections, sighting.remarks))
+        set_state_message(state, self._views, views)

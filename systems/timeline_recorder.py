@@ -20,6 +20,7 @@ from tfg_drake.messages import (
     TfgMap,
 )
 from tfg_drake.pictures import scene
+from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.timeline import TimelineWriter
@@ -168,11 +169,13 @@ class TimelineRecorder(LeafSystem):
         elif name == "goal":
             roadmap = self._Get(context, "roadmap")
             there = scene.goal(message) if message.node >= 0 else {"points": np.zeros((0, 2))}
-            write("goal", now, there, verdict=message.verdict, reason=message.reason)
+            told = {"verdict": message.verdict, "reason": message.reason, "stage": message.stage}
+            told["sent"] = message.reason == REASON
+            write("goal", now, there, **told)
             if roadmap is not None:
                 layer = dict(scene.gains(message, roadmap))
                 layer["share"] = layer["share"].astype(np.float32)
-                write("gains", now, layer, explained=scene.explained(message, roadmap))
+                write("gains", now, layer, explained=scene.explained(message, roadmap), stage=message.stage)
         elif name == "path":
             write("path", now, scene.path(message))
         elif name == "grid":

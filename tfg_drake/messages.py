@@ -359,12 +359,12 @@ class GoalChoice:
 
     stage. node: its id in the roadmap, -1 for none. p_MG: (2,). candidates: (c,) ids of the nodes evaluated,
     exploitation, exploration, pose_price: (c,) nats (gain = exploitation + exploration, price included in it).
-    value: (c,) what was maximised. verdict: "goal", or how the mission ends: "complete", "stuck" or "budget", where
-    there is a node as soon as the robot is there, home. reason: one sentence. latest_arrival: s, when the robot is not
-    at the goal by then, it must turn back. spent: what it was chosen for has been seen on the way: the next goal can be
-    chosen at once. look: (l,) headings, rad in M, that the robot is to look in at the goal, without any all round.
-    passages_revisited: (t,) ids of the nodes before narrow passages to which the robot has gone back before the mission
-    ends.
+    value: (c,) what was maximised. verdict: "goal", "look" to turn where the robot stands, or how the mission ends:
+    "complete", "stuck" or "budget", where there is a node as soon as the robot is there, home. reason: one sentence.
+    latest_arrival: s, when the robot is not at the goal by then, it must turn back. spent: what it was chosen for has
+    been seen on the way: the next goal can be chosen at once. look: (l,) headings, rad in M, that the robot is to look
+    in at the goal, without any all round. passages_revisited: (t,) ids of the nodes before narrow passages to which the
+    robot has gone back before the mission ends.
     longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget.
     explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
     """

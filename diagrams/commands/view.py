@@ -5,32 +5,40 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tfg_drake.cockpit.browser import BrowserMissing, film_page
+from tfg_drake.cockpit.browser import BrowserMissing, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter
 from tfg_drake.diagrams.commands.page import open_page
+from tfg_drake.diagrams.commands.page_forks import PageForks, can_fork
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.diagrams.missions.run_folder import claimed
-from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError
+
+_FILMS = {".gif": write_gif, ".mp4": write_mp4}
 
 
 def serve_run(run: Path, host: str, port: int | None) -> None:
     """Serve the page of a run until the user has seen enough. Raises BadInput where there is nothing to serve."""
-    given = {"timeline": _timeline(run), "live": is_under_way(run), "controls": False}
+    live = is_under_way(run)
+    forks = PageForks(run) if not live and can_fork(run) else None
+    given = {"timeline": _timeline(run), "live": live, "controls": False, "forks": forks}
     with open_page(run.resolve().name, host, port, **given):
-        wait_for_enter()
+        try:
+            wait_for_enter()
+        finally:
+            if forks is not None:
+                forks.close()
 
 
 def export_run(run: Path, out: Path) -> None:
     """Write a run as one page or, in a browser, as a film. Raises BadInput where that cannot be."""
     suffix = out.suffix.lower()
-    if suffix not in (".html", ".gif"):
-        bad_input(f"{out}: unknown format; name a file that ends in .html or .gif")
+    if suffix not in (".html", *_FILMS):
+        bad_input(f"{out}: unknown format; name a file that ends in .html, .gif or .mp4")
     timeline = _timeline(run)
     try:
-        if suffix == ".gif":
+        if suffix in _FILMS:
             _film(timeline, out, run.resolve().name)
         else:
             export_page(timeline, out, run.resolve().name, viewer_script())
@@ -44,7 +52,7 @@ def _film(timeline: Path, out: Path, title: str) -> None:
     with tempfile.TemporaryDirectory() as folder, Screen() as show:
         page = Path(folder) / "page.html"
         export_page(timeline, page, title, viewer_script())
-        write_atomic(out, film_page(page, show))
+        _FILMS[out.suffix.lower()](page, out, show)
 
 
 def _timeline(run: Path) -> Path:

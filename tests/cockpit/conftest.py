@@ -75,7 +75,7 @@ def stage(writer, number, time):
     writer.write("roadmap", time, {"points": nodes, "edges": np.array([[0, 1], [1, 2], [1, 3]])})
     writer.write("goal", time, {"points": nodes[-1:]}, verdict="goal", reason="")
     share = np.array([0.1, 0.5, 0.7, 1.0], dtype=np.float32)
-    writer.write("gains", time, {"points": nodes, "share": share}, explained=EXPLAINED)
+    writer.write("gains", time, {"points": nodes, "share": share}, explained=EXPLAINED, stage=number)
     writer.write("path", time, {"segments": np.array([[0.0, 0.0, 2.0, 1.0], [2.0, 1.0, 3.5, 1.2]])})
     writer.write("mission", time, {}, phase="follow", stage=number, outcome="", reason="", drives=True)
 

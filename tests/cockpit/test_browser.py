@@ -1,16 +1,16 @@
 """The page in a browser: every button and every toggle is pressed, and does what it says."""
 
-import io
 import itertools
 import json
 import time
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
 from tests.cockpit.conftest import STAGES, begin, drive, end, stage
-from tfg_drake.cockpit.browser import SEEK, BrowserMissing, film_page, open_browser, wait_for_page
+from tfg_drake.cockpit.browser import SEEK, BrowserMissing, open_browser, wait_for_page, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
@@ -295,12 +295,18 @@ def test_a_place_that_is_clicked_is_found_on_the_floor(page, flat):
 
 
 @pytest.mark.slow
-def test_a_film_shows_the_mission_to_its_end(driver, exported):
-    said = []
-    film = Image.open(io.BytesIO(film_page(exported, said.append, 3)))
-    assert film.n_frames == 3
+@pytest.mark.parametrize("write", [write_gif, write_mp4])
+def test_a_film_shows_the_mission_to_its_end(driver, exported, tmp_path, write):
+    said, out = [], tmp_path / f"film.{write.__name__[-3:]}"
+    write(exported, out, said.append, 3)
     assert said[-1] == "filming the mission, picture 3 of 3"
-    frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
+    if write is write_gif:
+        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(Image.open(out))]
+    else:
+        film = cv2.VideoCapture(str(out))
+        frames = [film.read()[1] for _ in range(3)]
+        assert not film.read()[0]
+    assert len(frames) == 3
     assert all(np.any(one != other) for one, other in itertools.pairwise(frames))
 
 
@@ -456,6 +462,51 @@ def test_the_robot_is_sent_and_driven(driver, tmp_path):
         live.until(lambda: pressed.extend(live.cockpit.keys()) or {"stick 0.00 0.00", "look"} <= set(pressed))
         page("document.dispatchEvent(new KeyboardEvent('keydown', { key: 'Escape' }))")
         assert "halt" in live.until(lambda: list(live.cockpit.keys()))
+        assert page.complaints() == []
+
+
+class Futures:
+    """A fork that this test drives."""
+
+    def __init__(self, timeline):
+        self.timeline, self.is_running, self.rows, self.asked = timeline, False, [], []
+
+    def start(self, stage, goal):
+        self.asked.append((stage, goal))
+        self.is_running = True
+        return True
+
+    def state(self):
+        told = {"stage": 2, "folder": "runs/fork", "line": "5 s  stage 1", "rows": self.rows, "failure": ""}
+        return {"number": len(self.asked), "running": self.is_running, **told}
+
+
+@pytest.mark.slow
+def test_a_run_is_forked_on_its_page(driver, mission, tmp_path):
+    forks = Futures(tmp_path / "fork.tfg")
+    with (
+        Cockpit(viewer_script(), "room", timeline=mission, live=False, controls=False, forks=forks) as cockpit,
+        TimelineWriter(forks.timeline) as writer,
+    ):
+        page = Page(driver, cockpit.address)
+        page.seek(5.2)
+        assert "Click another candidate of stage 2" in page.text("fork")
+        page("document.querySelectorAll('tr[data-row]')[1].click()")
+        page.click("request-fork")
+        page.until("return forks.number === 1")
+        assert forks.asked == [(2, (2.0, 3.0))]  # (1, 1) in M
+        page.until("return element('fork').textContent.includes('5 s  stage 1')")
+        begin(writer)
+        for time_s in np.arange(0.25, 12.01, 0.25):
+            drive(writer, time_s)
+        writer.flush()
+        page.until("return forks.timeline && forks.timeline.end === 12")
+        page.seek(12.0)
+        np.testing.assert_allclose(page("return forkRobot.position.toArray().slice(0, 2)"), [4.8, 0.0], atol=1e-5)
+        assert page("return robot.position.x") == pytest.approx(4.0)  # The run itself was over by then.
+        forks.rows, forks.is_running = [["", "run", "fork", "difference"], ["time", "10 s", "12 s", "+2 s"]], False
+        page.until("return element('fork').innerText.includes('+2 s')")
+        assert "runs/fork" in page.text("fork")
         assert page.complaints() == []
 
 

@@ -42,9 +42,9 @@ def ask(cockpit, what, token="", **more):
 class Stream:
     """A page that reads the timeline as it grows."""
 
-    def __init__(self, cockpit, start=0):
+    def __init__(self, cockpit, start=0, path="/timeline"):
         self.socket = socket.create_connection(("localhost", port(cockpit)), timeout=30)
-        self.socket.sendall(f"GET /timeline?from={start} HTTP/1.0\r\nHost: localhost\r\n\r\n".encode())
+        self.socket.sendall(f"GET {path}?from={start} HTTP/1.0\r\nHost: localhost\r\n\r\n".encode())
         self.data, self.ended = b"", False
 
     def read(self, count):
@@ -169,6 +169,46 @@ def test_somebody_drives_by_keys_and_by_a_stick(cockpit, monkeypatch):
     assert ask(cockpit, "stick", cockpit.token, x=1, y=0)[0] == 200
     assert list(cockpit.keys()) == ["stick 0.00 0.00", "stick 1.00 0.00", "stick 0.00 0.00"]
     assert list(cockpit.keys()) == []
+
+
+class Futures:
+    """Other futures of a run."""
+
+    def __init__(self, timeline):
+        self.timeline, self.is_running, self.asked = timeline, True, []
+
+    def start(self, stage, goal):
+        self.asked.append((stage, goal))
+        return len(self.asked) == 1
+
+    def state(self):
+        return {"number": len(self.asked)}
+
+
+def test_a_run_that_has_ended_is_forked_and_its_fork_is_read_as_it_grows(mission, tmp_path):
+    forks = Futures(tmp_path / "fork.tfg")
+    with Cockpit("", "room", timeline=mission, live=False, controls=False, forks=forks) as cockpit:
+        assert cockpit.address.endswith(f"#token={cockpit.token}")
+        assert ask(cockpit, "fork", stage=5, x=1.0, y=2.0)[0] == 403
+        for nowhere in ({"stage": 5}, {"stage": "last", "x": 1, "y": 2}, {"stage": float("inf"), "x": 1, "y": 2}):
+            assert ask(cockpit, "fork", cockpit.token, **nowhere)[0] == 400
+        assert ask(cockpit, "fork", cockpit.token, stage=5, x=1.0, y=-2.0)[0] == 200
+        assert ask(cockpit, "fork", cockpit.token, stage=6, x=1.0, y=-2.0)[0] == 400  # one at a time
+        assert forks.asked == [(5, (1.0, -2.0)), (6, (1.0, -2.0))]
+        assert ask(cockpit, "recall", cockpit.token)[0] == 400
+        assert json.loads(get(cockpit, "/state")[1])["fork"] == {"number": 2}
+        stream = Stream(cockpit, path="/fork")
+        forks.timeline.write_bytes(b"what is there")
+        assert stream.read(13) == b"what is there"
+        with forks.timeline.open("ab") as file:
+            file.write(b", and more")
+        assert stream.read(23).endswith(b", and more")
+        forks.is_running = False
+        assert stream.read(24) == b"what is there, and more"
+    with Cockpit("", "room", timeline=mission, live=False, controls=False) as other:
+        assert "#" not in other.address
+        assert get(other, "/fork")[0] == 404
+        assert ask(other, "fork", other.token, stage=5, x=1.0, y=2.0)[0] == 400
 
 
 def test_a_simulated_robot_is_pushed_and_a_real_one_is_not(cockpit, mission):

@@ -267,3 +267,11 @@ def test_two_goals_do_not_send_the_robot_to_and_fro_for_ever():
     observing = dataclasses.replace(status, phase="observe", since=time)
     done = FollowerStatus(time + 5.0, 7, True, 7.0, True)
     assert step(observing, inputs(time + 5.0, follower=done)).changes == 0
+
+
+def test_where_it_is_to_look_again_the_robot_turns_where_it_stands():
+    status = dataclasses.replace(initial_status(), phase="choose", stage=1)
+    status = step(status, inputs(50.0, goal=goal(1, "look")))
+    assert (status.phase, status.stage, status.since) == ("observe", 1, 50.0)
+    status = step(status, inputs(58.0, follower=FollowerStatus(58.0, 0, False, 4.6, True)))
+    assert (status.phase, step(status, inputs(58.1, mapped_stage=2)).stage) == ("map", 2)

@@ -1,7 +1,8 @@
 import numpy as np
 
+from tfg_drake.config import ExplorerConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.goal_choice import _homewards, pick, preferred
+from tfg_drake.planning.goal_choice import _homewards, more_first_turns, pick, preferred
 from tfg_drake.planning.mission_end import given_up_open, why_end
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
@@ -121,3 +122,7 @@ def test_a_frontier_given_up_inside_a_hollow_obstacle_does_not_count():
 
 def test_a_frontier_given_up_behind_a_wall_does_not_count():
     assert given_up_behind(1.0, (-3.0, -0.4, 3.0, -0.4)) == 0.0
+
+
+def test_the_first_look_has_more_turns_the_less_a_frame_tells_up_to_twice_as_many():
+    assert [more_first_turns(worth, ExplorerConfig(first_turns=3)) for worth in (1.0, 0.5, 0.25, 0.05)] == [0, 1, 3, 3]

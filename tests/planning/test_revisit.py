@@ -10,7 +10,7 @@ from tfg_drake.planning import revisit
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.expected_view import Visibility
 from tfg_drake.planning.information_gain import turn_noise
-from tfg_drake.planning.revisit import error_removed, squared_by_landmarks, worth_revisiting
+from tfg_drake.planning.revisit import error_removed, worth_revisiting
 from tfg_drake.slam.keyframe_graph import empty_map
 
 
@@ -47,7 +47,7 @@ def test_what_a_turn_takes_off_the_error_equals_brute_force(seed, seen):
         p_ML,
         X_MD,
         covariance,
-        squared_by_landmarks(covariance),
+        covariance[:, :-3] @ covariance[:-3],
         NOISE,
     )
     expected = brute_force(point, Q[0], rows, p_ML, X_MD, covariance, NOISE)
@@ -58,7 +58,7 @@ def test_what_a_turn_takes_off_the_error_equals_brute_force(seed, seen):
 @pytest.mark.parametrize("seed", range(5))
 def test_places_judged_together_are_worth_what_each_is_by_itself(seed):
     rng, p_ML, X_MD, covariance, point, Q = problem(seed)
-    squared = squared_by_landmarks(covariance)
+    squared = covariance[:, :-3] @ covariance[:-3]
     seen = [np.sort(rng.permutation(len(p_ML))[:k]) for k in (3, 0, 7, 1)]
     visible = Visibility(np.cumsum([0, 3, 0, 7, 1]), np.concatenate(seen))
     points, Q = point + rng.normal(0.0, 1.0, (4, 2)), np.repeat(Q, 4, axis=0) * np.arange(1, 5)[:, None, None]

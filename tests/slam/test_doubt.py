@@ -148,7 +148,7 @@ def test_the_audit_finds_what_one_keyframe_has_elsewhere():
 def test_a_disputed_tag_is_doubtful():
     account = Account()
     account.see([20, 20, 20, 20])
-    np.testing.assert_array_equal(doubtful(disputed(account.evidence, TAG)), [TAG])
+    np.testing.assert_array_equal(doubtful(disputed(account.evidence, np.array([TAG]))), [TAG])
 
 
 @pytest.mark.parametrize("frames", [[0, 0, 0, 0], [3, 0, 0, 0]])

@@ -6,6 +6,7 @@ import pytest
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry
+from tfg_drake.slam import estimator, map_solver, map_update
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
@@ -58,6 +59,20 @@ def test_exact_without_noise(drive):
     np.testing.assert_allclose(estimate.p_ML, robot.p_ML(estimate.ids), atol=1e-6)
     np.testing.assert_allclose(estimate.X_MD, robot.X_MB, atol=1e-6)
     assert estimate.observation.X_AB.shape[0] > 60
+
+
+def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(drive, monkeypatch):
+    monkeypatch.setattr(estimator, "SPREAD", 25)
+    monkeypatch.setattr(estimator, "JOINT", 30)
+    monkeypatch.setattr(map_update, "NEAREST", 20)
+    monkeypatch.setitem(map_solver.solve.__kwdefaults__, "joint", 30)
+    robot, state = explore(drive, 2, 1.0, views=3)
+    state = begin_turn(state, robot.time)
+    for _ in range(TURN):
+        for message in robot.step(0.0, 1.0):
+            state = feed(state, message)
+    near, spread = (map_estimate(end_turn(state, robot.time, explored=explored)) for explored in (False, True))
+    assert len(near.local) < 55 <= len(spread.local) <= len(spread.ids)
 
 
 def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):

@@ -64,6 +64,18 @@ def test_round_another_place_and_pose():
     assert_dense(graph, solved, estimate, node=20)
 
 
+def test_landmarks_all_over_the_map_are_known_jointly_too():
+    observations, _, _ = ring(2, laps=1.05)
+    graph = reckoned(observations)
+    solved, estimate = solve(graph, 0.0, observations[-1], joint=20, spread=30)
+    _, near = solve(graph, 0.0, observations[-1], joint=20)
+    assert len(estimate.local) == 50
+    assert np.isin(near.local, estimate.local).all()
+    assert np.diff(np.setdiff1d(estimate.local, near.local)).max() <= 2 + len(graph.ids) // 30
+    assert_dense(graph, solved, estimate)
+    assert len(solve(graph, 0.0, observations[-1], joint=20, spread=1000)[1].local) == len(graph.ids)
+
+
 def test_a_graph_whose_keyframes_are_fused_is_a_dense_solution_too():
     observations, _, _ = ring(4, views=60, laps=1.1)
     joined = with_ways(observations)

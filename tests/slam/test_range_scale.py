@@ -1,12 +1,15 @@
 """The range scale learnt from tags on surfaces that the scan meets."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from tfg_drake.geometry.visibility import cast_rays
-from tfg_drake.messages import LaserScan, TagDetections
-from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, unknown_scale
+from tfg_drake.messages import LaserScan, TagDetections, replace
+from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, correction, none_compared, unknown_scale
 
+FRAMES = itertools.count()
 WALLS = np.array([[4.0, -6.0, 5.0, 6.0], [-6.0, 5.0, 6.0, 5.0], [-6.0, -5.0, 6.0, -5.0], [-5.0, -6.0, -5.0, 6.0]])
 ANGLES = np.linspace(-1.08, 1.08, 249)
 # Those of the columns of an image.
@@ -22,7 +25,8 @@ def inwards(walls, distance):
 
 
 def frame(rng, scale, stamp=0.0, noise=1.0, stray=0, before=0.01, angles=ANGLES):
-    """A frame of twelve tags, before their walls, and the scan of its instant, from a random place."""
+    """A frame of twelve tags that no other frame shows, before their walls, and the scan of its instant, from a random
+    place."""
     origin, heading = rng.uniform(-2.0, 2.0, 2), rng.uniform(-np.pi, np.pi)
     ranges = cast_rays(WALLS, origin, angles + heading, 10.0)
     bearing = rng.uniform(-1.0, 1.0, 12)
@@ -32,7 +36,8 @@ def frame(rng, scale, stamp=0.0, noise=1.0, stray=0, before=0.01, angles=ANGLES)
     z = scale * distance + noise * sigma * rng.normal(size=12)
     bearing = bearing + noise * 0.01 * rng.normal(size=12)
     scan = LaserScan(stamp, angles, ranges + noise * 0.015 * rng.normal(size=len(angles)), 10.0, 0.015)
-    return TagDetections(stamp, np.arange(12), z, bearing, sigma, np.full(12, 0.01)), scan
+    ids = 12 * next(FRAMES) + np.arange(12)
+    return TagDetections(stamp, ids, z, bearing, sigma, np.full(12, 0.01)), scan
 
 
 @pytest.mark.parametrize(
@@ -43,9 +48,9 @@ def test_the_scale_is_found_to_two_parts_in_a_thousand(true, stray, angles):
     errors, sigmas = [], []
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        scale = unknown_scale()
+        scale, compared = unknown_scale(), none_compared()
         for _ in range(100):
-            scale = compare(scale, *frame(rng, true, stray=stray, angles=angles))
+            scale, compared = compare(scale, compared, *frame(rng, true, stray=stray, angles=angles))
         errors.append(scale.mean[0] - (true - 1.0))
         sigmas.append(scale.sigma)
     assert np.abs(errors).max() < 0.005
@@ -58,9 +63,9 @@ def test_tags_before_their_surfaces_are_no_range_scale(before):
     found = []
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        scale = unknown_scale()
+        scale, compared = unknown_scale(), none_compared()
         for _ in range(200):
-            scale = compare(scale, *frame(rng, 1.0, before=before))
+            scale, compared = compare(scale, compared, *frame(rng, 1.0, before=before))
         assert abs(scale.mean[0]) < 4.0 * scale.sigma
         found.append(scale.mean)
     r, o = np.mean(found, axis=0)
@@ -70,23 +75,37 @@ def test_tags_before_their_surfaces_are_no_range_scale(before):
 
 def test_a_corrected_range_is_the_true_one():
     rng = np.random.default_rng(1)
-    scale = unknown_scale()
+    scale, compared = unknown_scale(), none_compared()
     detections, _ = frame(rng, 1.01)
-    assert corrected(detections, scale) is detections
+    assert corrected(detections, correction(scale, compared)) is detections
     for _ in range(200):
-        scale = compare(scale, *frame(rng, 1.01))
-    np.testing.assert_allclose(corrected(detections, scale).range, detections.range / 1.01, rtol=3e-3)
-    np.testing.assert_array_equal(corrected(detections, scale).bearing, detections.bearing)
+        scale, compared = compare(scale, compared, *frame(rng, 1.01))
+    np.testing.assert_allclose(
+        corrected(detections, correction(scale, compared)).range, detections.range / 1.01, rtol=3e-3
+    )
+    np.testing.assert_array_equal(corrected(detections, correction(scale, compared)).bearing, detections.bearing)
 
 
 def test_a_scale_that_may_well_be_true_is_not_corrected():
     rng = np.random.default_rng(1)
-    scale = unknown_scale()
+    scale, compared = unknown_scale(), none_compared()
     for _ in range(100):
-        scale = compare(scale, *frame(rng, 1.0))
+        scale, compared = compare(scale, compared, *frame(rng, 1.0))
     detections, _ = frame(rng, 1.0)
     assert scale.pairs > 1000
-    assert corrected(detections, scale) is detections
+    assert corrected(detections, correction(scale, compared)) is detections
+
+
+def test_what_a_few_tags_err_by_in_all_frames_alike_is_no_scale():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        detections, scan = frame(rng, 1.0, noise=0.0)
+        errors, scale, compared = 0.01 * rng.normal(size=12), unknown_scale(), none_compared()
+        for _ in range(300):
+            noisy = errors + detections.sigma_range * rng.normal(size=12)
+            scale, compared = compare(scale, compared, replace(detections, range=detections.range + noisy), scan)
+        assert scale.pairs > 1000
+        assert corrected(detections, correction(scale, compared)) is detections
 
 
 def test_without_a_pair_nothing_is_learnt():
@@ -94,6 +113,6 @@ def test_without_a_pair_nothing_is_learnt():
     free = LaserScan(0.0, ANGLES, np.full(len(ANGLES), np.inf), 10.0, 0.015)
     detections, _ = frame(np.random.default_rng(2), 1.0)
     for scan in (nothing, free):
-        scale = compare(unknown_scale(), detections, scan)
+        scale, _ = compare(unknown_scale(), none_compared(), detections, scan)
         assert scale.pairs == 0
         assert scale.sigma == pytest.approx(SCALE_SIGMA)

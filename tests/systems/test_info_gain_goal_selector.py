@@ -127,6 +127,13 @@ def test_somebody_sends_the_robot_to_another_place():
     np.testing.assert_array_equal(goal.gain, alone.goal().gain)
 
 
+def test_where_frames_tell_less_than_they_seem_the_first_look_goes_on():
+    estimate, _ = half_known_room()
+    selector = Selector()
+    selector.ready(map=dataclasses.replace(estimate, frame_worth=0.25))
+    assert (selector.goal().verdict, selector.goal().node) == ("look", -1)
+
+
 def test_a_closed_and_certain_map_is_complete():
     estimate, tfg = half_known_room()
     selector = Selector()
@@ -195,13 +202,23 @@ def test_what_was_explored_stays_so_until_something_opens():
     assert explored == [100.0, 100.0, np.inf, 400.0]
 
 
-def test_what_is_known_in_parts_only_cannot_tell_where_to_look_again():
+@pytest.mark.parametrize(("variance", "verdict"), [(1e-3, "goal"), (1e-6, "complete")])
+def test_of_a_large_map_the_robot_looks_once_before_it_knows_where_to_look_again(variance, verdict):
     estimate, tfg = half_known_room()
     closed = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
-    estimate = dataclasses.replace(estimate, stamp=100.0, local=np.arange(2), covariance=1e-3 * np.eye(7))
-    selector = Selector()
-    selector.ready(map=estimate, tfg=closed)
-    assert selector.goal().verdict == "complete"
+    # Not all of it is known jointly.
+    estimate = dataclasses.replace(estimate, local=np.arange(2), covariance=variance * np.eye(7))
+    selector, goals = Selector(), []
+    for stage in (1, 2):
+        now = {"map": dataclasses.replace(estimate, stage=stage, stamp=100.0 * stage), "roadmap": roadmap(stage)}
+        selector.ready(**now, tfg=dataclasses.replace(closed, stage=stage), mission=MissionStatus("choose", stage, 0.0))
+        goals.append(selector.goal())
+    assert [goal.verdict for goal in goals] == ["goal", verdict]
+    assert [goal.explored for goal in goals] == [100.0, 100.0]
+    there = roadmap()
+    assert there.travel_time[goals[0].node] == there.travel_time.min()
+    if verdict == "goal":
+        assert goals[1].value[0] > 1.0
 
 
 def test_an_empty_world_has_no_goal_but_a_verdict():

@@ -38,8 +38,8 @@ def view():
 )
 def test_tags_in_view_are_seen_where_they_are(view, X_WB):
     X_WB = np.array(X_WB)
-    image = view.colour(X_WB)
-    assert image.shape == (480, 640, 3)
+    image = view.image(X_WB)
+    assert image.shape == (480, 640)
     assert image.dtype == np.uint8
     seen = sighted(TagDetector().detect(image), 0.0, view.calibration, TagSizes(0.16), MOUNT).detections
     sensor = TagSensorConfig(range=3.3, field_of_view=math.radians(60.0), max_incidence=math.radians(60.0))
@@ -64,6 +64,6 @@ def test_depth_is_the_distance_along_the_optical_axis(view):
 
 
 def test_a_picture_depends_on_the_pose_alone(view):
-    first = view.colour(np.array([1.0, 1.2, 0.0]))
-    view.colour(np.array([4.4, 1.0, np.pi]))
-    np.testing.assert_array_equal(first, view.colour(np.array([1.0, 1.2, 0.0])))
+    first = view.image(np.array([1.0, 1.2, 0.0]))
+    view.image(np.array([4.4, 1.0, np.pi]))
+    np.testing.assert_array_equal(first, view.image(np.array([1.0, 1.2, 0.0])))

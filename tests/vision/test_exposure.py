@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import CameraRealityConfig
-from tfg_drake.vision.exposure import exposed, sharpened
+from tfg_drake.vision.exposure import exposed
 
 
 def edge():
@@ -40,14 +40,3 @@ def test_light_and_noise():
     assert noisy.mean() == pytest.approx(100.0, abs=0.05)
     np.testing.assert_array_equal(noisy, exposed(level, 0.0, CameraRealityConfig(noise=3.0), 1))
     assert (noisy != exposed(level, 0.0, CameraRealityConfig(noise=3.0), 2)).any()
-
-
-def test_a_soft_edge_is_sharpened_in_its_place():
-    soft = np.repeat(np.array([50, 50, 50, 75, 125, 150, 150, 150], np.uint8)[None], 8, axis=0)
-    sharp = sharpened(np.repeat(soft[..., None], 3, axis=2)).astype(float)
-    assert sharp.shape == soft.shape
-    assert (sharp[:, 4] - sharp[:, 3] > 50).all()
-    # As much is added on one side as is taken on the other.
-    assert sharp.sum() == pytest.approx(soft.sum(), abs=8)
-    flat = np.full((8, 8), 77, np.uint8)
-    np.testing.assert_array_equal(sharpened(flat), flat)

@@ -24,6 +24,7 @@ def seen(positions, ids=None, R_CT=None, camera=CAMERA, **changes):
     corners = np.array([projected(corners_of(turned, p, 0.16), camera) for p in positions]).reshape(-1, 4, 2)
     tags = TagsInImage(
         camera.width, camera.height, np.arange(n) if ids is None else np.array(ids), corners, np.full(n, 99.0),
+        np.ones(n),
         n * ("tag36h11",),
     )  # fmt: skip
     return replace(tags, **changes)
@@ -54,8 +55,8 @@ def test_the_mount_s_angles_are_those_of_the_body():
 
 @pytest.mark.parametrize("incidence", [0.0, 0.5, 1.0])
 def test_rendered_tags_are_where_they_are(incidence):
-    """Markers, warps and projection are OpenCV's. Corners of rendered tags err by less than is stated for real ones."""
-    rng, detector, noise = np.random.default_rng(3), TagDetector(), TagNoise(pixels=0.1, place=0.001)
+    """Markers, warps and projection are OpenCV's. Rendered corners err by far less than is stated for real ones."""
+    rng, detector, noise = np.random.default_rng(3), TagDetector(), TagNoise(pixels=0.03, place=0.0005, unlike=0.0)
     squares = []
     for k in range(40):
         distance = 0.7 + 2.3 * k / 40
@@ -91,6 +92,15 @@ def test_deviations_are_those_of_noisy_corners():
     assert ((anees > 0.85) & (anees < 1.2)).all(), anees
 
 
+def test_a_tag_that_is_partly_hidden_has_larger_deviations():
+    whole = sighted(seen(THREE), 1.0, CAMERA, SIZES, AHEAD, TagNoise(pixels=0.1)).detections
+    cut = sighted(seen(THREE, likeness=np.full(3, 0.96)), 1.0, CAMERA, SIZES, AHEAD, TagNoise(pixels=0.1, unlike=2.0))
+    far = TagNoise(pixels=np.hypot(0.1, 2.0 * 0.2))
+    expected = sighted(seen(THREE), 1.0, CAMERA, SIZES, AHEAD, far).detections
+    np.testing.assert_allclose(cut.detections.sigma_range, expected.sigma_range)
+    assert (cut.detections.sigma_range > whole.sigma_range).all()
+
+
 def test_a_size_is_an_id_s_else_its_family_s_else_any():
     sizes = TagSizes(0.1, {"tag36h11": 0.16}, {1: 0.32})
     assert [sizes.of(1, "tag36h11"), sizes.of(2, "tag36h11"), sizes.of(3, "tag16h5")] == [0.32, 0.16, 0.1]
@@ -115,6 +125,9 @@ def test_what_is_left_out_is_told():
     assert remarks(seen(THREE, margin=np.array([99.0, 12.0, 31.0]))) == (
         [0, 2], ("tag 1: decision margin 12, below 30; left out as hidden, blurred or far",),
     )  # fmt: skip
+    assert remarks(seen(THREE, likeness=np.array([0.99, 0.8, 0.95]))) == (
+        [0, 2], ("tag 1: its cells are not where its outline is; left out as half hidden",),
+    )  # fmt: skip
     assert remarks(seen(THREE, families=("tag36h11", "tag16h5", "tag36h11")), TagSizes(None, {"tag36h11": 0.16})) == (
         [0, 2], ("tag 1: the size of tag16h5 is not given; left out",),
     )  # fmt: skip
@@ -123,6 +136,10 @@ def test_what_is_left_out_is_told():
     corners = line.corners.copy()
     corners[1] = [[100, 100], [101, 101], [102, 102], [103, 103]]
     assert remarks(replace(line, corners=corners)) == ([0, 2], ("tag 1: its corners are no square's; left out",))
+    assert remarks(seen([[0.0, 0.0, 4.5], [0.4, 0.0, 5.2]])) == (
+        [0],
+        ("tag 1: 16 pixels wide, below 18; left out as too far",),
+    )
 
 
 def test_an_image_of_another_size_than_the_calibration_s():
@@ -174,7 +191,13 @@ def recorded(shared_data):
         # A body that is level and looks along W's x axis at the rig.
         mount = mount_of(R @ one["R_RC"], R @ one["p_RC"])
         tags = TagsInImage(
-            1280, 1024, np.array([int(tag)]), np.array(corners).reshape(1, 4, 2), np.array([99.0]), ("tag36h11",)
+            1280,
+            1024,
+            np.array([int(tag)]),
+            np.array(corners).reshape(1, 4, 2),
+            np.array([99.0]),
+            np.ones(1),
+            ("tag36h11",),
         )
         size = TagSizes(setup.sizes.get(int(tag), setup.default_size))
         found = sighted(tags, t, camera, size, mount).detections

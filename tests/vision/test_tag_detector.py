@@ -44,7 +44,7 @@ def test_a_tag_that_is_turned_is_seen_to_turn(shared_data):
         normal = cv2.Rodrigues(rotations[0])[0][:, 2]
         angles.append(np.degrees(np.arctan2(normal[0], -normal[2])))
     assert (np.diff(angles) > 0.0).all(), angles
-    np.testing.assert_allclose(angles, told, atol=8.0)
+    np.testing.assert_allclose(angles, told, atol=9.0)
 
 
 @pytest.mark.parametrize("name", NASA)

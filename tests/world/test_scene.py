@@ -50,8 +50,9 @@ def test_walls_stand_on_the_floor():
 def test_each_tag_has_its_own_picture():
     scene = make_scene(WORLD)
     _, uv, _ = quads_of(scene)
-    texture = cv2.imdecode(np.frombuffer(scene.png, np.uint8), cv2.IMREAD_GRAYSCALE)
-    h, w = texture.shape
+    picture = cv2.imdecode(np.frombuffer(scene.png, np.uint8), cv2.IMREAD_COLOR)
+    h, w = picture.shape[:2]
+    texture = np.where(picture[..., 2] > 127, 0, 255)  # black is drawn as red
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     for tag, corners in zip(WORLD.tag_ids.tolist(), uv[TAGS], strict=True):
         columns = np.round(corners[[0, 1], 0] * w).astype(int)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
+
+from tfg_drake.storage.files import write_atomic
 
 # Software rendering, no network, no questions.
 OPTIONS = """--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader
@@ -28,8 +32,11 @@ BARE = """for (const id of ["side", "view", "controls", "wheels"]) document.getE
 document.querySelector("footer").style.display = "none";
 window.dispatchEvent(new Event("resize"));
 document.getElementById("fit").click();"""
-# Pictures of a film, how long each is shown, and the last of them, ms, its colours and its size, pixels.
-FRAMES, SHOWN, LAST, COLOURS, SIZE = 72, 130, 2500, 64, (800, 510)
+# A film's size, pixels. Of a GIF its pictures, how long each is shown, and the last of them, ms, and its colours.
+SIZE = (800, 510)
+GIF_FRAMES, SHOWN, LAST, COLOURS = 72, 130, 2500, 64
+# Of an MP4 its pictures, how many a second, and its codecs, the first that OpenCV has: browsers show VP9.
+MP4_FRAMES, RATE, CODES = 240, 20.0, ("vp09", "mp4v")
 # A page is read within so long, s.
 PATIENCE = 60.0
 
@@ -68,8 +75,8 @@ def wait_for_page(driver: Any) -> None:
         time.sleep(0.02)
 
 
-def film_page(page: Path, show: Callable[[str], object], frames: int = FRAMES) -> bytes:
-    """A GIF of a whole page's mission in space, from its beginning to its end.
+def film_page(page: Path, show: Callable[[str], object], frames: int) -> Iterator[Image.Image]:
+    """The pictures of a film of a whole page's mission in space, from its beginning to its end.
 
     Args:
         page: the file, see tfg_drake.cockpit.page.
@@ -86,14 +93,38 @@ def film_page(page: Path, show: Callable[[str], object], frames: int = FRAMES) -
         driver.find_element("id", "mode").click()
         driver.execute_script(BARE)
         end = driver.execute_script("return timeline.end")
-        pictures = []
         for k in range(frames):
             show(f"filming the mission, picture {k + 1} of {frames}")
             driver.execute_script(SEEK, end * k / max(frames - 1, 1))
-            picture = Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
-            pictures.append(picture.quantize(COLOURS, dither=Image.Dither.NONE))
+            yield Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
     finally:
         driver.quit()
-    film, shown = io.BytesIO(), [SHOWN] * (frames - 1) + [LAST]
+
+
+def write_gif(page: Path, out: Path, show: Callable[[str], object], frames: int = GIF_FRAMES) -> None:
+    """Write a film as GIF; see `film_page`. Raises OSError where it cannot be written."""
+    pictures = [one.quantize(COLOURS, dither=Image.Dither.NONE) for one in film_page(page, show, frames)]
+    film, shown = io.BytesIO(), [SHOWN] * (len(pictures) - 1) + [LAST]
     pictures[0].save(film, "GIF", save_all=True, append_images=pictures[1:], duration=shown, loop=0, optimize=True)
-    return film.getvalue()
+    write_atomic(out, film.getvalue())
+
+
+def write_mp4(page: Path, out: Path, show: Callable[[str], object], frames: int = MP4_FRAMES) -> None:
+    """Write a film as MP4; see `film_page`. Raises OSError where it cannot be written."""
+    import cv2
+
+    with tempfile.TemporaryDirectory() as folder:
+        file, writer = Path(folder) / "film.mp4", None
+        for picture in film_page(page, show, frames):
+            if writer is None:
+                for code in CODES:
+                    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*code), RATE, picture.size)
+                    if writer.isOpened():
+                        break
+            assert writer is not None
+            writer.write(np.asarray(picture)[:, :, ::-1])
+        if writer is not None:
+            writer.release()
+        if not file.exists() or not file.stat().st_size:
+            raise OSError("OpenCV has no encoder for it")
+        write_atomic(out, file.read_bytes())

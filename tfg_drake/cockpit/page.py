@@ -19,7 +19,7 @@ from tfg_drake.storage.timeline import MAGIC, TimelineError
 FILE_NAME = "mission.html"
 # The page's script, file by file in the order in which they are read.
 SCRIPT = """stop timeline scene shapes robot still layers free_space trails series cameras picture
-panels plots controls operator driving"""
+panels plots controls operator driving fork"""
 # Colours of the candidates' scale, from no gain to the most.
 _SHADES = 6
 

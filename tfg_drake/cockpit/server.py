@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from tfg_drake.cockpit.page import served_page
 from tfg_drake.mission.clock import Clock
@@ -46,6 +46,24 @@ _OPERATOR: tuple[Request, ...] = ("enable", "stop", "hold", "resume", "recall", 
 _log = logging.getLogger("tfg_drake.cockpit")
 
 
+class Forks(Protocol):
+    """Other futures of a run that has ended, one at a time; see tfg_drake.diagrams.commands.page_forks."""
+
+    @property
+    def timeline(self) -> Path:
+        """The newest fork's, which may not be there yet."""
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the newest fork is under way."""
+
+    def start(self, stage: int, goal: tuple[float, float]) -> bool:
+        """Fork a stage to the place (x, y), m in W; whether there was no other one under way."""
+
+    def state(self) -> dict[str, Any]:
+        """What the page tells of the newest fork."""
+
+
 class Cockpit:
     """The page of one mission, served from threads of its own until it is closed; a context manager.
 
@@ -62,6 +80,7 @@ class Cockpit:
         timeline: Path | None = None,
         live: bool = True,
         controls: bool = True,
+        forks: Forks | None = None,
         rate: float | None = None,
         host: str = LOCAL,
         port: int | None = None,
@@ -73,6 +92,7 @@ class Cockpit:
             timeline: the file to show, if there is one yet; see `follow`.
             live: it may still grow.
             controls: the mission can be asked for something.
+            forks: makes another future of a run that has ended, None where that cannot be.
             rate: of a simulation the speed of its clock, times real time, 0 for no limit; None of a real robot.
             host: the address to listen at.
             port: the port; by default 7000 or the next that is free.
@@ -83,8 +103,9 @@ class Cockpit:
         self.clock = Clock(rate) if rate is not None else None
         self.word = ""
         self.sends = self.drives = False
-        self._title, self._live, self._controls = title, live, controls
-        self._page = served_page(title, {"live": live, "controls": controls, "rate": rate}).encode()
+        self._title, self._live, self._controls, self._forks = title, live, controls, forks
+        source = {"live": live, "controls": controls, "forks": forks is not None, "rate": rate}
+        self._page = served_page(title, source).encode()
         self._viewer = viewer.encode()
         self._timeline = timeline
         self._ended = not live
@@ -101,7 +122,7 @@ class Cockpit:
         self._server = _listen(self._handler(), host, port)
         shown = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
         shown = f"[{shown}]" if ":" in shown else shown
-        secret = f"#token={self.token}" if controls else ""
+        secret = f"#token={self.token}" if controls or forks is not None else ""
         self.address = f"http://{shown}:{self._server.server_address[1]}/{secret}"
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True, name="cockpit")
         self._thread.start()
@@ -177,9 +198,16 @@ class Cockpit:
 
     # Requests
 
-    def take(self, what: str, rate: float = math.nan, place: tuple[float, float] = NOWHERE, key: str = "") -> bool:
-        """Do what a page asks for; whether that is something to ask for here. rate: of the clock; place: (x, y), m in
-        M, where the robot is to go, or how far a stick is pushed forward and to the left, of 1; key: of a driver."""
+    def take(
+        self, what: str, rate: float = math.nan, place: tuple[float, float] = NOWHERE, key: str = "", stage: int = 0
+    ) -> bool:
+        """Do what a page asks for; whether that is something to ask for here.
+
+        rate: of the clock. place: (x, y), m in M, where the robot is to go, m in W where a fork of a stage is to go, or
+        how far a stick is pushed forward and to the left, of 1. key: of a driver.
+        """
+        if what == "fork" and self._forks is not None and math.isfinite(math.hypot(*place)):
+            return self._forks.start(stage, place)
         if not self._controls:
             return False
         clock = self.clock
@@ -220,6 +248,8 @@ class Cockpit:
 
     def _state(self) -> dict[str, Any]:
         state: dict[str, Any] = {"word": self.word, "begun": self.begun, "send": self.sends, "drive": self.drives}
+        if self._forks is not None:
+            state["fork"] = self._forks.state()
         if self.clock is not None:
             state |= {"held": self.clock.held, "rate": self.clock.rate}
         return state
@@ -240,7 +270,9 @@ class Cockpit:
                 elif path == "/state":
                     self._answer(200, "application/json", json.dumps(cockpit._state()).encode())
                 elif path == "/timeline":
-                    self._stream(query)
+                    self._stream(query, lambda: cockpit._timeline, lambda: cockpit._ended)
+                elif path == "/fork" and (forks := cockpit._forks) is not None:
+                    self._stream(query, lambda: _existing(forks.timeline), lambda: not forks.is_running)
                 else:
                     self._answer(404, "text/plain", b"There is nothing here.\n")
 
@@ -253,8 +285,9 @@ class Cockpit:
                 try:
                     asked = json.loads(self.rfile.read(int(length)))
                     what, rate = str(asked["request"]), float(asked.get("rate", math.nan))
+                    key, stage = str(asked.get("key", "")), int(asked.get("stage", 0))
                     place = float(asked.get("x", math.nan)), float(asked.get("y", math.nan))
-                except (ValueError, KeyError, TypeError, AttributeError):
+                except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
                     self._answer(400, "text/plain", b"That is no request.\n")
                     return
                 if what != "stop":
@@ -267,7 +300,7 @@ class Cockpit:
                         )
                         self._answer(403, "text/plain", refusal)
                         return
-                if cockpit.take(what, rate, place, str(asked.get("key", ""))):
+                if cockpit.take(what, rate, place, key, stage):
                     self._answer(200, "application/json", json.dumps(cockpit._state()).encode())
                 else:
                     self._answer(400, "text/plain", b"That cannot be asked for here.\n")
@@ -292,14 +325,15 @@ class Cockpit:
                     self.end_headers()
                     self.wfile.write(body)
 
-            def _stream(self, query: str) -> None:
+            def _stream(self, query: str, timeline: Callable[[], Path | None], ended: Callable[[], bool]) -> None:
                 start = query.removeprefix("from=")
                 with cockpit._counted(), contextlib.suppress(ConnectionError):
                     self.send_response(200)
                     self.send_header("Content-Type", "application/octet-stream")
                     self.send_header("Cache-Control", "no-store")
                     self.end_headers()
-                    cockpit._send(self.connection, self.wfile.write, int(start) if start.isdecimal() else 0)
+                    first = int(start) if start.isdecimal() else 0
+                    cockpit._send(self.connection, self.wfile.write, first, timeline, ended)
 
             def log_message(self, format: str, *args: Any) -> None:
                 """Says nothing."""
@@ -316,15 +350,22 @@ class Cockpit:
             with self._lock:
                 self._streams -= 1
 
-    def _send(self, connection: socket.socket, write: Callable[[bytes], object], start: int) -> None:
-        """The timeline's bytes from one on, until the mission has ended or the page is closed."""
-        while self._timeline is None:
-            if self._ended or _is_closed(connection, INTERVAL):
+    def _send(
+        self,
+        connection: socket.socket,
+        write: Callable[[bytes], object],
+        start: int,
+        timeline: Callable[[], Path | None],
+        has_ended: Callable[[], bool],
+    ) -> None:
+        """A timeline's bytes from one on, until its mission has ended or the page is closed."""
+        while (path := timeline()) is None:
+            if self._closed.is_set() or has_ended() or _is_closed(connection, INTERVAL):
                 return
-        with self._timeline.open("rb") as file:
+        with path.open("rb") as file:
             file.seek(start)
             while not self._closed.is_set():
-                ended = self._ended
+                ended = has_ended()
                 data = file.read(2**20)
                 if data:
                     write(data)
@@ -341,6 +382,10 @@ class Cockpit:
         except ValueError:
             return False
         return True
+
+
+def _existing(path: Path) -> Path | None:
+    return path if path.exists() else None
 
 
 def _is_closed(connection: socket.socket, wait: float) -> bool:

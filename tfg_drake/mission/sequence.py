@@ -116,6 +116,8 @@ def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     goal = inputs.goal
     if goal.stage != status.stage:
         return status
+    if goal.verdict == "look":
+        return _begin(status, inputs, "observe")
     if goal.node >= 0:
         points = inputs.path.points
         other = status.moving and len(points) and np.hypot(*(goal.p_MG - points[-1])) > OTHER_GOAL

@@ -46,6 +46,7 @@ LIGHT: dict[str, Colour] = {
     "ground": (0.915, 0.925, 0.94),
     "trail": (0.93, 0.55, 0.40),
     "camera": (0.98, 0.80, 0.25),
+    "fork": (0.42, 0.53, 0.08),
 }
 DARK: dict[str, Colour] = LIGHT | {
     "wall": (0.33, 0.36, 0.41),
@@ -61,4 +62,5 @@ DARK: dict[str, Colour] = LIGHT | {
     "free": (0.145, 0.165, 0.195),
     "ground": (0.075, 0.085, 0.105),
     "trail": (0.80, 0.45, 0.32),
+    "fork": (0.72, 0.80, 0.30),
 }

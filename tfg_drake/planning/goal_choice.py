@@ -29,6 +29,8 @@ from tfg_drake.planning.revisit import worth_revisiting
 
 # After this many goals without a landmark or a surface there is no building here.
 NOTHING_AFTER = 5
+# Where frames tell less than they seem to, the first look has up to so many times its turns.
+MOST_FIRST_TURNS = 2.0
 
 
 def empty_choice() -> GoalChoice:
@@ -63,8 +65,10 @@ def choose(
     found worth remembering (see remember). everything: they are no part of a larger map. recalled: the robot was called
     back, so that no place is worth going to but home.
 
+    Where the tags' errors are found to be correlated, the robot first turns as often again as `more_first_turns` says.
     A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
-    sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Where
+    sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Of a
+    large map that is known after one look more: with `explored` the choice asks for what it takes. Where
     none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
@@ -77,10 +81,14 @@ def choose(
         return replace(ended, verdict=verdict, reason=reason, passages_revisited=looked)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
+    if estimate.stage <= more_first_turns(estimate.frame_worth, explorer) and not recalled:
+        reason = "The tags' errors go on from frame to frame: it turns once more before it drives."
+        return replace(empty_choice(), stage=estimate.stage, verdict="look", reason=reason)
     stay = time_at_goal(parameters.sensor, explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
     open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
-    if explorer.revisit and explorer.goal == "tour" and everything and not open_left and not recalled:
+    looks_again = explorer.revisit and explorer.goal == "tour" and everything and not recalled
+    if looks_again and (not open_left if estimate.is_joint else previous.explored < math.inf):
         again = _second_look(now, previous)
         if again is not None:
             return again
@@ -116,6 +124,10 @@ def choose(
     else:
         node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
+        near = _soonest(roadmap, budget)
+        to_ask = looks_again and not estimate.is_joint and previous.explored == math.inf
+        if verdict == "complete" and to_ask and near >= 0:
+            node, verdict, reason = near, "goal", "All is explored: it looks where the map can grow more accurate yet."
     if verdict != "goal" and explorer.return_home:
         node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
     name, p_MG = _named(roadmap, node)
@@ -138,6 +150,19 @@ def choose(
         passages_revisited=looked,
         explored=explored,
     )
+
+
+def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:
+    """Turns to make where the mission starts, after those of the first look: how well these tell its heading goes with
+    the root of what a frame tells, in frames, and all that is mapped later inherits its error."""
+    return round(explorer.first_turns * (min(1.0 / math.sqrt(frame_worth), MOST_FIRST_TURNS) - 1.0))
+
+
+def _soonest(roadmap: Roadmap, budget: Budget) -> int:
+    """The node that the robot reaches soonest, -1 without any."""
+    nodes = np.flatnonzero(roadmap.reachable)
+    nodes = nodes[budget.affords(roadmap, nodes)]
+    return int(nodes[np.argmin(roadmap.travel_time[nodes])]) if len(nodes) else -1
 
 
 def _homewards(

@@ -12,7 +12,7 @@ import numpy as np
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
-from tfg_drake.planning.expected_view import Visibility, expected_tags
+from tfg_drake.planning.expected_view import Visibility, expected_tags, local_visibility
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
@@ -21,18 +21,20 @@ PLACES = 100
 # They are screened by so many of the tags in view, and so many of the best judged by all.
 SCREENING_TAGS = 12
 BEST = 10
+# The error is that of about so many landmarks.
+SAMPLE = 400
 
 
 def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     """The share of the landmarks' expected squared error that a turn at each of the nodes (v,) of the roadmap removes,
     over the share of the mission's time that it then has taken, (v,); 0 where a place is not asked.
 
-    Measuring everything all over again is worth 1: variance times time stays. Above that their product falls. Landmarks
-    that are not all known jointly cannot tell, and nothing is worth it. What is seen on the way is not counted.
+    Measuring everything all over again is worth 1: variance times time stays. Above that their product falls. Of a
+    large map the landmarks that are known jointly speak for all. What is seen on the way is not counted.
     """
     estimate, roadmap, parameters = now.estimate, now.roadmap, now.parameters
     value = np.zeros(len(nodes))
-    if not estimate.is_joint or not len(estimate.ids):
+    if not len(estimate.local):
         return value
     # Mostly the same places at every stage: node ids are given once and for all.
     asked = np.flatnonzero(roadmap.node_ids(nodes) % (1 + len(nodes) // PLACES) == 0)
@@ -40,15 +42,20 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     sensor, explorer = parameters.sensor, parameters.explorer
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
     Q = odometry_covariance(estimate.X_MD, points, roadmap.travel_length[nodes], time, parameters.odometry)
-    tags = expected_tags(points, estimate, now.tfg, sensor)
+    tags = local_visibility(expected_tags(points, estimate, now.tfg, sensor), estimate)
     sightings = sightings_of_turn(sensor, explorer.turn_rate, estimate.frame_worth)
     noise = turn_noise(sensor, sightings, estimate.tag_error)
-    covariance, squared = estimate.covariance, squared_by_landmarks(estimate.covariance)
+    covariance, p_ML = estimate.covariance, estimate.local_p_ML
+    by_landmarks, error = covariance[:, :-3], np.trace(covariance[:-3, :-3])
+    if len(p_ML) > SAMPLE:
+        of = (2 * np.arange(0, len(p_ML), 1 + len(p_ML) // SAMPLE)[:, None] + [0, 1]).ravel()
+        by_landmarks, error = covariance[:, of], np.diag(covariance)[of].sum()
+    squared = by_landmarks @ by_landmarks.T
     time = time + time_all_round(sensor, explorer)
 
     def share_of_error(rows: IntArray, seen: Visibility) -> FloatArray:
-        removed = error_removed(points[rows], Q[rows], seen, estimate.p_ML, estimate.X_MD, covariance, squared, noise)
-        return np.asarray(removed / np.trace(covariance[:-3, :-3]))
+        removed = error_removed(points[rows], Q[rows], seen, p_ML, estimate.X_MD, covariance, squared, noise)
+        return np.asarray(removed / error)
 
     share_of_time = time / (estimate.stamp + time)
     worth = share_of_error(np.arange(len(nodes)), tags.thinned(SCREENING_TAGS)) / share_of_time
@@ -56,12 +63,6 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     worth[best] = share_of_error(best, tags.of(best)) / share_of_time[best]
     value[asked] = worth
     return value
-
-
-def squared_by_landmarks(covariance: FloatArray) -> FloatArray:
-    """S_.L S_L. (2n + 3, 2n + 3), m^4 where of landmarks only, of the joint covariance S of n landmarks and a pose."""
-    by_landmarks = covariance[:, :-3]
-    return np.asarray(by_landmarks @ by_landmarks.T)
 
 
 def error_removed(
@@ -74,16 +75,17 @@ def error_removed(
     squared: FloatArray,
     noise: FloatArray,
 ) -> FloatArray:
-    """By how much, (c,) m^2, a turn at each point (c, 2), m in M, lowers the trace of the landmarks' covariance.
+    """By how much, (c,) m^2, a turn at each point (c, 2), m in M, lowers the trace of the covariance of landmarks L.
 
-    With S the joint covariance of the landmarks L and the departure pose, A what an error of the arrival pose makes of
-    where the landmarks in view V are seen, R the noise there, and J = [I, A F] by both, F from departure to arrival,
+    With S the joint covariance of landmarks, L among them, and the departure pose, A what an error of the arrival pose
+    makes of where the landmarks in view V are seen, R the noise there, and J = [I, A F] by both, F from departure to
+    arrival,
 
         tr S_LL - tr S_LL|z = tr((R + A Q A^T + J S J^T)^-1 J S_.L S_L. J^T).
 
     Q: (c, 3, 3), in M, what odometry adds on the way from the departure pose X_MD (3,). tags: which of the landmarks
-    p_ML (n, 2), m in M, each point sees. covariance: (2n + 3, 2n + 3) of p_ML row by row and of X_MD. squared: of that,
-    see `squared_by_landmarks`. noise: as in `exact_gain`.
+    p_ML (n, 2), m in M, each point sees. covariance: (2n + 3, 2n + 3) of p_ML row by row and of X_MD. squared: S_.L
+    S_L., (2n + 3, 2n + 3). noise: as in `exact_gain`.
     """
     c, m = len(points), int(tags.count.max(initial=0))
     # All points at once, as if each saw as many: the rows of what it does not see are zero and take nothing off.

@@ -3,7 +3,8 @@
 An id may be misread, a range grossly wrong, and a tag moved elsewhere. So a tag is believed to be at a place when it
 was seen there in several frames, of one keyframe or of many, and what was believed is taken back when more has been
 seen of it elsewhere since. Each frame speaks for one place and against all others; the frames of one keyframe have
-their errors in common, and old ones fade, so neither counts without limit.
+their errors in common, and old ones fade, so neither counts without limit. Where frames should show a tag and do
+not, nothing speaks for its place any more (`missing_tags.py`).
 """
 
 from __future__ import annotations
@@ -125,9 +126,9 @@ def forgotten(evidence: Evidence, ids: IntArray) -> Evidence:
     return evidence.kept(~(evidence.is_mapped & np.isin(evidence.ids, ids)))
 
 
-def disputed(evidence: Evidence, tag: int) -> Evidence:
-    """The evidence with nothing left that speaks for where the map has a tag."""
-    return replace(evidence, frames=np.where(evidence.is_mapped & (evidence.ids == tag), 0, evidence.frames))
+def disputed(evidence: Evidence, ids: IntArray) -> Evidence:
+    """The evidence with nothing left that speaks for where the map has some tags (t,)."""
+    return replace(evidence, frames=np.where(evidence.is_mapped & np.isin(evidence.ids, ids), 0, evidence.frames))
 
 
 def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:

@@ -45,8 +45,9 @@ from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, came
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
-from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
+from tfg_drake.slam.missing_tags import TagWatch, missing, renewed, watched
 from tfg_drake.slam.noise_correlation import less_certain
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
@@ -81,6 +82,8 @@ MOST_SOLVES = 6
 IN_PLACE = 0.1
 # A frame is compared with a scan if the robot has moved by less than this meanwhile, m and rad.
 SAME_PLACE = 0.004
+# ... and tells what hides its tags by less than this.
+NEARLY_THERE = 0.05
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
 NO_MAP = empty_map()
@@ -143,17 +146,18 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     return replace(state, turn=opened(state), piece=None)
 
 
-def end_turn(state: EstimatorState, stamp: float) -> EstimatorState:
+def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> EstimatorState:
     """The state with the open turn solved and added to the map as a view, and the localiser at the departure pose D.
 
-    The stamp is brought into the span of the odometry at hand. Raises ValueError where no turn is open.
+    explored: everything is, so of a large map landmarks all over it are known jointly too. The stamp is brought into
+    the span of the odometry at hand. Raises ValueError where no turn is open.
     """
     if state.turn is None:
         raise ValueError("No turn is open.")
     state = _step_to(state, stamp)
     turn = state.turn
     assert turn is not None
-    return _add_view(state, turn)
+    return _add_view(state, turn, SPREAD if explored else 0)
 
 
 def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -171,7 +175,7 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     in_doubt = state.lost or state.contradictions >= CONTRADICTIONS
     if in_doubt and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
         return state
-    return _add_view(state, piece)
+    return _add_view(state, piece, 0)
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -223,7 +227,7 @@ def finished_map(state: EstimatorState) -> EstimatorState:
         if wrong is None:
             break
         _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, wrong[0])
-        graph, evidence = taken_back(graph, *wrong), disputed(evidence, wrong[0])
+        graph, evidence = taken_back(graph, *wrong), disputed(evidence, np.array(wrong[:1]))
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
     estimate = replace(estimate, doubtful=doubtful(evidence))
     return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
@@ -262,12 +266,13 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
     increment, dt = seen_from_camera(arc(state.X_OB, X_OB), float(state.graph.yaw[0])), clock - state.clock
     twist = _twist(state.odometry[before], state.odometry[after])
-    scale = state.scale
+    scale, compared = state.scale, state.compared
     if len(frame.ids) and state.scans:
         scan = min(state.scans, key=lambda scan: abs(scan.stamp - stamp))
         if abs(scan.stamp - stamp) * float(np.max(np.abs(twist))) < SAME_PLACE:
-            scale = compare(scale, replace(frame, bearing=frame.bearing + state.graph.yaw[0]), scan)
-    seen = corrected(frame, scale)
+            seen_from_body = replace(frame, bearing=frame.bearing + state.graph.yaw[0])
+            scale, compared = compare(scale, compared, seen_from_body, scan)
+    seen = corrected(frame, correction(scale, compared))
     turn, piece = state.turn, state.piece
     taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.camera.offset)
     if turn is not None:
@@ -291,6 +296,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         odometry=state.odometry[before:],
         pending=pending,
         scale=scale,
+        compared=compared,
         stamp=stamp,
         clock=clock,
         X_OB=X_OB,
@@ -300,13 +306,30 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         turn=turn,
         piece=piece,
     )
-    state = replace(state, suspect=_suspect(state, taken))
+    state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if (contradictions >= CONTRADICTIONS or state.lost) and len(frame.ids):
         state = find_itself(state, stamp)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
         state = _end_piece(state)
     return state
+
+
+def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> TagWatch:
+    """Which tags should have been seen, with a frame at the state's stamp and the robot's twist (2,) then."""
+    if (
+        state.map is None
+        or state.contradictions
+        or state.lost
+        or state.kidnapped
+        or not (len(frame.ids) and state.scans)
+    ):
+        return state.watch
+    scan = min(state.scans, key=lambda scan: abs(scan.stamp - state.stamp))
+    if abs(scan.stamp - state.stamp) * float(np.max(np.abs(twist))) > NEARLY_THERE:
+        return state.watch
+    X_MC = se2.compose(state.localizer.X_MD, state.localizer.filter.mean[:3])
+    return watched(state.watch, state.map.p_ML, X_MC, float(state.graph.yaw[0]), frame, scan)
 
 
 def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
@@ -342,11 +365,12 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 
 def _solve(state: EstimatorState, turn: OpenObservation) -> TurnSolution:
     """A turn or piece solved by itself."""
-    frames = tuple(replace(frame, detections=corrected(frame.detections, state.scale)) for frame in turn.frames)
+    r = correction(state.scale, state.compared)
+    frames = tuple(replace(frame, detections=corrected(frame.detections, r)) for frame in turn.frames)
     solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state), state.correlation)
     # The body's heading is what the scans are placed by.
     X_AB = solution.observation.X_AB - np.array([0.0, 0.0, state.graph.yaw[0]])
-    observation = replace(solution.observation, X_AB=X_AB, range_scale=correction(state.scale))
+    observation = replace(solution.observation, X_AB=X_AB, range_scale=r)
     return replace(solution, observation=observation)
 
 
@@ -363,8 +387,8 @@ def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorStat
     return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph, pending=pending)
 
 
-def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
-    """The state with a turn or piece added to the map as a view, and the localiser at its end."""
+def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
+    """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
     state, way = _with_camera(state, solution), state.way
     if state.kidnapped and state.turn is None and state.map is not None:
@@ -379,16 +403,21 @@ def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
             moved = True
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
-    corrected_graph, solved = rescaled(graph, correction(state.scale)), state.solved
+    gone = np.setdiff1d(state.watch.ids[missing(state.watch)], doubtful(evidence))
+    if len(gone):
+        _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(gone))
+        evidence = disputed(evidence, gone)
+    corrected_graph, solved = rescaled(graph, correction(state.scale, state.compared)), state.solved
     if (
         moved
         or state.kidnapped
         or before is not state.graph
         or corrected_graph is not graph
         or needs_solve(graph, solved, estimate)
+        or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
         corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
-        graph, estimate = _solved(corrected_graph, state.stamp, solution.observation)
+        graph, estimate = _solved(corrected_graph, state.stamp, solution.observation, spread)
         solved = graph
     else:
         graph, estimate = finished(graph, estimate, state.stamp, solution.observation)
@@ -411,6 +440,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation) -> EstimatorState:
         map=replace(estimate, doubtful=doubtful(evidence), frame_worth=state.correlation.frame_worth),
         localizer=start_localizer(model, estimate),
         evidence=evidence,
+        watch=renewed(state.watch, estimate.ids),
         rejected=rejected,
         dropped=solution.dropped,
     )
@@ -448,9 +478,11 @@ def _with_keyframe(
     return graph, estimate, evidence, rejected, np.union1d(anew, others)
 
 
-def _solved(graph: KeyframeGraph, stamp: float, observation: Observation) -> tuple[KeyframeGraph, MapEstimate]:
+def _solved(
+    graph: KeyframeGraph, stamp: float, observation: Observation, spread: int
+) -> tuple[KeyframeGraph, MapEstimate]:
     """A graph of one keyframe or more solved, the empty graph as it is."""
-    return solve(graph, stamp, observation) if graph.keyframes else (graph, NO_MAP)
+    return solve(graph, stamp, observation, spread=spread) if graph.keyframes else (graph, NO_MAP)
 
 
 def _names(ids: IntArray) -> str:

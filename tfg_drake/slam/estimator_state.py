@@ -19,9 +19,10 @@ from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel, exact_camera
 from tfg_drake.slam.doubt import Evidence, Sighted, no_evidence
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
+from tfg_drake.slam.missing_tags import TagWatch, no_watch
 from tfg_drake.slam.noise_correlation import NoiseCorrelation, no_correlation
 from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
-from tfg_drake.slam.range_scale import RangeScale, unknown_scale
+from tfg_drake.slam.range_scale import Compared, RangeScale, none_compared, unknown_scale
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
@@ -49,15 +50,16 @@ class EstimatorState:
 
     camera, correlation: what is known of the camera and of the noise of tags. path_keyframe_period: s of way that are
     mapped as one piece; 0 where only its motion is. newest: the last odometry message. odometry: dead reckoning from
-    the localiser's instant on. pending: frames that wait for it. scans: the newest scans. scale: what they say of the
-    tags' ranges. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
+    the localiser's instant on. pending: frames that wait for it. scans: the newest scans. scale, compared: what they
+    say of the tags' ranges, and by which frames. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
+    reckoning then. contradictions:
     frames that contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was
     seen since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
     kidnapped: the robot was moved since the last view by something else than its wheels. turn, piece: the open turn and
     piece of the way, way: those before it since the last view. graph: its landmarks as they lay at its last solve or
     when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
     view. rejected: (r,) ids of known tags left out of the newest view, dropped: sightings left out of its turn.
-    evidence: for the places where it has its tags, and against them.
+    evidence: for the places where it has its tags, and against them. watch: which of them should have been seen since.
     """
 
     model: OdometryModel
@@ -69,6 +71,7 @@ class EstimatorState:
     pending: tuple[TagDetections, ...]
     scans: tuple[LaserScan, ...]
     scale: RangeScale
+    compared: Compared
     stamp: float
     clock: float
     X_OB: FloatArray
@@ -85,6 +88,7 @@ class EstimatorState:
     solved: KeyframeGraph
     map: MapEstimate | None
     evidence: Evidence
+    watch: TagWatch
     rejected: IntArray
     dropped: int
 
@@ -110,6 +114,7 @@ def initial_state(
         pending=(),
         scans=(),
         scale=unknown_scale(),
+        compared=none_compared(),
         stamp=-np.inf,
         clock=-np.inf,
         X_OB=np.zeros(3),
@@ -126,6 +131,7 @@ def initial_state(
         solved=empty_graph(yaw),
         map=None,
         evidence=no_evidence(),
+        watch=no_watch(),
         rejected=np.empty(0, dtype=np.int64),
         dropped=0,
     )

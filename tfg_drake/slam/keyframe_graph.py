@@ -2,7 +2,7 @@
 
 Variables are the poses (nodes) N_0 .. N_k, N_0 the map's origin, and the landmarks L_i. Keyframe j ties N_j, N_j+1 and
 the landmarks in it by one joint Gaussian, its own poses eliminated (the paper's sec. III). The graph is kept as plain
-arrays; `map_solver` linearises it in batch and has GTSAM eliminate it.
+arrays; `map_solver` linearises and eliminates it.
 
 Keyframes that follow each other and share landmarks are fused: the pose between them is marginalised out. So the graph
 grows with the building, and little with the time that the robot drives about in it.

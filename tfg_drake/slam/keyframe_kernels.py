@@ -113,6 +113,7 @@ def batch_error(
 
 @njit(cache=True)
 def assemble(
+    keyframes: IntArray,
     offsets: IntArray,
     rows: IntArray,
     p_AL: FloatArray,
@@ -130,25 +131,26 @@ def assemble(
     blocks: FloatArray,
     gradient: FloatArray,
 ) -> tuple[float, FloatArray]:
-    """Add the Hessians and gradients of k keyframes to a system in cells.
+    """Add the Hessians and gradients of some of k keyframes to a system in cells.
 
-    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, the rows of its landmarks in p_ML,
-    and of p_AL. starts: (k + 1,) the same of information, each flattened. landmark_at (n,), node_at (k + 1,): the
-    unknown that a landmark's x, or a node's x, is, -1 for the origin. cell: (u,) of each unknown; first, size: (c,)
-    first unknown and number of unknowns of a cell. block_at: (c, c) where in blocks the block of two cells begins, the
-    lower number first, row by row.
+    keyframes: (q,) which. offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, the rows of
+    its landmarks in p_ML, and of p_AL. starts: (k + 1,) the same of information, each flattened. landmark_at (n,),
+    node_at (k + 1,): the unknown that a landmark's x, or a node's x, is, -1 for the origin. cell: (u,) of each unknown;
+    first, size: (c,) first unknown and number of unknowns of a cell. block_at: (c, c) where in blocks the block of two
+    cells begins, the lower number first, row by row.
 
-    Returns the weighted squared error, and (k, 6, 6) the Hessians' blocks of each keyframe's two poses, D first.
+    Returns the weighted squared error, and (q, 6, 6) the Hessians' blocks of each keyframe's two poses, D first.
     """
-    total, poses = 0.0, np.empty((len(X_AD), 6, 6))
-    for k in range(len(X_AD)):
+    total, poses = 0.0, np.empty((len(keyframes), 6, 6))
+    for q in range(len(keyframes)):
+        k = keyframes[q]
         some = slice(offsets[k], offsets[k + 1])
         n = offsets[k + 1] - offsets[k]
         m = 2 * n + 3
         W = information[starts[k] : starts[k + 1]].reshape(m, m)
         H, g, error = linearised(rows[some], p_AL[some], X_AD[k], W, X_MN[k], X_MN[k + 1], p_ML)
         total += error
-        poses[k] = H[2 * n :, 2 * n :]
+        poses[q] = H[2 * n :, 2 * n :]
         at = np.empty(m + 3, dtype=np.int64)
         for i in range(n):
             at[2 * i] = landmark_at[rows[offsets[k] + i]]
@@ -171,6 +173,7 @@ def assemble(
 
 @njit(cache=True)
 def assemble_tag_errors(
+    keyframes: IntArray,
     offsets: IntArray,
     rows: IntArray,
     p_AL: FloatArray,
@@ -193,22 +196,23 @@ def assemble_tag_errors(
     blocks: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Add to a system in cells what k keyframes say of the error of each tag, and with it of all else.
+    """Add to a system in cells what some of k keyframes say of the error of each tag, and with it of all else.
 
     on_error: the derivatives (2n + 3, 2n) of what was seen on the errors, row by row, one keyframe after the other,
     curvature (2n, 2n) and slope (2n,) likewise: what each says of the errors by itself. errors: (n, 2) as p_AL and X_AD
-    have them. error_at: (n,) the unknown that a tag's error of range is, in
-    other cells than landmarks and nodes. Other arguments as in `assemble`.
+    have them. error_at: (n,) the unknown that a tag's error of range is. Other arguments as in `assemble`.
     """
-    begin, begin_own = 0, 0
+    begin, begin_own = np.zeros(len(X_AD) + 1, dtype=np.int64), np.zeros(len(X_AD) + 1, dtype=np.int64)
     for k in range(len(X_AD)):
+        n = offsets[k + 1] - offsets[k]
+        begin[k + 1], begin_own[k + 1] = begin[k] + (2 * n + 3) * 2 * n, begin_own[k] + 4 * n * n
+    for k in keyframes:
         some = slice(offsets[k], offsets[k + 1])
         n = offsets[k + 1] - offsets[k]
         m = 2 * n + 3
         W = information[starts[k] : starts[k + 1]].reshape(m, m)
-        on = on_error[begin : begin + m * 2 * n].reshape(m, 2 * n)
-        told = curvature[begin_own : begin_own + 4 * n * n].reshape(2 * n, 2 * n)
-        begin, begin_own = begin + m * 2 * n, begin_own + 4 * n * n
+        on = on_error[begin[k] : begin[k + 1]].reshape(m, 2 * n)
+        told = curvature[begin_own[k] : begin_own[k + 1]].reshape(2 * n, 2 * n)
         if n == 0:
             continue
         error, on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
@@ -232,10 +236,59 @@ def assemble_tag_errors(
             for i in range(m + 3):
                 if at[i] < 0:
                     continue
-                if cell[at[i]] < cell[q]:
+                if cell[at[i]] <= cell[q]:
                     _add_to_cells(blocks, cell, first, size, block_at, at[i], q, -back[i, j])
-                else:
+                if cell[q] <= cell[at[i]]:
                     _add_to_cells(blocks, cell, first, size, block_at, q, at[i], -back[i, j])
+
+
+@njit(cache=True)
+def batch_gradient(
+    offsets: IntArray,
+    rows: IntArray,
+    p_AL: FloatArray,
+    X_AD: FloatArray,
+    starts: IntArray,
+    information: FloatArray,
+    on_error: FloatArray,
+    curvature: FloatArray,
+    slope: FloatArray,
+    X_MN: FloatArray,
+    p_ML: FloatArray,
+    errors: FloatArray,
+    landmark_at: IntArray,
+    node_at: IntArray,
+    error_at: IntArray,
+    gradient: FloatArray,
+) -> float:
+    """Add the gradient of half the weighted squared error of k keyframes, and return that error. Arguments as in
+    `assemble_tag_errors`; where error_at is -1 tags have no errors."""
+    total, begin, begin_own = 0.0, 0, 0
+    for k in range(len(X_AD)):
+        some = slice(offsets[k], offsets[k + 1])
+        n = offsets[k + 1] - offsets[k]
+        m = 2 * n + 3
+        error, on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
+        weighted = information[starts[k] : starts[k + 1]].reshape(m, m) @ error
+        total += float(error @ weighted)
+        back = _pulled_back(on_A, weighted.reshape(m, 1), X_MN[k, 2])
+        for i in range(n):
+            for f in range(2):
+                gradient[landmark_at[rows[offsets[k] + i]] + f] += back[2 * i + f, 0]
+        for i in range(3):
+            gradient[node_at[k + 1] + i] += back[2 * n + i, 0]
+            if node_at[k] >= 0:
+                gradient[node_at[k] + i] += back[m + i, 0]
+        if n > 0 and error_at[rows[offsets[k]]] >= 0:
+            on = on_error[begin : begin + m * 2 * n].reshape(m, 2 * n)
+            told = curvature[begin_own : begin_own + 4 * n * n].reshape(2 * n, 2 * n)
+            pull = on.T @ weighted - told @ np.ascontiguousarray(errors[rows[some]]).ravel()
+            for i in range(n):
+                for f in range(2):
+                    place = 2 * (offsets[k] + i) + f
+                    gradient[error_at[rows[offsets[k] + i]] + f] -= pull[2 * i + f] - slope[place]
+        begin, begin_own = begin + m * 2 * n, begin_own + 4 * n * n
+    return total
 
 
 @njit(cache=True)

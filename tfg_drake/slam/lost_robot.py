@@ -18,7 +18,8 @@ from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObserv
 from tfg_drake.slam.keyframe_graph import decoupled, rows_of
 from tfg_drake.slam.localizer import Localizer, localized_pose, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.range_scale import corrected
+from tfg_drake.slam.missing_tags import renewed
+from tfg_drake.slam.range_scale import corrected, correction
 from tfg_drake.slam.relocalization import Expected, disagreeing, relocalize
 from tfg_drake.slam.sightings import select
 
@@ -95,7 +96,7 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     graph = replace(graph, p_ML=estimate.p_ML)
     _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
     graph, estimate = solve(graph, estimate.stamp, estimate.observation)
-    state = replace(state, graph=graph, solved=graph, map=estimate)
+    state = replace(state, graph=graph, solved=graph, map=estimate, watch=renewed(state.watch, estimate.ids))
     localizer = restart_localizer(state.model, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
     return _kidnapped(state, begun)
@@ -117,7 +118,7 @@ def gathered(state: EstimatorState, since: OpenObservation) -> TagDetections:
     include the error of odometry since they were seen."""
     model, ids, p_BL, variance = state.model, [], [], []
     for frame in since.frames:
-        seen = corrected(frame.detections, state.scale)
+        seen = corrected(frame.detections, correction(state.scale, state.compared))
         if not len(seen.ids):
             continue
         way = seen_from_camera(se2.between(state.X_OB, frame.X_OB), float(state.graph.yaw[0]))

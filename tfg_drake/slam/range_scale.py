@@ -1,9 +1,10 @@
 """The scale of the tag sensor's ranges, learnt from the laser scan: tags stand on the surfaces that the scan meets.
 
 A range scale error is invisible to a map of bearings and ranges alone, scales all of it and dominates every other
-error; one turn beside a scan tells it to a part in a thousand. Measured range = (1 + r) * true range + noise, and tags
-stand an unknown distance o before their surfaces, so that the range to the surface is longer by o over the cosine of
-the incidence.
+error; a few turns beside a scan tell it to a part in a thousand. Measured range = (1 + r) * true range + noise, and
+tags stand an unknown distance o before their surfaces, so that the range to the surface is longer by o over the cosine
+of the incidence. Each tag has an error of its own beside, the same in all frames: however often a few tags were seen,
+a scale that those errors may make up is not beyond doubt.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import FloatArray, LaserScan, TagDetections, message
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, TagDetections, message, replace
 
 # Prior standard deviations of the scale error r and of the offset o (m).
 SCALE_SIGMA = 0.01
 OFFSET_SIGMA = 0.02
+# Standard deviation of a tag's own error in range, m: tags are printed, measured and hung to a centimetre.
+TAG_SIGMA = 0.01
 # Pairs that differ by more than this many standard deviations are of two different things.
 GATE = 4.0
 # A scale error is corrected when it is this many standard deviations from none.
@@ -49,16 +52,32 @@ class RangeScale:
         return float(_moments(self.information, self.vector)[2])
 
 
+@message
+class Compared:
+    """What tags' own errors would do to the scale. ids: (t,), ascending. pull: (t, 2) derivative of vector on each."""
+
+    ids: IntArray
+    pull: FloatArray
+
+
+def none_compared() -> Compared:
+    """Before the first pair."""
+    return Compared(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+
+
 def unknown_scale() -> RangeScale:
     """Before the first pair: r = 0, o = 0 within their priors."""
     return RangeScale(np.diag([SCALE_SIGMA**-2, OFFSET_SIGMA**-2]), np.zeros(2), 0)
 
 
-def compare(scale: RangeScale, detections: TagDetections, scan: LaserScan) -> RangeScale:
-    """The scale after one frame of tags, ranges as measured, and the scan of the same instant."""
+def compare(
+    scale: RangeScale, before: Compared, detections: TagDetections, scan: LaserScan
+) -> tuple[RangeScale, Compared]:
+    """The scale, and what it comes from, after one frame of tags, ranges as measured, and the scan of the same
+    instant."""
     if len(scan.angles) < 2 or not len(detections.ids):
-        return scale
-    information, vector, pairs = _compare(
+        return scale, before
+    information, vector, more = _compare(
         scale.information,
         scale.vector,
         detections.range,
@@ -69,7 +88,14 @@ def compare(scale: RangeScale, detections: TagDetections, scan: LaserScan) -> Ra
         scan.ranges,
         scan.sigma,
     )
-    return RangeScale(information, vector, scale.pairs + pairs) if pairs else scale
+    pairs = int(np.count_nonzero(more[:, 0]))
+    if not pairs:
+        return scale, before
+    ids = np.union1d(before.ids, detections.ids)
+    pull = np.zeros((len(ids), 2))
+    pull[np.searchsorted(ids, before.ids)] = before.pull
+    pull[np.searchsorted(ids, detections.ids)] += more
+    return RangeScale(information, vector, scale.pairs + pairs), Compared(ids, pull)
 
 
 @njit(cache=True)
@@ -82,8 +108,9 @@ def _moments(information: FloatArray, vector: FloatArray) -> tuple[float, float,
 
 
 @njit(cache=True)
-def _surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
-    """Distance (m) to the surface at a bearing (rad), and the tangent of the incidence; nan without a surface.
+def surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
+    """Distance (m) to the surface at a bearing (rad), and the tangent of how much farther to the left it is looked at
+    straight, the incidence; nan without a surface.
 
     One over the range is a sinusoid of the angle along a line, straight over a few rays, whose angles are evenly spaced
     or nearly so: those of a depth image are the closer together the farther from its middle.
@@ -103,7 +130,7 @@ def _surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[fl
         slope += (i - first - RAYS + 0.5) / ranges[i]
     slope /= RAYS * (4 * RAYS * RAYS - 1) / 6.0
     inverse = total / (2 * RAYS) + slope * (bearing - middle) / step
-    return 1.0 / inverse, abs(slope) / (step * inverse)
+    return 1.0 / inverse, slope / (step * inverse)
 
 
 @njit(cache=True)
@@ -117,14 +144,15 @@ def _compare(
     angles: FloatArray,
     ranges: FloatArray,
     sigma_scan: float,
-) -> tuple[FloatArray, FloatArray, int]:
-    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and their number."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and the derivative
+    (n, 2) of the vector on each tag's error in range: not zero where they agree."""
     r, o, _ = _moments(information, vector)
     determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
-    more, more_vector, pairs = information.copy(), vector.copy(), 0
+    more, more_vector, pull = information.copy(), vector.copy(), np.zeros((len(range_), 2))
     for k in range(len(range_)):
-        distance, slant = _surface(bearing[k], angles, ranges)
-        if not slant < STEEPEST:
+        distance, slant = surface(bearing[k], angles, ranges)
+        if not abs(slant) < STEEPEST:
             continue
         lever = -math.sqrt(1.0 + slant * slant)
         variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2 / RAYS
@@ -137,32 +165,24 @@ def _compare(
         more[0, 1] += distance * lever / variance
         more[1, 0] += distance * lever / variance
         more[1, 1] += lever * lever / variance
-        more_vector[0] += distance * (range_[k] - distance) / variance
-        more_vector[1] += lever * (range_[k] - distance) / variance
-        pairs += 1
-    return more, more_vector, pairs
+        pull[k, 0], pull[k, 1] = distance / variance, lever / variance
+        more_vector += pull[k] * (range_[k] - distance)
+    return more, more_vector, pull
 
 
-def correction(scale: RangeScale) -> float:
+def correction(scale: RangeScale, compared: Compared) -> float:
     """The expected scale error r where it is beyond doubt, else 0.
 
     A correction that is itself in doubt would tie all tags of a view together by an error that their covariance does
     not know.
     """
     r, _, sigma = _moments(scale.information, scale.vector)
-    return float(r) if scale.pairs and abs(r) >= SIGNIFICANT * sigma else 0.0
+    by_tags = TAG_SIGMA * compared.pull @ np.linalg.inv(scale.information)[0]
+    return float(r) if scale.pairs and abs(r) >= SIGNIFICANT * math.hypot(sigma, *by_tags) else 0.0
 
 
-def corrected(detections: TagDetections, scale: RangeScale) -> TagDetections:
-    """The detections with the scale's error taken out of their ranges."""
-    r = correction(scale) if len(detections.ids) else 0.0
-    if r == 0.0:
+def corrected(detections: TagDetections, r: float) -> TagDetections:
+    """The detections with a scale error r taken out of their ranges."""
+    if r == 0.0 or not len(detections.ids):
         return detections
-    return TagDetections(
-        stamp=detections.stamp,
-        ids=detections.ids,
-        range=detections.range / (1.0 + r),
-        bearing=detections.bearing,
-        sigma_range=detections.sigma_range,
-        sigma_bearing=detections.sigma_bearing,
-    )
+    return replace(detections, range=detections.range / (1.0 + r))

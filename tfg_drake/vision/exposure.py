@@ -9,10 +9,6 @@ from numpy.typing import NDArray
 from tfg_drake.config import CameraRealityConfig
 from tfg_drake.vision.image import Image, grey
 
-# What Drake renders is softer than what a lens shows: textures are interpolated. So much of a pixel's difference from
-# its four neighbours is added to it, else far tags seem smaller than they are, by 1 % at 24 pixels (see
-# benchmarks/rendered_detections.py).
-_SHARPENED = 0.35
 # Slower than this, pixels during the exposure, nothing is blurred.
 _SHARP = 0.05
 
@@ -30,13 +26,6 @@ def exposed(image: Image, blur: float, reality: CameraRealityConfig, seed: int) 
     noise = np.random.default_rng(seed).standard_normal(seen.shape, dtype=np.float32)
     level = noise * np.float32(reality.noise) + seen * np.float32(reality.brightness)
     return np.asarray(np.clip(np.rint(level), 0.0, 255.0), dtype=np.uint8)
-
-
-def sharpened(image: Image) -> Image:
-    """(h, w) in grey: a rendered image as sharp as a lens shows it. Raises ValueError where the image is none."""
-    a = _SHARPENED
-    kernel = np.array([[0.0, -a, 0.0], [-a, 1.0 + 4.0 * a, -a], [0.0, -a, 0.0]], dtype=np.float32)
-    return np.asarray(cv2.filter2D(grey(image), -1, kernel), dtype=np.uint8)
 
 
 def _box(width: float) -> NDArray[np.float32]:

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 # A corner so near to the image's edge may lie beyond it, pixels.
 EDGE = 1.0
+# A tag whose longer side is shorter, pixels, has too few of them a cell: its range is off by a per cent.
+LEAST_SIDE = 18.0
+# What an image has less in common with a tag's cells is no tag that can be seen as a whole. Real ones have 0.91 to 1.
+LEAST_LIKENESS = 0.9
 # Nearer than that a bearing means nothing, m.
 LEAST_RANGE = 0.01
 
@@ -39,14 +43,16 @@ class TagSizes:
 @dataclasses.dataclass(frozen=True)
 class TagNoise:
     """Standard deviations of a sighting: pixels, of each corner along either axis, and place, m, of the tag's centre,
-    what no pixel explains: calibration, mount, tags that are not flat.
+    what no pixel explains: calibration, mount, tags that are not flat. unlike: pixels, of a corner too, times the root
+    of what the correlation of the image with the tag's cells lacks to 1: of a tag that is cut by a wall or seen aslant.
 
-    They fit TagSLAM's recording in a building, whose survey and reference are in `place` too. Most of it is no white
-    noise: the frames of one visit err alike. In rendered images a corner errs by 0.06 pixels.
+    The first two fit TagSLAM's recording in a building, whose survey and reference are in `place` too. Most of it is no
+    white noise: the frames of one visit err alike. The third fits rendered tags, whose corners err by 0.06 pixels.
     """
 
     pixels: float = 0.4
     place: float = 0.02
+    unlike: float = 1.0
 
 
 @message
@@ -69,8 +75,8 @@ def sighted(
     """Range and bearing of the tags' centres in the body's horizontal plane, ids ascending, and what was left out.
 
     stamp: s. least_margin: the decision margin, grey levels, below which a tag is not believed. Left out are tags that
-    are not believed, of no known size, twice in the image, cut off by its edge, or no squares; and all tags of an image
-    that is not of the calibration's size.
+    are not believed, of no known size, twice in the image, too small in it, cut off by its edge, or no squares; and all
+    tags of an image that is not of the calibration's size.
     """
     noise = noise or TagNoise()
     if (tags.width, tags.height) != (calibration.width, calibration.height):
@@ -81,9 +87,11 @@ def sighted(
         return Sighting(_message(stamp, tags, np.zeros(len(tags.ids), dtype=bool)), (remark,))
     side = np.array([sizes.of(int(i), family) or np.nan for i, family in zip(tags.ids, tags.families, strict=True)])
     p_CT, unit = tag_positions(tags.corners, side, calibration)
+    unit *= (1.0 + (noise.unlike / noise.pixels) ** 2 * (1.0 - tags.likeness))[:, None, None]
     distance, bearing, sigma_range, sigma_bearing = in_plane(p_CT, unit, mount, noise)
     last = np.array([tags.width - 1.0, tags.height - 1.0])
     cut_off = np.asarray(((tags.corners < EDGE) | (tags.corners > last - EDGE)).any(axis=(1, 2)))
+    side_seen = np.linalg.norm(np.roll(tags.corners, -1, axis=1) - tags.corners, axis=2).max(axis=1, initial=0.0)
     counts = dict(zip(*np.unique(tags.ids, return_counts=True), strict=True))
     good, remarks = np.ones(len(tags.ids), dtype=bool), dict[str, None]()
     for i, (tag, family) in enumerate(zip(tags.ids.tolist(), tags.families, strict=True)):
@@ -92,12 +100,16 @@ def sighted(
             why = f"{counts[tag]} times in one image; all are left out, print each id once"
         elif tags.margin[i] < least_margin:
             why = f"decision margin {tags.margin[i]:.0f}, below {least_margin:g}; left out as hidden, blurred or far"
+        elif tags.likeness[i] < LEAST_LIKENESS:
+            why = "its cells are not where its outline is; left out as half hidden"
         elif np.isnan(side[i]):
             why = f"the size of {family} is not given; left out"
         elif cut_off[i]:
             why = "at the edge of the image; left out"
         elif not distance[i] > LEAST_RANGE:
             why = "its corners are no square's; left out"
+        elif side_seen[i] < LEAST_SIDE:
+            why = f"{side_seen[i]:.0f} pixels wide, below {LEAST_SIDE:g}; left out as too far"
         if why:
             good[i] = False
             remarks[f"tag {tag}: {why}"] = None

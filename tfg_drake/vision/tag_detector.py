@@ -10,6 +10,7 @@ import robotpy_apriltag
 
 from tfg_drake.messages import FloatArray, IntArray, message
 from tfg_drake.vision.image import Image, grey
+from tfg_drake.vision.tag_corners import refined
 
 # Those that robotpy_apriltag is compiled with.
 FAMILIES = ("tag36h11", "tag16h5")
@@ -26,8 +27,8 @@ class TagsInImage:
     """The tags that were found in one image, by their ids and from left to right.
 
     width, height: of the image, pixels. ids: (n,). corners: (n, 4, 2) pixels, (0, 0) the first one's centre, in order
-    round the black square. margin: (n,) how much brighter or darker than doubtful its bits are, grey levels. families:
-    (n,) names.
+    round the black square. margin: (n,) how much brighter or darker than doubtful its bits are, grey levels. likeness:
+    (n,) correlation of the image with the tag's cells, 1 where they are exactly so. families: (n,) names.
     """
 
     width: int
@@ -35,6 +36,7 @@ class TagsInImage:
     ids: IntArray
     corners: FloatArray
     margin: FloatArray
+    likeness: FloatArray
     families: tuple[str, ...]
 
 
@@ -78,6 +80,9 @@ class TagDetector:
         found = self._detector.detect(grey_image) if min(width, height) >= self._least_side else []
         corners = np.array([one.getCorners((0.0,) * 8) for one in found]).reshape(-1, 4, 2) - _PIXEL_CENTRE
         ids = np.array([one.getId() for one in found], dtype=np.int64)
+        likeness = np.zeros(len(found))
+        for k, one in enumerate(found):
+            corners[k], likeness[k] = refined(grey_image, corners[k], one.getId(), one.getFamily())
         # Threads end in any order.
         order = np.lexsort((corners[:, 0, 0], ids))
         return TagsInImage(
@@ -86,5 +91,6 @@ class TagDetector:
             ids=ids[order],
             corners=corners[order],
             margin=np.array([one.getDecisionMargin() for one in found], dtype=float)[order],
+            likeness=likeness[order],
             families=tuple(found[i].getFamily() for i in order),
         )

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from tfg_drake.messages import FloatArray
+from tfg_drake.vision.hue import hue_of
 from tfg_drake.vision.tag_sheets import CELLS, COUNT, FAMILY, tag_cells
 from tfg_drake.world.world import World, WorldError
 
@@ -37,7 +38,8 @@ class SceneConfig:
 class Scene:
     """A mesh of quads in W, z up from the floor, and its texture.
 
-    obj, mtl: text of Wavefront files named scene.obj and scene.mtl. png: the texture, named scene.png.
+    obj, mtl: text of Wavefront files named scene.obj and scene.mtl. png: the texture, named scene.png, in the hues of
+    tfg_drake.vision.hue.
     """
 
     obj: str
@@ -59,7 +61,7 @@ def make_scene(world: World, config: SceneConfig | None = None) -> Scene:
     texture, tags_uv, floor_uv, wall_uv = _texture(world.tag_ids.tolist())
     quads = [_floor(world)[None], _walls(world.walls, config.wall_height), _tags(world, config)]
     uv = [floor_uv[None], np.broadcast_to(wall_uv, (len(quads[1]), 4, 2)), tags_uv]
-    found, png = cv2.imencode(".png", texture)
+    found, png = cv2.imencode(".png", hue_of(texture)[..., ::-1])
     assert found
     mtl = "newmtl building\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd scene.png\n"
     return Scene(_obj(np.concatenate(quads), np.concatenate(uv)), mtl, png.tobytes())

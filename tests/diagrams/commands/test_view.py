@@ -41,7 +41,7 @@ def test_without_a_browser_it_says_how_to_get_one(call, run_dir, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ("export {0} page.png", "page.png: unknown format; name a file that ends in .html or .gif"),
+        ("export {0} page.png", "page.png: unknown format; name a file that ends in .html, .gif or .mp4"),
         (
             "export {0}/nowhere page.html",
             "{0}/nowhere: no such file or directory; name the folder of a mission that this version has recorded",

@@ -253,6 +253,7 @@ class Restless:
     def __init__(self):
         self.clock, self.watched, self.followed, self.word, self.stages = self.Clock(), True, [], "", []
         self.follow, self.at_stage, self.requests = self.followed.append, self.stages.append, lambda: []
+        self.goals = lambda: []
         self.pushes = lambda: 0
 
 

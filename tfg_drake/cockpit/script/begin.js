@@ -76,6 +76,7 @@ async function begin() {
   if (SOURCE) {
     setLive(SOURCE.live);
     if (SOURCE.live) readState();
+    if (forks.possible) watchForks();
     const reading = readServed();
     if (!SOURCE.live) await reading;
   } else {

@@ -82,6 +82,7 @@ function tell() {
   const html = figures.map(([name, text, hint]) => `<span title="${hint}">${name}</span><b>${text}</b>`).join("");
   if (html !== told) element("numbers").innerHTML = told = html;
   tellChoice();
+  if (forks.possible && stageTold !== (stageTold = stageToFork())) tellFork();
   tellEnd();
   drawPlots();
 }
@@ -91,7 +92,8 @@ const RULES = {
   argmax: "The goal is where most is to be gained.",
   nearest: "The goal is the nearest.",
 };
-let choiceShown = null;
+let choiceShown = null,
+  stageTold = -1;
 function tellChoice() {
   const record = timeline.at("gains", time);
   if (record === choiceShown) return;
@@ -100,7 +102,8 @@ function tellChoice() {
   element("choice").hidden = !table.length;
   if (!table.length) return;
   const world = timeline.at("world", Infinity),
-    rule = RULES[world && world.told.rule] ?? "";
+    goal = timeline.at("goal", time),
+    rule = goal && goal.told.sent ? "Somebody has sent the robot there." : (RULES[world && world.told.rule] ?? "");
   const cell = (v) => `<td>${number(v, Math.abs(v) < 99.95 ? 1 : 0)}</td>`;
   const head = [
     ["goal", ""],
@@ -118,7 +121,7 @@ function tellChoice() {
     table
       .map(
         (row, i) =>
-          `<tr class="${row.chosen ? "chosen" : ""}"><td>${row.chosen ? "chosen" : `next ${i}`}</td>` +
+          `<tr class="${row.chosen ? "chosen" : ""}" ${row.chosen || !forks.possible ? "" : `data-row="${i}"`}><td>${row.chosen ? "chosen" : `next ${i}`}</td>` +
           cell(row.exploitation) +
           cell(row.exploration) +
           cell(row.pose_price) +

@@ -10,8 +10,8 @@ let time = 0,
   last = 0,
   shownBounds = "";
 
-function interpolated(name, t) {
-  const layer = timeline.layers.get(name);
+function interpolated(name, t, source = timeline) {
+  const layer = source.layers.get(name);
   const row = layer ? before(layer.times, t) : -1;
   if (row < 0) return layer && layer.records.length ? arrays(layer.records[0]).pose : null;
   const a = arrays(layer.records[row]).pose;
@@ -69,6 +69,7 @@ function show(t) {
   }
   driven.show(t);
   trueWay.show(t);
+  showFork(t);
   trails.pose.visible = trails.truth.visible = groups.trail.visible;
   const mission = timeline.at("mission", t);
   const drives = mission ? mission.told.drives : false;

@@ -1,9 +1,25 @@
 // Plots over time, and the stages beside the slider.
 
 const PLOTS = [
-  ["tags mapped", [[series.tags, "landmark"]], 0, ""],
+  [
+    "tags mapped",
+    [
+      [series.tags, "landmark"],
+      [forkSeries.tags, "fork"],
+    ],
+    0,
+    "",
+  ],
   ["floor seen, m²", [[area, "frontier"]], 0, ""],
-  ["map entropy, nats", [[series.entropy, "doubtful"]], 0, ""],
+  [
+    "map entropy, nats",
+    [
+      [series.entropy, "doubtful"],
+      [forkSeries.entropy, "fork"],
+    ],
+    0,
+    "",
+  ],
   [
     "position, cm: stated and true",
     [

@@ -6,6 +6,7 @@ const series = {
   tags: { times: [], values: [] },
   entropy: { times: [], values: [] },
 };
+const forkSeries = { tags: { times: [], values: [] }, entropy: { times: [], values: [] } };
 const stageTimes = [];
 let wallBounds = null;
 

@@ -1,0 +1,107 @@
+"""The forks of a run that its page asks for: each is a process of `tfg-drake fork`, one at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from tfg_drake.diagrams.commands.fork import difference_rows
+from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.storage.timeline import FILE_NAME
+
+
+def can_fork(run: Path) -> bool:
+    """Whether a folder holds a simulated run whose goals were chosen from candidates."""
+    try:
+        summary = json.loads((run / "summary.json").read_bytes())
+        method = METHODS.get(summary["method"])
+        return summary["contacts"] is not None and method is not None and method.has_candidates
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+class PageForks:
+    """See `tfg_drake.cockpit.server.Forks`. Each fork is in a folder beside its run's, <run>-fork-<number>."""
+
+    def __init__(self, run: Path) -> None:
+        self._run = run.resolve()
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._number, self._stage, self._folder = 0, 0, self._run
+        self._line, self._rows, self._failure = "", [], ""  # type: str, list[tuple[str, ...]], str
+
+    @property
+    def timeline(self) -> Path:
+        """The newest fork's, which may not be there yet."""
+        return self._folder / FILE_NAME
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the newest fork is under way."""
+        return self._process is not None
+
+    def start(self, stage: int, goal: tuple[float, float]) -> bool:
+        """Fork a stage to the place (x, y), m in W; whether there was no other one under way."""
+        with self._lock:
+            if self._process is not None:
+                return False
+            self._number += 1
+            while (folder := self._run.with_name(f"{self._run.name}-fork-{self._number}")).exists():
+                self._number += 1
+            x, y = goal
+            command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "fork", str(self._run), "--stage", str(stage)]
+            command += [f"--goal={x:.4f},{y:.4f}", "--out", str(folder)]
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            )
+            self._process, self._stage, self._folder = process, stage, folder
+            self._line, self._rows, self._failure = "beginning", [], ""
+        threading.Thread(target=self._follow, args=(process,), daemon=True).start()
+        return True
+
+    def state(self) -> dict[str, Any]:
+        """Of the newest fork: its number, stage and folder, whether it is running, what it says, and in the end the
+        rows of the comparison or why there are none; number 0 before the first."""
+        with self._lock:
+            return {
+                "number": self._number,
+                "stage": self._stage,
+                "folder": str(self._folder),
+                "running": self.is_running,
+                "line": self._line,
+                "rows": self._rows,
+                "failure": self._failure,
+            }
+
+    def close(self) -> None:
+        """End what is under way; what there is of it stays."""
+        process = self._process
+        if process is not None:
+            process.terminate()
+            process.wait()
+
+    def _follow(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if self._process is process and line.strip():
+                self._line = line.strip()
+        process.wait()
+        with self._lock:
+            try:
+                before, after = (json.loads((one / "summary.json").read_bytes()) for one in (self._run, self._folder))
+                self._rows = list(difference_rows(before, after))
+            except (OSError, ValueError):
+                self._failure = self._line.removeprefix("tfg-drake: ")
+                shutil.rmtree(self._folder, ignore_errors=True)  # Nothing of it is of use.
+            self._process = None

@@ -1,0 +1,240 @@
+"""The linear system of a small keyframe graph: all landmarks are known jointly, GTSAM eliminates the poses.
+
+What is left is dense: its solution gives the rest by back-substitution, its inverse is the joint covariance.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+import gtsam
+import numpy as np
+import scipy.linalg
+
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.factors import Factors, Linear, Solved, Values, at_errors, error_of_errors
+from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.keyframe_kernels import assemble, assemble_tag_errors
+
+# Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
+# time. The first holds what hangs on nothing by 100 m, or rad.
+LEAST_DAMPING = 1e-4
+DAMPING_GROWTH = 100.0
+MOST_DAMPING = 1e10
+# Unknowns of a cell: what GTSAM handles as one variable.
+CELL = 48
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """Where the unknowns are: landmarks and nodes near each other make a cell; the first `kept` cells are kept.
+
+    Arrays as in `keyframe_kernels.assemble`, error_at as in `assemble_tag_errors`, -1 where tags have none. pairs: (p,
+    2) cells that share a keyframe, bounds: (p + 1,) of their blocks. dense: unknowns kept.
+    """
+
+    landmark_at: IntArray
+    node_at: IntArray
+    error_at: IntArray
+    cell: IntArray
+    first: IntArray
+    size: IntArray
+    block_at: IntArray
+    pairs: IntArray
+    bounds: IntArray
+    kept: int
+    dense: int
+
+    # The first unknown that is kept; and each step is of a system linearised anew.
+    kept_from = 0
+    keeps_for = 0.0
+
+    def linearised(self, factors: Factors, values: Values) -> Linear:
+        """The system at some values."""
+        blocks, gradient, error, poses = _linearised(factors, self, values)
+
+        def solved(gradient: FloatArray) -> Solved:
+            eliminated, root = _factorised(self, blocks, gradient)
+            return Solved(_step(self, eliminated, root), root, eliminated.log_determinant)
+
+        return Linear(solved, gradient, error, poses, lambda: _log_determinant_of_rest(self, blocks))
+
+    def again(self, _: Linear, factors: Factors, values: Values) -> Linear:
+        """The same of other values or factors."""
+        return self.linearised(factors, values)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Eliminated:
+    """What is left when all but the kept unknowns are eliminated. information: (d, d), vector: (d,) of the kept.
+    conditionals: those of the others given the kept, None without any. log_determinant: of the information on the
+    others given the kept."""
+
+    information: FloatArray
+    vector: FloatArray
+    conditionals: gtsam.GaussianBayesNet | None
+    log_determinant: float
+
+
+def _bisected(points: FloatArray, index: IntArray, most: int) -> Iterable[IntArray]:
+    """Some of the points (n, 2), by their index (i,), in groups of at most so many that lie together."""
+    if len(index) <= most:
+        return [index] if len(index) else []
+    some = points[index]
+    order = index[np.argsort(some[:, np.argmax(np.ptp(some, axis=0))], kind="stable")]
+    half = len(order) // 2
+    return [*_bisected(points, order[:half], most), *_bisected(points, order[half:], most)]
+
+
+def cells_of(graph: KeyframeGraph, factors: Factors, node: int) -> Cells:
+    """The cells of a graph, all landmarks and a node kept."""
+    n, k = len(graph.ids), len(graph.keyframes)
+    inner = np.delete(np.arange(1, k + 1), node - 1)
+    has_errors = bool(factors.tag_error.any())
+    near = list(_bisected(graph.p_ML, np.arange(n), CELL // 2))
+    poses = list(_bisected(graph.X_MN[:, :2], inner, CELL // 3))
+    landmark_at, error_at, node_at = np.full(n, -1), np.full(n, -1), np.full(k + 1, -1)
+    landmark_cell, error_cell, node_cell = np.full(n, -1), np.full(n, -1), np.full(k + 1, -1)
+    landmark, error, pose = (landmark_at, landmark_cell, 2), (error_at, error_cell, 2), (node_at, node_cell, 3)
+    groups = [(group, landmark) for group in near] + [(np.array([node]), pose)]
+    groups += [(group, error) for group in near if has_errors]
+    kept = len(groups)
+    groups += [(group, pose) for group in poses]
+
+    size = np.array([width * len(group) for group, (_, _, width) in groups])
+    first = np.cumsum(size) - size
+    for number, (group, (at, of, width)) in enumerate(groups):
+        at[group] = first[number] + width * np.arange(len(group))
+        of[group] = number
+    together = np.zeros((k, len(groups)), dtype=bool)
+    keyframe = np.repeat(np.arange(k), np.diff(factors.offsets))
+    together[keyframe, landmark_cell[factors.rows]] = True
+    if has_errors:
+        together[keyframe, error_cell[factors.rows]] = True
+    together[np.arange(k), node_cell[1:]] = True
+    together[np.arange(1, k), node_cell[1:k]] = True
+    shared = together.T.astype(np.float32) @ together.astype(np.float32)
+    pairs = np.argwhere(np.triu(shared > 0.0))
+    bounds = np.append(0, np.cumsum(size[pairs[:, 0]] * size[pairs[:, 1]]))
+    block_at = np.full((len(groups), len(groups)), -1)
+    block_at[pairs[:, 0], pairs[:, 1]] = bounds[:-1]
+    return Cells(
+        landmark_at=landmark_at,
+        node_at=node_at,
+        error_at=error_at,
+        cell=np.repeat(np.arange(len(groups)), size),
+        first=first,
+        size=size,
+        block_at=block_at,
+        pairs=pairs,
+        bounds=bounds,
+        kept=kept,
+        dense=int(size[:kept].sum()),
+    )
+
+
+def _linearised(factors: Factors, cells: Cells, values: Values) -> tuple[FloatArray, FloatArray, float, FloatArray]:
+    """Blocks and gradient (u,) at some values, the weighted squared error there, and the blocks of the poses."""
+    blocks, gradient = np.zeros(cells.bounds[-1]), np.zeros(len(cells.cell))
+    seen, of_cells = at_errors(factors, values.errors).arrays, (cells.cell, cells.first, cells.size, cells.block_at)
+    at, keyframes = (cells.landmark_at, cells.node_at), np.arange(len(factors.X_AD))
+    error, poses = assemble(keyframes, *seen, values.X_MN, values.p_ML, *at, *of_cells, blocks, gradient)
+    if factors.tag_error.any():
+        everywhere = *at, cells.error_at
+        where = values.X_MN, values.p_ML, values.errors
+        assemble_tag_errors(keyframes, *seen, *factors.of_errors, *where, *everywhere, *of_cells, blocks, gradient)
+        own, prior = cells.error_at[:, None] + [0, 1], factors.tag_error**-2
+        cell = cells.cell[own]
+        entry = own - cells.first[cell]
+        blocks[cells.block_at[cell, cell] + entry * (cells.size[cell] + 1)] += prior
+        gradient[own] += prior * values.errors
+        error += error_of_errors(factors, values.errors)
+    return blocks, gradient, error, poses
+
+
+def _factorised(cells: Cells, blocks: FloatArray, gradient: FloatArray) -> tuple[_Eliminated, FloatArray]:
+    """The system with all but the kept eliminated, and the lower Cholesky factor of what is left.
+
+    Where some part of the map hangs on nothing that a double can tell, all is held by as little as it takes.
+    """
+    damping = 0.0
+    while True:
+        try:
+            eliminated = _eliminated(cells, blocks, gradient, damping)
+            return eliminated, scipy.linalg.cholesky(eliminated.information, lower=True, check_finite=False)
+        except (RuntimeError, scipy.linalg.LinAlgError):
+            if damping > MOST_DAMPING:
+                raise
+            damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
+
+
+def _eliminated(cells: Cells, blocks: FloatArray, gradient: FloatArray, damping: float) -> _Eliminated:
+    first, size, kept = cells.first.tolist(), cells.size.tolist(), cells.kept
+    information, vector = damping * np.eye(cells.dense), -gradient[: cells.dense]
+    sparse, touched = gtsam.GaussianFactorGraph(), set()
+    zero = {one: (np.zeros((one, one)), np.zeros(one)) for one in set(size)}
+    for (i, j), start, end in zip(cells.pairs.tolist(), cells.bounds[:-1], cells.bounds[1:], strict=True):
+        block = blocks[start:end].reshape(size[i], size[j])
+        if j < kept:
+            information[first[i] : first[i] + size[i], first[j] : first[j] + size[j]] += block
+            if i != j:
+                information[first[j] : first[j] + size[j], first[i] : first[i] + size[i]] += block.T
+        elif i == j:
+            held = block + damping * np.eye(size[i]) if damping else block
+            sparse.push_back(gtsam.HessianFactor(i, held, -gradient[first[i] : first[i] + size[i]], 0.0))
+        else:
+            (G_i, g_i), (G_j, g_j) = zero[size[i]], zero[size[j]]
+            sparse.push_back(gtsam.HessianFactor(i, j, G_i, block, g_i, G_j, g_j, 0.0))
+            if i < kept:
+                touched.add(i)
+    if len(size) == kept:
+        return _Eliminated(information, vector, None, 0.0)
+    last = sorted(touched)
+    everything = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(sparse, last, False)
+    before, after = gtsam.Ordering(), gtsam.Ordering()
+    for place in range(len(size) - kept):
+        before.push_back(everything.at(place))
+    for i in last:
+        after.push_back(i)
+    conditionals, left = sparse.eliminatePartialSequential(before)
+    if last:
+        of_last, vector_of_last = left.hessian(after)
+        at = np.concatenate([np.arange(first[i], first[i] + size[i]) for i in last])
+        information[np.ix_(at, at)] += of_last
+        vector[at] += vector_of_last
+    roots = (conditionals.at(place).R() for place in range(conditionals.size()))
+    log_determinant = 2.0 * sum(float(np.sum(np.log(np.abs(np.diag(root))))) for root in roots)
+    return _Eliminated(information, vector, conditionals, log_determinant)
+
+
+def _step(cells: Cells, eliminated: _Eliminated, root: FloatArray) -> FloatArray:
+    """(u,) the step of Gauss and Newton."""
+    step = np.empty(len(cells.cell))
+    step[: cells.dense] = scipy.linalg.cho_solve((root, True), eliminated.vector, check_finite=False)
+    if eliminated.conditionals is not None:
+        known = gtsam.VectorValues()
+        for i, size in enumerate(cells.size[: cells.kept].tolist()):
+            known.insert(i, step[cells.first[i] : cells.first[i] + size])
+        found = eliminated.conditionals.optimize(known)
+        for i in range(cells.kept, len(cells.size)):
+            step[cells.first[i] : cells.first[i] + cells.size[i]] = found.at(i)
+    return step
+
+
+def _log_determinant_of_rest(cells: Cells, blocks: FloatArray) -> float:
+    """Of the information on all unknowns but the landmarks, given these."""
+    landmarks = np.unique(cells.cell[cells.landmark_at])
+    size, system = cells.size.tolist(), gtsam.GaussianFactorGraph()
+    for (i, j), start, end in zip(cells.pairs.tolist(), cells.bounds[:-1], cells.bounds[1:], strict=True):
+        if i in landmarks or j in landmarks:
+            continue
+        block, g_i, g_j = blocks[start:end].reshape(size[i], size[j]), np.zeros(size[i]), np.zeros(size[j])
+        if i == j:
+            system.push_back(gtsam.HessianFactor(i, block, g_i, 0.0))
+        else:
+            own = np.zeros((size[i], size[i])), np.zeros((size[j], size[j]))
+            system.push_back(gtsam.HessianFactor(i, j, own[0], block, g_i, own[1], g_j, 0.0))
+    conditionals = system.eliminateSequential()
+    roots = (conditionals.at(place).R() for place in range(conditionals.size()))
+    return 2.0 * sum(float(np.sum(np.log(np.abs(np.diag(root))))) for root in roots)
