@@ -8,10 +8,13 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections
 from tfg_drake.slam import localizer as localizer_module
 from tfg_drake.slam import pose_filter
-from tfg_drake.slam.departure_frame import in_departure_frame
+from tfg_drake.slam.departure_frame import (
+    covariance_in_departure_frame,
+    covariance_with_departure,
+    local_positions,
+)
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.localizer import (
-    local_tags,
     localized_pose,
     new_tags,
     start_localizer,
@@ -77,6 +80,15 @@ def brute_force(x, P, considered, increment, dt, detections, rows):
 def look(localizer, frame):
     """One frame without motion."""
     return step_localizer(localizer, MODEL, np.zeros(3), 0.0, frame)[0]
+
+
+def in_departure_frame(estimate, rows):
+    """p_DL (m, 2) of the landmarks in some rows (m,), and the covariance of (p_DL row by row, X_MD)."""
+    entries, heading = estimate.local_entry[rows], float(estimate.X_MD[2])
+    p_DL = local_positions(estimate)
+    P = covariance_in_departure_frame(estimate.covariance, heading, p_DL, entries, entries)
+    cross = covariance_with_departure(estimate.covariance, heading, p_DL, entries)
+    return p_DL[entries], np.block([[P, cross], [cross.T, estimate.covariance[-3:, -3:]]])
 
 
 def joint_covariance(filter_, estimate):
@@ -226,7 +238,8 @@ def test_all_that_is_known_jointly_is_considered_and_the_latest_local_tags_are_k
         frame = sight([tag], np.array([[2.0, tag - 50.0]]), X_MB, stamp)
         localizer, _, _ = step_localizer(localizer, MODEL, np.zeros(3), 0.1, frame)
     np.testing.assert_array_equal(localizer.filter.local_ids, [51, 52])
-    np.testing.assert_allclose(local_tags(localizer)[:, 0], 2.0, atol=0.2)
+    p_MU = se2.transform(localizer.X_MD, localizer.filter.mean[pose_filter.CORE :].reshape(-1, 2))
+    np.testing.assert_allclose(p_MU[:, 0], 2.0, atol=0.2)
 
 
 def test_before_the_first_map_it_stands_at_the_origin():

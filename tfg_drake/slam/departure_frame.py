@@ -16,20 +16,6 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate
 
 
-def in_departure_frame(estimate: MapEstimate, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """p_DL (m, 2) of the landmarks in some rows (m,) of the estimate, and the covariance of (p_DL row by row, X_MD).
-
-    That is (2m + 3, 2m + 3). They must be among the landmarks known jointly.
-    """
-    entries, heading = estimate.local_entry[rows], float(estimate.X_MD[2])
-    p_DL = local_positions(estimate)
-    P = np.empty((2 * len(rows) + 3, 2 * len(rows) + 3))
-    P[:-3, :-3] = covariance_in_departure_frame(estimate.covariance, heading, p_DL, entries, entries)
-    P[:-3, -3:] = covariance_with_departure(estimate.covariance, heading, p_DL, entries)
-    P[-3:, :-3], P[-3:, -3:] = P[:-3, -3:].T, estimate.covariance[-3:, -3:]
-    return p_DL[entries], 0.5 * (P + P.T)
-
-
 def local_positions(estimate: MapEstimate) -> FloatArray:
     """p_DL (m, 2) of the landmarks known jointly."""
     return (estimate.local_p_ML - estimate.X_MD[:2]) @ se2.rotation(float(estimate.X_MD[2]))

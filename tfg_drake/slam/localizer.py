@@ -147,11 +147,6 @@ def _in_map(
     return np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + X_DB[2])]), P_MB
 
 
-def local_tags(localizer: Localizer) -> FloatArray:
-    """p_MU (u, 2) of the tags met on the way, row for row with localizer.filter.local_ids."""
-    return se2.transform(localizer.X_MD, localizer.filter.mean[CORE:].reshape(-1, 2))
-
-
 def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
     """The ids (u,) of the tags met on the way, in LEAST_FRAMES or more, that are not among some ids (n,), ascending,
     and their p_MU (u, 2)."""
