@@ -10,7 +10,8 @@ function moves(object) {
 }
 
 const kept = {
-  target: new T.WebGLRenderTarget(1, 1, { samples: 4, depthTexture: new T.DepthTexture(1, 1) }),
+  // Where pixels are small their edges need no smoothing.
+  target: new T.WebGLRenderTarget(1, 1, { samples: devicePixelRatio < 2 ? 4 : 0, depthTexture: new T.DepthTexture(1, 1) }),
   key: "",
 
   /** All that a picture of what stands still depends on. */
