@@ -80,17 +80,17 @@ class Timeline {
   }
 }
 
-const joined = new Map(); // of each layer the newest record that was put together, and its arrays
+const joined = new Map(); // of each layer the record that was read last, and its arrays
 
 /** The arrays of a record by name; positions in metres. Of one that tells what is near a place, with what was told of
  * elsewhere before. */
 function arrays(record) {
-  if (!record.before) return own(record);
-  const layer = record.told.layer;
-  if (joined.get(layer)?.record === record) return joined.get(layer).arrays;
-  const chain = [record];
-  while (chain[0].before && joined.get(layer)?.record !== chain[0]) chain.unshift(chain[0].before);
-  let found = chain[0].before ? joined.get(layer).arrays : own(chain[0]);
+  if (record.arrays && !record.before) return record.arrays;
+  const layer = record.told.layer,
+    last = joined.get(layer),
+    chain = [record];
+  while (chain[0].before && last?.record !== chain[0]) chain.unshift(chain[0].before);
+  let found = last?.record === chain[0] ? last.arrays : own(chain[0]);
   for (const one of chain.slice(1)) found = within(found, own(one), one.told.near);
   joined.set(layer, { record, arrays: found });
   return found;
