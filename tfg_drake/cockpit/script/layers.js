@@ -90,6 +90,7 @@ const draw = {
         shade = new T.Color();
       const shades = new Float32Array(3 * size * share.length),
         scale = COLOURS.gains.map((name) => new T.Color(name));
+      if (dark.matches) scale.reverse(); // What promises the most stands out.
       for (let i = 0; i < share.length; i++) {
         const place = share[i] * (scale.length - 1),
           k = Math.min(Math.floor(place), scale.length - 2);
