@@ -28,6 +28,7 @@ from tfg_drake.cockpit.browser import SEEK, open_browser, wait_for_page
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
+from tfg_drake.pictures.scene import Near
 from tfg_drake.storage.timeline import TimelineWriter
 
 ROOM = 6.0  # m, of a wall
@@ -100,16 +101,24 @@ class Building:
         writer.write("scan", now, {"points": place + self.star[1:]})
 
     def stage(self, writer: TimelineWriter, now: float, number: int, rooms: int, place: np.ndarray) -> None:
-        """A look: that near the robot has become a little more accurate, of so many rooms."""
+        """A look, of so many rooms: what is near the robot has become a little more accurate. All is written where it
+        is time to, else what is near, as of a real mission."""
         count = TAGS * rooms
         near = np.hypot(*(self.points - place).T) < NEAR
         self.points[near] += self.rng.normal(0.0, 2e-3, (int(near.sum()), 2))
         covariance = np.tile(np.array([4e-4, 1e-4, 3e-4], dtype=np.float32), (count, 1))
         ids, doubtful = np.arange(count), np.arange(count) % 97 == 0
         tags = {"points": self.points[:count], "covariance": covariance, "doubtful": doubtful, "ids": ids}
-        writer.write("map", now, tags, stage=number, entropy=-5.0 * count, views=number)
-        walls = {"segments": self.segments[:count], "kind": self.kind[:count], "facing": self.facing[:count]}
-        writer.write("tfg", now, walls)
+        walls = {
+            "segments": self.segments[:count],
+            "kind": self.kind[:count],
+            "facing": self.facing[:count],
+            "ids": ids,
+        }
+        part = Near() if writer.is_due("map", now) and writer.is_due("tfg", now) else Near(place, NEAR)
+        told = {"stage": number, "entropy": -5.0 * count, "views": number}
+        writer.write("map", now, part.of(tags, self.points[:count]), **told, **part.told)
+        writer.write("tfg", now, part.of(walls, self.points[:count]), **part.told)
         writer.write("frontiers", now, {"segments": self.segments[max(0, count - 200) : count]})
         middles = self.corner[:rooms] + 0.5 * ROOM
         share = self.rng.uniform(0.0, 1.0, rooms).astype(np.float32)
@@ -144,7 +153,7 @@ class Live(threading.Thread):
             while not self.over.is_set():
                 now, start = count / RATE, time.thread_time()
                 place = building.place(now)
-                if count % int(STAGE * RATE) == 0 and writer.is_due("tfg", now):
+                if count % int(STAGE * RATE) == 0:
                     building.stage(writer, now, 1 + count // int(STAGE * RATE), building.rooms, place)
                 building.drive(writer, now, place)
                 writer.flush(all_of_it=False)

@@ -34,9 +34,9 @@ class Method:
     keys meanwhile.
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
-    stop and recall (vectors of size 1), as many of them as it wants: without recall it is ended where its robot's
-    battery is low. Its outputs are base.velocity_commanded, pose (PoseEstimate) and mission (MissionStatus), and, where
-    it has them, map, tfg, roadmap, goal, path and grid.
+    stop and recall (vectors of size 1) and requested_goal (a RequestedGoal), as many of them as it wants: without
+    recall it is ended where its robot's battery is low. Its outputs are base.velocity_commanded, pose (PoseEstimate)
+    and mission (MissionStatus), and, where it has them, map, tfg, roadmap, goal, path and grid.
     """
 
     name: str

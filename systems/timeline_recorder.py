@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
@@ -11,6 +11,7 @@ from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
     GridMap,
+    IntArray,
     LaserScan,
     MapEstimate,
     MissionStatus,
@@ -18,6 +19,7 @@ from tfg_drake.messages import (
     PoseEstimate,
     Roadmap,
     TfgMap,
+    WorkingMap,
 )
 from tfg_drake.pictures import scene
 from tfg_drake.planning.requested_goal import REASON
@@ -25,8 +27,6 @@ from tfg_drake.simulation.people import People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
-
-T = TypeVar("T")
 
 # Poses a simulated second, and how many of them to a scan: the page draws what lies between.
 RATE = 8.0
@@ -43,7 +43,12 @@ _MESSAGES = {
     "pose": PoseEstimate,
     "scan": LaserScan,
     "people": People,
+    "working_map": WorkingMap,
+    "working_roadmap": Roadmap,
 }
+ALL = scene.Near()
+# What is made anew of all of a large map for whoever asks for it.
+_WHOLE = ("map", "tfg", "roadmap")
 # The layer of a message that is the most to write, where it has several.
 _HEAVIEST = {"goal": "gains"}
 
@@ -65,11 +70,14 @@ class TimelineRecorder(LeafSystem):
         - pose
         - scan
         - people
+        - working_map
+        - working_roadmap
         - enabled
         - truth
 
     Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
-    whether the base may move. truth: the true pose (x, y, theta, v, w) in W.
+    whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a map so large that planning works on a
+    part of it, only that part is asked for and written at every stage, and all of it now and then.
 
     It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file.
     """
@@ -79,7 +87,7 @@ class TimelineRecorder(LeafSystem):
         super().__init__()
         self._writer = writer
         self._newest: dict[str, object] = {}  # what stands in the file
-        self._stars: tuple[FloatArray, ...] = ()
+        self._stars: dict[int, FloatArray] = {}  # the same, of each view
         self._count = 0
         self._inputs = {name: declare_message_input(self, name) for name in _MESSAGES}
         self._enabled = self.DeclareVectorInputPort("enabled", 1)
@@ -123,16 +131,24 @@ class TimelineRecorder(LeafSystem):
 
     def _Record(self, context: Context, everything: bool) -> None:
         now = context.get_time()
+        working = self._Get(context, "working_map")
+        is_large = working is not None and not working.is_all
         for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "mission"):
+            is_due = everything or self._writer.is_due(_HEAVIEST.get(name, name), now)
+            if is_large and name in _WHOLE and not is_due:
+                continue
             message = self._Get(context, name)
             before = self._newest.get(name)
             if message is None or message is before:
                 continue
             if isinstance(before, MapEstimate) and before.stage == message.stage == 0:
                 continue  # Until there is a view the map is made anew at every look.
-            if everything or self._writer.is_due(_HEAVIEST.get(name, name), now):
+            if is_due:
                 self._newest[name] = message
                 self._WriteMessage(name, message, now, context)
+        if is_large and working is not self._newest.get("working_map"):
+            self._newest["working_map"] = working
+            self._WriteNear(working, now)
         if self._enabled.HasValue(context):
             enabled = bool(self._enabled.Eval(context)[0] > 0.0)
             if enabled != self._newest.get("enabled"):
@@ -144,30 +160,17 @@ class TimelineRecorder(LeafSystem):
     def _WriteMessage(self, name: str, message: Any, now: float, context: Context) -> None:
         write = self._writer.write
         if name == "map":
-            layer = dict(scene.landmarks(message))
-            layer["covariance"] = layer["covariance"].astype(np.float32)
-            told = {"stage": message.stage, "entropy": message.entropy, "views": len(message.X_MA)}
-            write("map", now, layer, **told)
+            self._WriteMap(message, now, ALL)
         elif name == "tfg":
-            layer = dict(scene.surfaces(message))
-            layer["kind"] = layer["kind"].astype(np.uint8)
             estimate = self._Get(context, "map")
-            if estimate is not None and len(estimate.ids) == len(message.facing):
-                layer["facing"] = scene.tag_normals(message, estimate.ids).astype(np.float32)
-            write("tfg", now, layer)
-            write("frontiers", now, scene.frontiers(message))
-            stars = scene.free_space(message)
-            changed = scene.changed_stars(self._stars, stars)
-            if len(changed):
-                write("free", now, scene.packed_stars(stars, changed))
-                kept = list(self._stars) + [None] * (len(stars) - len(self._stars))
-                for i in changed:
-                    kept[i] = stars[i]
-                self._stars = tuple(star for star in kept if star is not None)
+            self._WriteTfg(message, estimate.ids if estimate is not None else None, now, ALL)
+            self._WriteStars(message, np.arange(len(message.star_centers)), now)
         elif name == "roadmap":
             write("roadmap", now, scene.roadmap_lines(message))
         elif name == "goal":
-            roadmap = self._Get(context, "roadmap")
+            working = self._Get(context, "working_map")
+            near = working is not None and not working.is_all
+            roadmap = self._Get(context, "working_roadmap" if near else "roadmap")
             there = scene.goal(message) if message.node >= 0 else {"points": np.zeros((0, 2))}
             told = {"verdict": message.verdict, "reason": message.reason, "stage": message.stage}
             told["sent"] = message.reason == REASON
@@ -183,6 +186,34 @@ class TimelineRecorder(LeafSystem):
         else:
             told = {"phase": message.phase, "stage": message.stage, "outcome": message.outcome}
             write("mission", now, {}, **told, reason=message.reason, drives=message.drives)
+
+    def _WriteNear(self, working: WorkingMap, now: float) -> None:
+        """What is round the newest view, as far as it is all there."""
+        near = scene.Near(working.estimate.X_MA[-1, :2], working.reach)
+        self._WriteMap(working.estimate, now, near)
+        self._WriteTfg(working.tfg, working.estimate.ids, now, near)
+        self._WriteStars(working.tfg, working.views, now)
+
+    def _WriteMap(self, estimate: MapEstimate, now: float, part: scene.Near) -> None:
+        layer = part.of(scene.landmarks(estimate), estimate.p_ML)
+        layer["covariance"] = layer["covariance"].astype(np.float32)
+        told = {"stage": estimate.stage, "entropy": estimate.entropy, "views": len(estimate.X_MA)}
+        self._writer.write("map", now, layer, **told, **part.told)
+
+    def _WriteTfg(self, tfg: TfgMap, ids: IntArray | None, now: float, part: scene.Near) -> None:
+        layer = part.of(scene.surfaces(tfg), 0.5 * (tfg.segments[:, :2] + tfg.segments[:, 2:]))
+        layer["kind"] = layer["kind"].astype(np.uint8)
+        if ids is not None and len(ids) == len(tfg.facing):
+            layer["ids"], layer["facing"] = ids, scene.tag_normals(tfg, ids).astype(np.float32)
+        self._writer.write("tfg", now, layer, **part.told)
+        self._writer.write("frontiers", now, part.of(scene.frontiers(tfg), tfg.frontiers), **part.told)
+
+    def _WriteStars(self, tfg: TfgMap, views: IntArray, now: float) -> None:
+        stars, unknown = scene.free_space(tfg), np.zeros((0, 2))
+        changed = scene.changed_stars(tuple(self._stars.get(view, unknown) for view in views.tolist()), stars)
+        if len(changed):
+            self._writer.write("free", now, {**scene.packed_stars(stars, changed), "index": views[changed]})
+            self._stars |= {int(views[i]): stars[i] for i in changed}
 
     def _WriteMoving(self, context: Context, now: float, scans: bool) -> None:
         pose = self._Get(context, "pose")

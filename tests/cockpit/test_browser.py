@@ -141,6 +141,36 @@ def test_what_is_told_of_the_very_time_that_is_shown_is_shown(page):
         page("for (const name of ['times', 'records']) timeline.layers.get('enabled')[name].pop(); setLive(false)")
 
 
+def test_what_is_told_of_a_part_is_put_into_what_was_told_before(page):
+    """Of a large map a record tells what is near a place; rows elsewhere stay as they were."""
+    joined = page(
+        """const record = (told, now, before) => ({ told: { layer: "part", ...told }, arrays: now, before });
+        const f = (...values) => new Float32Array(values), u = (...values) => new Uint16Array(values);
+        const whole = record({}, { points: f(0, 0, 5, 0, 9, 0), doubtful: u(0, 1, 0), ids: u(1, 2, 3) }, null);
+        const one = record({ near: [9, 0, 2] }, { points: f(9.1, 0, 8, 1), doubtful: u(1, 0), ids: u(3, 4) }, whole);
+        const two = record({ near: [0, 0, 2] }, { points: f(), doubtful: u(), ids: u() }, one);
+        const tfg = record({ layer: "walls" }, { segments: f(0, 0, 2, 0, 8, 0, 9, 0), kind: u(0, 1), ids: u(1, 3),
+                                                 facing: f(0, 1, 1, 0) }, null);
+        const near = record({ layer: "walls", near: [9, 0, 2] }, { segments: f(8, 0, 9, 1), kind: u(2), ids: u(3, 4),
+                                                                   facing: f(0, -1, -1, 0) }, tfg);
+        const told = [two, one, whole, near].map((r) => Object.fromEntries(
+            Object.entries(arrays(r)).map(([name, array]) => [name, [...array].map((v) => Math.round(10 * v) / 10)])));
+        joined.delete("part"), joined.delete("walls");
+        return told;"""
+    )
+    assert joined == [
+        {"points": [5, 0, 9.1, 0, 8, 1], "doubtful": [1, 1, 0], "ids": [2, 3, 4]},
+        {"points": [0, 0, 5, 0, 9.1, 0, 8, 1], "doubtful": [0, 1, 1, 0], "ids": [1, 2, 3, 4]},
+        {"points": [0, 0, 5, 0, 9, 0], "doubtful": [0, 1, 0], "ids": [1, 2, 3]},
+        {
+            "segments": [0, 0, 2, 0, 8, 0, 9, 1],
+            "kind": [0, 2],
+            "ids": [1, 3, 4],
+            "facing": [0, 1, 0, -1, -1, 0],
+        },
+    ]
+
+
 def test_what_stands_still_is_drawn_once(page):
     page.seek(6.0)
     key, before = page("return kept.key"), page.picture()
@@ -500,7 +530,7 @@ def test_a_run_is_forked_on_its_page(driver, mission, tmp_path):
         for time_s in np.arange(0.25, 12.01, 0.25):
             drive(writer, time_s)
         writer.flush()
-        page.until("return forks.timeline && forks.timeline.end === 12")
+        page.until("return Number(element('slider').max) === 12")
         page.seek(12.0)
         np.testing.assert_allclose(page("return forkRobot.position.toArray().slice(0, 2)"), [4.8, 0.0], atol=1e-5)
         assert page("return robot.position.x") == pytest.approx(4.0)  # The run itself was over by then.

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from tests.systems.test_visualizer import GrowingMap, make_map, make_messages
-from tfg_drake.messages import GridMap, replace
+from tfg_drake.messages import GridMap, WorkingMap, replace
 from tfg_drake.simulation.people import People
 from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter, read_timeline
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
@@ -83,6 +83,34 @@ def test_a_map_is_written_when_it_grows_and_not_while_there_is_no_view(writer, t
     writer.close()
     writer.__init__(tmp_path / FILE_NAME)
     assert times(make_map(0, 0), make_map(0, 0)) == [(0.0, 0)]
+
+
+def test_of_a_large_map_what_is_near_is_written_at_every_stage_and_all_of_it_seldom(writer, tmp_path):
+    """Nor is all of it asked for in between: it would have to be made."""
+    estimate = replace(make_map(2, 1), p_ML=np.array([[1.0, 0.0], [9.0, 0.0]]))
+    first = WorkingMap(estimate, make_messages()["tfg"], np.array([False, True]), reach=1.5)
+    builder = DiagramBuilder()
+    asked = []
+
+    class Whole(LeafSystem):
+        def __init__(self):
+            super().__init__()
+            self.DeclareAbstractOutputPort("map", lambda: Value[object](None), self.calc, {self.time_ticket()})
+
+        def calc(self, context, output):
+            asked.append(context.get_time())
+            output.set_value(replace(estimate, stage=len(asked)))
+
+    recorder = builder.AddSystem(TimelineRecorder(writer))
+    working = builder.AddSystem(GrowingMap(first, replace(first, reach=2.0)))
+    builder.Connect(builder.AddSystem(Whole()).get_output_port(), recorder.GetInputPort("map"))
+    builder.Connect(working.get_output_port(), recorder.GetInputPort("working_map"))
+    writer._due["map"] = 0.5  # It has just been written.
+    Simulator(builder.Build()).AdvanceTo(0.45)
+    assert asked == []
+    maps = [record for record in recorded(writer, tmp_path) if record.layer == "map"]
+    assert [(record.time, record.told["near"][2]) for record in maps] == [(0.0, 1.5), (0.375, 2.0)]
+    assert maps[0].arrays["ids"].tolist() == estimate.ids[:1].tolist()
 
 
 def test_a_forced_publish_writes_what_was_held_back(writer, tmp_path):

@@ -7,7 +7,8 @@ behind the other; all lengths are multiples of 4, all numbers little-endian. The
 (float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or "mm": int32, in millimetres what is metres to whoever reads it.
 
 A record says what a layer is like from its time on, until there is another one of that layer; those of the layer "free"
-name the star polygons that have changed. Of a program that is killed all is there but the last second.
+name the star polygons that have changed. One with "near": [x, y, reach], m, tells what is there; elsewhere all is as it
+was. Of a program that is killed all is there but the last second.
 """
 
 from __future__ import annotations
@@ -124,7 +125,8 @@ class TimelineWriter:
         if self._file is None:
             return
         record = encoded(layer, time, arrays, told)
-        self._due[layer] = time + len(record) / LAYER_RATES.get(layer, LAYER_RATE)
+        due = max(time, self._due.get(layer, time))
+        self._due[layer] = due + len(record) / LAYER_RATES.get(layer, LAYER_RATE)
         self._records.append(record)
 
     def flush(self, *, all_of_it: bool = True) -> None:

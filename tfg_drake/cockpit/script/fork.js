@@ -97,7 +97,7 @@ function tellFork() {
         cells = (row, tag) => row.map((cell) => `<${tag}>${cell}</${tag}>`).join("");
       parts.push(
         `<p><i class="fork"></i> the fork of stage ${state.stage}</p><table><tr>${cells(head, "th")}</tr>` +
-          rows.map((row) => `<tr>${cells(row, "td")}</tr>`).join("") +
+          rows.map((row) => `<tr>${cells(row, "td").replaceAll("_", " ")}</tr>`).join("") +
           '</table><p class="folder"></p>',
       );
     }

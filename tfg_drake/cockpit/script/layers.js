@@ -17,11 +17,12 @@ const draw = {
   },
 
   map(record) {
-    const { points, covariance, doubtful } = arrays(record),
+    const { points, covariance, doubtful, ids } = arrays(record),
       count = points.length / 2;
-    const surfaces = timeline.at("tfg", time),
-      facing = surfaces && arrays(surfaces).facing;
-    const faces = facing && facing.length === points.length;
+    const surfaces = flat ? null : timeline.at("tfg", time),
+      { ids: tags, facing } = surfaces ? arrays(surfaces) : {};
+    const faces = new Map(); // of each tag its row in facing
+    if (facing) (tags ?? ids).forEach((id, row) => faces.set(id, 2 * row));
     for (const [name, value] of [
       ["landmark", 0],
       ["doubtful", 1],
@@ -35,8 +36,9 @@ const draw = {
           : copies(UPRIGHT, material(name, { lit: true }), some.length, (i, m) => {
               const p = 2 * some[i],
                 side = Math.max(0.2, 2.2 * unit);
-              const fx = faces ? facing[p] : 1,
-                fy = faces ? facing[p + 1] : 0;
+              const row = faces.get(ids[some[i]]);
+              const fx = row === undefined ? 1 : facing[row],
+                fy = row === undefined ? 0 : facing[row + 1];
               m[0] = -fy * side;
               m[1] = fx * side;
               m[4] = -fx;
@@ -88,6 +90,7 @@ const draw = {
         shade = new T.Color();
       const shades = new Float32Array(3 * size * share.length),
         scale = COLOURS.gains.map((name) => new T.Color(name));
+      if (dark.matches) scale.reverse(); // What promises the most stands out.
       for (let i = 0; i < share.length; i++) {
         const place = share[i] * (scale.length - 1),
           k = Math.min(Math.floor(place), scale.length - 2);

@@ -71,7 +71,7 @@ const LAYERS = [
     "gains",
     "path",
     true,
-    "Places that the robot could go to: the darker, the more information is to be gained",
+    "Places that the robot could go to: the darker (on a dark page the brighter), the more information is to be gained",
   ],
   ["roadmap", "roadmap", "roadmap", false, "The ways that the robot knows it can drive"],
   ["path", "path", "path", true, "The path that it drives, and its goal"],
