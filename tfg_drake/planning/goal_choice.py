@@ -149,7 +149,7 @@ def choose(
 def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:
     """Turns to make where the mission starts, after those of the first look: how well these tell its heading goes with
     the root of what a frame tells, in frames, and all that is mapped later inherits its error."""
-    return round(explorer.first_turns * (min(frame_worth**-0.5, MOST_FIRST_TURNS) - 1.0))
+    return round(explorer.first_turns * (min(1.0 / math.sqrt(frame_worth), MOST_FIRST_TURNS) - 1.0))
 
 
 def _homewards(
