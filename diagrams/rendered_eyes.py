@@ -25,8 +25,8 @@ from tfg_drake.world.world import World
 _LOW, _HIGH = 0.05, 0.5
 # Of tags that are narrower in the image, pixels, the renderer draws smaller copies: they seem to be a per cent nearer.
 LEAST_SIDE = 18.0
-# Of corners in what is rendered, and of tags that hang a millimetre before their place.
-TAG_NOISE = TagNoise(pixels=0.06, place=0.002)
+# Of corners in what is rendered, by benchmarks/rendered_detections.py.
+TAG_NOISE = TagNoise(pixels=0.04, place=0.001, unlike=0.7)
 
 
 def MakeRenderedEyes(scenario: Scenario, world: World) -> Diagram:
