@@ -18,7 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tfg_drake.config import CameraConfig, CameraRealityConfig, TagSensorConfig
-from tfg_drake.diagrams.rendered_eyes import TAG_NOISE
+from tfg_drake.diagrams.rendered_eyes import LEAST_SIDE, TAG_NOISE
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray, TagDetections
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
@@ -51,7 +51,8 @@ class Rendered:
     def see(self, X_WB: FloatArray, rng: np.random.Generator) -> TagDetections:
         image = exposed(self._view.image(X_WB), 0.0, CameraRealityConfig(), int(rng.integers(2**32)))
         tags = self._detector.detect(image)
-        return sighted(tags, 0.0, self._view.calibration, self._sizes, self._mount, TAG_NOISE).detections
+        sheet = self._view.calibration, self._sizes, self._mount, TAG_NOISE
+        return sighted(tags, 0.0, *sheet, least_side=LEAST_SIDE).detections
 
 
 class Ideal:

@@ -42,12 +42,13 @@ class TagDetector(LeafSystem):
         detector: DetectorConfig | None = None,
         noise: TagNoise | None = None,
         least_margin: float = 30.0,
+        least_side: float = 0.0,
     ):
         """rate: frames a second, Hz. Else see tfg_drake.vision.sighting.sighted. Raises ValueError where the detector's
         configuration is none."""
         super().__init__()
         self._detector = Detector(detector)
-        self._sheet = (calibration, sizes, mount, noise, least_margin)
+        self._sheet = (calibration, sizes, mount, noise, least_margin, least_side)
         self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageRgba8U()))
         self._state = self.DeclareAbstractState(AbstractValue.Make(nothing_sighted()))
         self._views = self.DeclareAbstractState(AbstractValue.Make(no_views()))

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 # A corner so near to the image's edge may lie beyond it, pixels.
 EDGE = 1.0
-# A tag whose longer side is shorter, pixels, has too few of them a cell: its range is off by a per cent.
-LEAST_SIDE = 18.0
 # What an image has less in common with a tag's cells is no tag that can be seen as a whole. Real ones have 0.91 to 1.
 LEAST_LIKENESS = 0.9
 # Nearer than that a bearing means nothing, m.
@@ -71,10 +69,12 @@ def sighted(
     mount: CameraMount,
     noise: TagNoise | None = None,
     least_margin: float = 30.0,
+    least_side: float = 0.0,
 ) -> Sighting:
     """Range and bearing of the tags' centres in the body's horizontal plane, ids ascending, and what was left out.
 
-    stamp: s. least_margin: the decision margin, grey levels, below which a tag is not believed. Left out are tags that
+    stamp: s. least_margin: the decision margin, grey levels, below which a tag is not believed. least_side: pixels of
+    the longer side below which its range is not believed. Left out are tags that
     are not believed, of no known size, twice in the image, too small in it, cut off by its edge, or no squares; and all
     tags of an image that is not of the calibration's size.
     """
@@ -108,8 +108,8 @@ def sighted(
             why = "at the edge of the image; left out"
         elif not distance[i] > LEAST_RANGE:
             why = "its corners are no square's; left out"
-        elif side_seen[i] < LEAST_SIDE:
-            why = f"{side_seen[i]:.0f} pixels wide, below {LEAST_SIDE:g}; left out as too far"
+        elif side_seen[i] < least_side:
+            why = f"{side_seen[i]:.0f} pixels wide, below {least_side:g}; left out as too far"
         if why:
             good[i] = False
             remarks[f"tag {tag}: {why}"] = None

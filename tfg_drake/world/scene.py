@@ -18,7 +18,7 @@ _WHOLE = CELLS + 2
 # Pixels of the texture along a cell's side: with more of them what is far is blurred, by the renderer's smaller copies.
 _CELL_PIXELS = 3
 # A tag hangs so far in front of where the world has it, m, that no wall of its own hides it.
-_IN_FRONT = 0.001
+_IN_FRONT = 0.0002
 # The floor reaches so far beyond the walls, m.
 _BESIDE = 1.0
 # Grey levels of floor and walls, of 255; white paper stands out from them.
