@@ -31,7 +31,7 @@ PARTS: dict[str, Callable[..., int]] = {
     "tfg": lambda _, estimate, *others: estimate.stage,
     "roadmap": lambda _, working, *others: working.stage,
     "goal": lambda estimate, *others: estimate.stage,
-    "path": lambda *arguments: arguments[6].stage,
+    "path": lambda _, task: task.mission.stage,
 }
 
 

@@ -88,7 +88,7 @@ def choose(
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
     open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
     looks_again = explorer.revisit and explorer.goal == "tour" and everything and not recalled
-    if looks_again and (not open_left if estimate.is_joint else previous.explored < math.inf):
+    if looks_again and not open_left:
         again = _second_look(now, previous)
         if again is not None:
             return again
@@ -112,7 +112,9 @@ def choose(
         if len(before) and candidates.time[before[0]] < candidates.time[best]:
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
-    looked, explored = previous.passages_revisited, math.inf
+    looked = previous.passages_revisited
+    # Of a large map it is not asked again where all that draws the robot is nats.
+    explored = math.inf if open_left or estimate.is_joint else previous.explored
     if best >= 0:
         node, verdict = int(candidates.nodes[best]), "goal"
         expected_gains.ask(np.array([best]))
@@ -124,10 +126,10 @@ def choose(
     else:
         node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
-        near = _soonest(roadmap, budget)
-        to_ask = looks_again and not estimate.is_joint and previous.explored == math.inf
-        if verdict == "complete" and to_ask and near >= 0:
-            node, verdict, reason = near, "goal", "All is explored: it looks where the map can grow more accurate yet."
+        if verdict == "complete" and looks_again and open_left and not estimate.is_joint:
+            again = _second_look(now, previous)
+            if again is not None:
+                return again
     if verdict != "goal" and explorer.return_home:
         node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
     name, p_MG = _named(roadmap, node)
@@ -158,13 +160,6 @@ def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:
     return round(explorer.first_turns * (min(1.0 / math.sqrt(frame_worth), MOST_FIRST_TURNS) - 1.0))
 
 
-def _soonest(roadmap: Roadmap, budget: Budget) -> int:
-    """The node that the robot reaches soonest, -1 without any."""
-    nodes = np.flatnonzero(roadmap.reachable)
-    nodes = nodes[budget.affords(roadmap, nodes)]
-    return int(nodes[np.argmin(roadmap.travel_time[nodes])]) if len(nodes) else -1
-
-
 def _homewards(
     estimate: MapEstimate, roadmap: Roadmap, verdict: str, reason: str, looked: IntArray
 ) -> tuple[int, str, str, IntArray]:
@@ -193,14 +188,21 @@ def _named(roadmap: Roadmap, node: int) -> tuple[int, FloatArray]:
 
 def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     """The choice where no place sees enough live frontier, but the map can grow more accurate; none where it cannot.
+    In a large map the first is the nearest place: from there on it is known what others bring.
 
     The only candidate is the place chosen: nats are not what it is chosen by, and no other is asked for them.
     """
     estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, time_all_round(sensor, explorer))
-    nodes = places(roadmap, tfg, estimate.X_MD[:2])
-    value = worth_revisiting(nodes, now) * budget.affords(roadmap, nodes)
+    if estimate.is_joint or previous.explored < math.inf:
+        nodes = places(roadmap, tfg, estimate.X_MD[:2])
+        value = worth_revisiting(nodes, now) * budget.affords(roadmap, nodes)
+        reason = "All is explored, but the map grows more accurate yet: it looks round once more."
+    else:
+        nodes = np.flatnonzero(roadmap.reachable)
+        value = np.where(budget.affords(roadmap, nodes), 2.0, 0.0)
+        reason = "All is explored: it looks round once while it works out where the map can grow more accurate."
     best = pick(value, value > 1.0, roadmap.travel_time[nodes])
     if best < 0:
         return None
@@ -218,7 +220,7 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
         gain=gains.gain,
         value=value[[best]],
         verdict="goal",
-        reason="All is explored, but the map grows more accurate yet: it looks round once more.",
+        reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node),
         longest_way=budget.longest_way(roadmap, node),
         passages_revisited=previous.passages_revisited,

@@ -74,7 +74,7 @@ def solve(
         system = system.keeping(factors, local, node)
         linear = system.linearised(factors, values)
         solved = linear.solved(linear.gradient)
-        values = _moved(system, values, solved.step)
+        values, _ = _lowered(factors, system, linear, values, solved.step)
     covariance, of_errors = _covariance(system, solved.root, local, node)
     tag_error = graph.tag_error
     if tag_error.any():
@@ -113,22 +113,35 @@ def _converged(factors: Factors, system: Cells | Parts, values: Values) -> tuple
     """Values at the maximum a posteriori, the last system and its solution."""
     moved_since = math.inf
     for _ in range(MOST_STEPS):
-        if moved_since >= system.keeps_for:
+        anew = moved_since >= system.keeps_for
+        if anew:
             linear, moved_since = system.linearised(factors, values), 0.0
         else:
             linear = system.again(linear, factors, values)
         solved = linear.solved(linear.gradient)
-        step = solved.step
-        length = float(np.max(np.abs(step)))
-        for _ in range(MOST_HALVINGS if length >= SMALL_STEP else 1):
-            moved = _moved(system, values, step)
-            if squared_error(factors, moved) <= linear.error + 1e-9 * (1.0 + abs(linear.error)):
-                break
-            step, moved_since = 0.5 * step, math.inf
-        values, moved_since = moved, moved_since + length
+        length = float(np.max(np.abs(solved.step)))
+        moved, share = _lowered(factors, system, linear, values, solved.step)
+        if share < 1.0 and not anew:
+            # What hangs on next to nothing takes a gradient that is not quite the system's for a pull at it.
+            moved_since = math.inf
+            continue
+        values, moved_since = moved, moved_since + (length if share == 1.0 else math.inf)
         if length < SMALL_STEP:
             break
     return values, linear, solved
+
+
+def _lowered(
+    factors: Factors, system: Cells | Parts, linear: Linear, values: Values, step: FloatArray
+) -> tuple[Values, float]:
+    """Values moved by a step (u,), or by the share of it that lowers the error, and that share."""
+    share = 1.0
+    for _ in range(MOST_HALVINGS if np.max(np.abs(step)) >= SMALL_STEP else 1):
+        moved = _moved(system, values, share * step)
+        if squared_error(factors, moved) <= linear.error + 1e-9 * (1.0 + abs(linear.error)):
+            break
+        share *= 0.5
+    return moved, share
 
 
 def _moved(cells: Cells | Parts, values: Values, step: FloatArray) -> Values:
