@@ -17,6 +17,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
@@ -33,6 +34,7 @@ from tfg_drake.kernels import LOOK, MISSION, OTHER, Kernel, read_table, spelled,
 from tfg_drake.mapfile.saved_map import load_map, restored_estimate
 from tfg_drake.messages import LaserScan
 from tfg_drake.safety.scan_watch import no_watch, watched
+from tfg_drake.slam import map_solver
 from tfg_drake.slam.tag_error import FIRST
 
 # So long after its start a mission still stands and looks, s.
@@ -93,7 +95,12 @@ def missions(folder: Path) -> Iterator[int]:
     )
     # Tags with constant errors, which a mission takes a while to find.
     saved = load_map(run / "map.npz")
-    restored_estimate(dataclasses.replace(saved, graph=dataclasses.replace(saved.graph, tag_error=np.array(FIRST))))
+    wrong = dataclasses.replace(saved, graph=dataclasses.replace(saved.graph, tag_error=np.array(FIRST)))
+    restored_estimate(wrong)
+    # A map of more tags than these few is large.
+    with mock.patch.object(map_solver, "JOINT", 2):
+        restored_estimate(saved)
+        restored_estimate(wrong)
     write_figures(folder, lambda stage, _time: stage == 3)
     # A scanner that says the same wherever the robot is, and then that nothing is there.
     scan = LaserScan(0.1, np.linspace(-1.0, 1.0, 9), np.full(9, 2.0), 10.0, 0.01)

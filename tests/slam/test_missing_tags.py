@@ -51,7 +51,10 @@ def test_frames_count_from_view_to_view_until_one_shows_it(known):
 
 
 def test_frames_without_any_tag_of_the_map_say_nothing(known):
-    assert look(known, [], 20) is known
+    after = look(known, [], 20)
+    assert (after.all_expected, after.widest) == (known.all_expected, known.widest)
+    assert np.array_equal(after.failed, known.failed)
+    assert np.array_equal(after.seen_from, known.seen_from)
 
 
 def test_who_stands_before_it_hides_it(known):

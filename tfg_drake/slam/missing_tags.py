@@ -62,24 +62,20 @@ def watched(
     p_ML: (k, 2) of the map's tags, m in M. yaw: of the camera in the body frame, rad. A frame without a tag of the map
     says nothing: the camera may see none at all.
     """
-    rows, known = rows_of(frame.ids, watch.ids)
-    rows = rows[known]
-    if not len(rows):
-        return watch
-    shown = np.zeros(len(watch.ids), dtype=np.bool_)
-    shown[rows] = True
-    seen_from, widest = watch.seen_from.copy(), max(watch.widest, float(np.abs(frame.bearing).max()))
-    to_camera = X_MC[:2] - p_ML[rows]
-    seen_from[rows] += to_camera / np.maximum(np.hypot(*to_camera.T), 1e-6)[:, None]
-    expected = _expected(p_ML, seen_from, X_MC, yaw, widest, scan.angles, scan.ranges)
-    return replace(
-        watch,
-        seen_from=seen_from,
-        failed=np.where(shown, 0, watch.failed + expected),
-        widest=widest,
-        all_expected=watch.all_expected + int(np.count_nonzero(expected)),
-        all_seen=watch.all_seen + int(np.count_nonzero(expected & shown)),
+    seen_from, failed, widest, expected, seen = _watched(
+        watch.ids,
+        watch.seen_from,
+        watch.failed,
+        watch.widest,
+        p_ML,
+        X_MC,
+        yaw,
+        frame.ids,
+        frame.bearing,
+        scan.angles,
+        scan.ranges,
     )
+    return TagWatch(watch.ids, seen_from, failed, widest, watch.all_expected + expected, watch.all_seen + seen)
 
 
 def missing(watch: TagWatch) -> BoolArray:
@@ -98,6 +94,45 @@ def renewed(watch: TagWatch, ids: IntArray) -> TagWatch:
 
 
 @njit(cache=True)
+def _watched(
+    ids: IntArray,
+    seen_from: FloatArray,
+    failed: IntArray,
+    widest: float,
+    p_ML: FloatArray,
+    X_MC: FloatArray,
+    yaw: float,
+    frame_ids: IntArray,
+    bearing: FloatArray,
+    angles: FloatArray,
+    ranges: FloatArray,
+) -> tuple[FloatArray, IntArray, float, int, int]:
+    """What a watch has as seen_from, failed and widest after a frame, and how many tags of the map the frame should
+    have shown and has shown of these."""
+    shown = np.zeros(len(ids), dtype=np.bool_)
+    seen_from, failed = seen_from.copy(), failed.copy()
+    for row, one in zip(np.searchsorted(ids, frame_ids), frame_ids):  # noqa: B905 numba knows no strict
+        if row < len(ids) and ids[row] == one:
+            x, y = X_MC[0] - p_ML[row, 0], X_MC[1] - p_ML[row, 1]
+            distance = max(math.hypot(x, y), 1e-6)
+            seen_from[row, 0] += x / distance
+            seen_from[row, 1] += y / distance
+            shown[row] = True
+    if not shown.any():
+        return seen_from, failed, widest, 0, 0
+    widest = max(widest, np.abs(bearing).max())
+    expected, seen = 0, 0
+    for i in range(len(ids)):
+        if _expected(p_ML[i], seen_from[i], X_MC, yaw, widest, angles, ranges):
+            expected += 1
+            seen += shown[i]
+            failed[i] += 1
+        if shown[i]:
+            failed[i] = 0
+    return seen_from, failed, widest, expected, seen
+
+
+@njit(cache=True)
 def _expected(
     p_ML: FloatArray,
     seen_from: FloatArray,
@@ -106,23 +141,19 @@ def _expected(
     widest: float,
     angles: FloatArray,
     ranges: FloatArray,
-) -> BoolArray:
-    """(k,) which tags a frame should show."""
-    expected = np.zeros(len(p_ML), dtype=np.bool_)
-    for i in range(len(p_ML)):
-        x, y = X_MC[0] - p_ML[i, 0], X_MC[1] - p_ML[i, 1]
-        distance = math.hypot(x, y)
-        if not 0.0 < distance < NEAR:
-            continue
-        bearing = math.atan2(-y, -x) - X_MC[2]
-        bearing = math.atan2(math.sin(bearing), math.cos(bearing))
-        from_x, from_y = seen_from[i, 0], seen_from[i, 1]
-        often = math.hypot(from_x, from_y)
-        if abs(bearing) > widest - INSIDE or not from_x * x + from_y * y > NEAR_BY * often * distance:
-            continue
-        met, slant = surface(bearing + yaw, angles, ranges)
-        straight = X_MC[2] + bearing + math.atan(slant)
-        side = -from_x * math.cos(straight) - from_y * math.sin(straight)
-        is_there = abs(slant) < STEEPEST and abs(met - distance) < SAME_SURFACE
-        expected[i] = is_there and side > SAME_SIDE * often
-    return expected
+) -> bool:
+    """Whether a frame should show a tag, at p_ML (2,) and seen from (2,)."""
+    x, y = X_MC[0] - p_ML[0], X_MC[1] - p_ML[1]
+    distance = math.hypot(x, y)
+    if not 0.0 < distance < NEAR:
+        return False
+    bearing = math.atan2(-y, -x) - X_MC[2]
+    bearing = math.atan2(math.sin(bearing), math.cos(bearing))
+    often = math.hypot(seen_from[0], seen_from[1])
+    if abs(bearing) > widest - INSIDE or not seen_from[0] * x + seen_from[1] * y > NEAR_BY * often * distance:
+        return False
+    met, slant = surface(bearing + yaw, angles, ranges)
+    straight = X_MC[2] + bearing + math.atan(slant)
+    side = -seen_from[0] * math.cos(straight) - seen_from[1] * math.sin(straight)
+    is_there = abs(slant) < STEEPEST and abs(met - distance) < SAME_SURFACE
+    return is_there and side > SAME_SIDE * often

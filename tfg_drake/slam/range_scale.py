@@ -91,11 +91,20 @@ def compare(
     pairs = int(np.count_nonzero(more[:, 0]))
     if not pairs:
         return scale, before
-    ids = np.union1d(before.ids, detections.ids)
-    pull = np.zeros((len(ids), 2))
-    pull[np.searchsorted(ids, before.ids)] = before.pull
-    pull[np.searchsorted(ids, detections.ids)] += more
-    return RangeScale(information, vector, scale.pairs + pairs), Compared(ids, pull)
+    return RangeScale(information, vector, scale.pairs + pairs), Compared(
+        *_with_pull(before.ids, before.pull, detections.ids, more)
+    )
+
+
+@njit(cache=True)
+def _with_pull(ids: IntArray, pull: FloatArray, more_ids: IntArray, more: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The tags' ids (t,), ascending, and pull (t, 2) with that of some tags, (n,) and (n, 2)."""
+    together = np.unique(np.concatenate((ids, more_ids)))
+    added = np.zeros((len(together), 2))
+    added[np.searchsorted(together, ids)] = pull
+    for row, one in zip(np.searchsorted(together, more_ids), more):  # noqa: B905 numba knows no strict
+        added[row] += one
+    return together, added
 
 
 @njit(cache=True)
@@ -177,8 +186,10 @@ def correction(scale: RangeScale, compared: Compared) -> float:
     not know.
     """
     r, _, sigma = _moments(scale.information, scale.vector)
+    if not scale.pairs or abs(r) < SIGNIFICANT * sigma:
+        return 0.0
     by_tags = TAG_SIGMA * compared.pull @ np.linalg.inv(scale.information)[0]
-    return float(r) if scale.pairs and abs(r) >= SIGNIFICANT * math.hypot(sigma, *by_tags) else 0.0
+    return float(r) if abs(r) >= SIGNIFICANT * math.hypot(sigma, *by_tags) else 0.0
 
 
 def corrected(detections: TagDetections, r: float) -> TagDetections:
