@@ -10,7 +10,7 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test test-slow lint format types check kernels docs results clean
+.PHONY: help demo test test-slow lint format types check kernels docs results figures clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
@@ -55,6 +55,9 @@ docs: $(VENV)/.docs  ## build the reference from the docstrings, with the diagra
 
 results: $(VENV)/.test  ## make the tables of docs/results.md anew, an hour
 	$(BIN)/python benchmarks/results.py
+
+figures: $(VENV)/.test  ## make the figures of the docs anew, twenty minutes
+	$(BIN)/python benchmarks/figures.py
 
 clean:  ## remove the environments and every cache
 	rm -rf .venv* build dist *.egg-info .*_cache .hypothesis
