@@ -12,14 +12,15 @@ from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mission.operation import Request
+from tfg_drake.planning.requested_goal import RequestedGoal, goal_asked_for
+from tfg_drake.simulation.disturbance import Pushes, with_push
 from tfg_drake.storage.port_recording import GOAL, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter
-from tfg_drake.systems.goal_requester import GoalRequester
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
 from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.pose_vector import PoseVector
-from tfg_drake.systems.pusher import Pusher
+from tfg_drake.systems.requester import Requester
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
@@ -49,9 +50,9 @@ def MakeMissionDiagram(
     sent: Callable[[], Sequence[tuple[float, float]]] | None = None,
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
     """Station and explorer, with the picture if there is one, recorded if there are writers, and under an operator if
-    the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. pushed: tells
-    of pushes, see Pusher. sent: tells of places that the robot is sent to, see GoalRequester; those of a recording are
-    its own.
+    the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. pushed, sent:
+    tell how often somebody pushed the robot, and to what places, m in M, he sent it, since they were last called, see
+    Requester; a recording has requests of its own.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
     it, and of the estimated one (PoseVector).
@@ -75,7 +76,7 @@ def MakeMissionDiagram(
                 builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
 
     if pushed is not None and station.HasInputPort("truth.pushes"):
-        pusher = builder.AddNamedSystem("pusher", Pusher(pushed))
+        pusher = builder.AddNamedSystem("pusher", Requester("pushes", Pushes(), pushed, with_push))
         builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
 
     requested = None
@@ -83,7 +84,8 @@ def MakeMissionDiagram(
         if station.HasOutputPort(GOAL):
             requested = station.GetOutputPort(GOAL)
         elif sent is not None:
-            requested = builder.AddNamedSystem("goal_requester", GoalRequester(sent)).get_output_port()
+            requester = Requester("requested_goal", RequestedGoal(), sent, goal_asked_for)
+            requested = builder.AddNamedSystem("goal_requester", requester).get_output_port()
     if requested is not None:
         builder.Connect(requested, explorer.GetInputPort("requested_goal"))
 

@@ -8,7 +8,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
 
 from tfg_drake.config import ChangeConfig
-from tfg_drake.systems.ports import eval_message, set_state_message, state_message
+from tfg_drake.systems.ports import eval_optional, set_state_message, state_message
 from tfg_drake.world.changing import WorldNow, is_due, successive
 from tfg_drake.world.world import World
 
@@ -17,7 +17,8 @@ PERIOD = 1.0 / 8.0
 
 def world_now(port: InputPort, context: Context, world: World) -> World:
     """The world at a port for WorldNow messages; the given one where that is not connected."""
-    return eval_message(port, context, WorldNow).world if port.HasValue(context) else world
+    changed = eval_optional(port, context, WorldNow)
+    return world if changed is None else changed.world
 
 
 class ChangingWorld(LeafSystem):

@@ -9,12 +9,11 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from tfg_drake.config import DisturbanceConfig, RobotConfig
 from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
-from tfg_drake.simulation.disturbance import displacement
+from tfg_drake.simulation.disturbance import Pushes, displacement, with_pushes
 from tfg_drake.simulation.people import People, discs_at
 from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
-from tfg_drake.systems.pusher import disturbances_now
+from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_optional
 from tfg_drake.world.world import World
 
 PERIOD = 1.0 / 32.0
@@ -67,13 +66,13 @@ class DifferentialDrivePlant(LeafSystem):
     def _Step(self, context: Context, update: DiscreteValues) -> None:
         command, state = self._command.Eval(context), self._State(context)
         walls, moved = world_now(self._changing, context, self._world).walls, drive.UNMOVED
-        disturbances = disturbances_now(self._disturbances, self._pushes, context)
+        disturbances = with_pushes(self._disturbances, eval_optional(self._pushes, context, Pushes))
         if disturbances:
             moved = displacement(disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
         after = drive.step(state, command, walls, self._robot, PERIOD, moved)
-        if self._people.HasValue(context):
-            discs = discs_at(eval_message(self._people, context, People), after[drive.TIME])
-            after = drive.among(state, after, discs, self._robot)
+        walking = eval_optional(self._people, context, People)
+        if walking is not None:
+            after = drive.among(state, after, discs_at(walking, after[drive.TIME]), self._robot)
         update.set_value(after)
 
     def _State(self, context: Context) -> FloatArray:

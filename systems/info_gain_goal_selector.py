@@ -16,6 +16,7 @@ from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
     eval_message,
+    eval_optional,
     set_state_message,
     state_message,
 )
@@ -125,8 +126,7 @@ class InfoGainGoalSelector(LeafSystem):
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
         """The state with another goal, where somebody has sent the robot there."""
-        has_value = self._requested.HasValue(context)
-        requested = eval_message(self._requested, context, RequestedGoal) if has_value else RequestedGoal()
+        requested = eval_optional(self._requested, context, RequestedGoal) or RequestedGoal()
         if now.sent.node < 0 and requested.count == now.sent.count:
             return now
         roadmap = eval_message(self._roadmap, context, Roadmap)

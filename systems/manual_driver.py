@@ -30,6 +30,7 @@ from tfg_drake.systems.ports import (
     declare_message_input,
     declare_message_output,
     eval_message,
+    eval_optional,
     set_state_message,
     state_message,
 )
@@ -145,8 +146,7 @@ class ManualDriver(LeafSystem):
         return replace(following, path_id=told, arrived=arrived, turn_done=False, stalled=False, left=LEFT)
 
     def _Requested(self, context: Context) -> RequestedGoal:
-        has_value = self._requested.HasValue(context)
-        return eval_message(self._requested, context, RequestedGoal) if has_value else RequestedGoal()
+        return eval_optional(self._requested, context, RequestedGoal) or RequestedGoal()
 
     def _PlannedGoal(self, context: Context) -> GoalChoice:
         now = self._State(context)

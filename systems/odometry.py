@@ -10,11 +10,10 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from tfg_drake.config import DisturbanceConfig, OdometryConfig, OdometryRealityConfig, as_it_is
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.differential_drive import UNMOVED
-from tfg_drake.simulation.disturbance import displacement
+from tfg_drake.simulation.disturbance import Pushes, displacement, with_pushes
 from tfg_drake.simulation.odometry import TIME, initial_state, integrate, message, run_errors
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_input, declare_message_output
-from tfg_drake.systems.pusher import disturbances_now
+from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_optional
 
 PERIOD = 1.0 / 16.0
 
@@ -69,6 +68,6 @@ class Odometry(LeafSystem):
         state = context.get_discrete_state_vector().value()
         errors = run_errors(self._run_errors.Eval(context), self._config)
         noise, pose, now = self._noise.Eval(context), self._pose.Eval(context), context.get_time()
-        disturbances = disturbances_now(self._disturbances, self._pushes, context)
+        disturbances = with_pushes(self._disturbances, eval_optional(self._pushes, context, Pushes))
         moved = displacement(disturbances, state[TIME], now) if disturbances else UNMOVED
         update.set_value(integrate(state, now, pose, errors, noise, self._config, moved, self._reality))

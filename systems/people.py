@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.people import NUMBERS, People, astray, discs_at, first_met, ground, nobody, step
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_input, eval_message, set_state_message, state_message
+from tfg_drake.systems.ports import declare_message_input, eval_optional, set_state_message, state_message
 from tfg_drake.world.changing import WorldNow
 from tfg_drake.world.world import World
 
@@ -21,7 +21,8 @@ PERIOD = 1.0 / 8.0
 def people_at(port: InputPort, context: Context) -> FloatArray | None:
     """The people at a port for People messages as discs (n, 3), m in W, at the context's time; None where it is not
     connected."""
-    return discs_at(eval_message(port, context, People), context.get_time()) if port.HasValue(context) else None
+    walking = eval_optional(port, context, People)
+    return None if walking is None else discs_at(walking, context.get_time())
 
 
 class PeopleWalking(LeafSystem):
@@ -58,10 +59,10 @@ class PeopleWalking(LeafSystem):
         now, time = state_message(context, self._people, People), context.get_time()
         robot, numbers = self._pose.Eval(context), self._numbers.Eval(context).reshape(self._count, NUMBERS)
         floor = self._ground
-        if self._changing.HasValue(context):
-            changing = eval_message(self._changing, context, WorldNow)
-            floor = self._ChangedGround(changing.world) if changing.count else floor
-            if changing.count and changing.since >= now.stamp:
+        changing = eval_optional(self._changing, context, WorldNow)
+        if changing is not None and changing.count:
+            floor = self._ChangedGround(changing.world)
+            if changing.since >= now.stamp:
                 now = astray(now)
         if len(now.p_WP):
             after = step(now, time, PERIOD, robot, self._robot_radius, numbers, floor)

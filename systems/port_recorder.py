@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Leaf
 from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage.port_recording import COMMAND, ENABLED, GOAL, MESSAGES, PortWriter
-from tfg_drake.systems.ports import declare_message_input, eval_message
+from tfg_drake.systems.ports import declare_message_input, eval_message, eval_optional
 
 # The explorer's: it sees no message that is not recorded.
 PERIOD = 1.0 / 16.0
@@ -80,7 +80,7 @@ class PortRecorder(LeafSystem):
             self._writer.write(name, now, eval_message(port, context, kind))
         self._writer.write_command(now, self._command.Eval(context))
         self._writer.write_enabled(now, float(self._enabled.Eval(context)[0]))
-        requested = eval_message(self._goal, context, RequestedGoal) if self._goal.HasValue(context) else None
+        requested = eval_optional(self._goal, context, RequestedGoal)
         if requested is not None and requested.count:
             self._writer.write(GOAL, now, requested)
         pose, path = self._Look("pose", context), self._Look("path", context)
@@ -98,4 +98,4 @@ class PortRecorder(LeafSystem):
     def _Look(self, name: str, context: Context) -> Any:
         """What the explorer says, None where it has no such port."""
         port, kind = self._shown[name]
-        return eval_message(port, context, kind) if port.HasValue(context) else None
+        return eval_optional(port, context, kind)

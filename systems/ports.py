@@ -49,6 +49,11 @@ def eval_message(port: InputPort, context: Context, kind: type[T]) -> T:
     return value
 
 
+def eval_optional(port: InputPort, context: Context, kind: type[T]) -> T | None:
+    """The message at an input port, None where that is not connected. Raises TypeError as `eval_message` does."""
+    return eval_message(port, context, kind) if port.HasValue(context) else None
+
+
 def state_message(context: Context | State, index: int, kind: type[T]) -> T:
     """The message in an abstract state variable. Raises TypeError where it holds anything else than a kind."""
     value = context.get_abstract_state(int(index)).get_value()

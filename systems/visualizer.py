@@ -52,7 +52,7 @@ from tfg_drake.pictures.palette import (
 from tfg_drake.simulation.people import RADIUS, People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.picture import Picture, picture_of
-from tfg_drake.systems.ports import declare_message_input, eval_message
+from tfg_drake.systems.ports import declare_message_input, eval_optional
 from tfg_drake.world.world import World
 
 T = TypeVar("T")
@@ -227,8 +227,7 @@ class TfgVisualizer(LeafSystem):
         state.get_mutable_abstract_state(int(self._drawn)).set_value(shown)
 
     def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
-        port = self._inputs[name]
-        return eval_message(port, context, kind) if port.HasValue(context) else None
+        return eval_optional(self._inputs[name], context, kind)
 
     @property
     def _meshcat(self) -> Meshcat:

@@ -11,7 +11,7 @@ from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import GoalChoice, GridMap, MapEstimate, Odometry, Path, PoseEstimate, Roadmap, TfgMap, replace
-from tfg_drake.systems.ports import declare_message_input, eval_message
+from tfg_drake.systems.ports import declare_message_input, eval_optional
 
 T = TypeVar("T")
 
@@ -87,8 +87,7 @@ class MapPublisher(LeafSystem):
         return publisher
 
     def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
-        port = self._inputs[name]
-        return eval_message(port, context, kind) if port.HasValue(context) else None
+        return eval_optional(self._inputs[name], context, kind)
 
     def _Publish(self, context: Context) -> EventStatus:
         pose = self._Get(context, "pose", PoseEstimate)

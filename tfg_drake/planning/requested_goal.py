@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,6 +16,8 @@ AT_PLACE = 0.5
 MOST_FAILURES = 3
 REASON = "Somebody has sent the robot there."
 
+_log = logging.getLogger("tfg_drake.operator")
+
 
 @message
 class RequestedGoal:
@@ -21,6 +25,13 @@ class RequestedGoal:
 
     count: int = 0
     p_MG: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+
+
+def goal_asked_for(before: RequestedGoal, places: Sequence[tuple[float, float]], time: float) -> RequestedGoal:
+    """The request after some more, at a time, s: the last of the places (x, y), m in M, counts."""
+    x, y = places[-1]
+    _log.info("%.2f s: sent to (%.2f, %.2f) in M", time, x, y)
+    return RequestedGoal(before.count + len(places), np.array([x, y]))
 
 
 @message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from tfg_drake.config import DisturbanceConfig
 from tfg_drake.messages import FloatArray, message
+
+_log = logging.getLogger("tfg_drake.operator")
 
 
 def displacement(disturbances: Sequence[DisturbanceConfig], begin: float, end: float) -> FloatArray:
@@ -33,6 +36,13 @@ class Pushes:
     pushes: tuple[DisturbanceConfig, ...] = ()
 
 
-def push(time: float) -> DisturbanceConfig:
-    """Somebody pushes the base half a metre to its left and turns it by 30 degrees, from a time on, s."""
-    return DisturbanceConfig(time=time, duration=0.5, left=0.5, turn=math.pi / 6.0)
+def with_push(before: Pushes, _count: int, time: float) -> Pushes:
+    """With one push more: somebody pushes the base half a metre to its left and turns it by 30 degrees, from a time on,
+    s. However often that was asked for at once, it is one."""
+    _log.info("%.2f s: push", time)
+    return Pushes((*before.pushes, DisturbanceConfig(time=time, duration=0.5, left=0.5, turn=math.pi / 6.0)))
+
+
+def with_pushes(scripted: Sequence[DisturbanceConfig], pushes: Pushes | None) -> Sequence[DisturbanceConfig]:
+    """The disturbances of the scenario and, where somebody can push, his."""
+    return scripted if pushes is None else (*scripted, *pushes.pushes)

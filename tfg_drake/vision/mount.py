@@ -35,10 +35,3 @@ class CameraMount:
     def p_BC(self) -> FloatArray:
         """(3,) m."""
         return np.array([self.x, self.y, self.z])
-
-
-def mount_of(R_BC: FloatArray, p_BC: FloatArray) -> CameraMount:
-    """The mount of a pose: R_BC (3, 3), p_BC (3,) m."""
-    x, y, z = p_BC.tolist()
-    yaw, pitch, roll = Rotation.from_matrix(R_BC @ _R_FC.T).as_euler("ZYX").tolist()
-    return CameraMount(x, y, z, yaw, pitch, roll)

@@ -8,7 +8,8 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
-from tfg_drake.systems.pusher import Pusher
+from tfg_drake.simulation.disturbance import Pushes, with_push
+from tfg_drake.systems.requester import Requester
 
 
 def drive(asked):
@@ -19,7 +20,7 @@ def drive(asked):
     velocity = builder.AddSystem(ConstantVectorSource([0.1, 0.0]))
     builder.Connect(velocity.get_output_port(), station.GetInputPort("base.velocity_commanded"))
     if asked is not None:
-        pusher = builder.AddNamedSystem("pusher", Pusher(asked))
+        pusher = builder.AddNamedSystem("pusher", Requester("pushes", Pushes(), asked, with_push))
         builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
     diagram = builder.Build()
     simulator = Simulator(diagram)
