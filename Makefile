@@ -34,18 +34,20 @@ suite: $(VENV)/.test
 test-slow: $(VENV)/.test  ## run the tests that take minutes
 	$(BIN)/pytest -n 2 -m slow
 
-lint: $(VENV)/.test  ## ruff's rules
+lint: $(VENV)/.test  ## ruff's rules and format
 	$(BIN)/ruff check
+	$(BIN)/ruff format --check
 
 format: $(VENV)/.test  ## rewrite the code in ruff's format
 	$(BIN)/ruff check --fix-only --quiet
 	$(BIN)/ruff format
 
 types: $(VENV)/.test  ## mypy: strict for the core, relaxed for the Drake layers
-	$(BIN)/mypy
+	nice $(BIN)/mypy
 
-check: test lint types  ## what continuous integration runs
-	$(BIN)/ruff format --check
+# The linters run while tests wait.
+check: $(VENV)/.test  ## what continuous integration runs: tests, lint, types
+	@$(MAKE) --no-print-directory --jobs=2 suite lint types
 
 kernels: $(VENV)/.test  ## write anew which kernels the installation compiles, and for what types
 	$(BIN)/python tests/rehearsal.py --write

@@ -10,6 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+# What comes first of all, shortly.
+QUICK = ("--set", "explorer.first_look=2", "--set", "explorer.first_turns=1")
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def run(monkeypatch, capsys):
 
 
 def test_planning_time_sees_all_parts_of_a_stage(run) -> None:
-    lines = run("planning_time.py", "paper", "--seeds", "1", "--max-time", "46").splitlines()
+    lines = run("planning_time.py", "paper", "--seeds", "1", "--max-time", "20", *QUICK).splitlines()
     assert int(lines[0].split()[0]) >= 2
     parts = ["tfg", "roadmap", "goal", "path", "planning", "all"]
     assert [line.split()[0] for line in lines[1:7]] == parts
@@ -34,7 +36,7 @@ def test_planning_time_sees_all_parts_of_a_stage(run) -> None:
 
 
 def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:
-    arguments = ("paper", "--max-time", "46", "--rollouts", "100", "--paths", "1")
+    arguments = ("paper", "--max-time", "20", "--rollouts", "100", "--paths", "1", *QUICK)
     rows = [line.split() for line in run("chance_constraint.py", *arguments).splitlines()[1:]]
     assert [(row[0], float(row[1])) for row in rows] == [("point", 0.1), ("point", 0.01), ("path", 0.1), ("path", 0.01)]
     assert all(int(row[2]) >= 2 and int(row[3]) > 50 for row in rows)
@@ -59,7 +61,7 @@ def test_robot_faults_tells_when_the_wheels_are_told_to_stand(monkeypatch) -> No
 
 
 def test_gains_compares_every_formula_with_the_exact_one(run) -> None:
-    lines = run("gains.py", "paper", "--seeds", "1", "--set", "explorer.budget_time=100").splitlines()
+    lines = run("gains.py", "paper", "--seeds", "1", "--set", "explorer.budget_time=60", *QUICK).splitlines()
     assert int(lines[0].split()[0]) >= 2
     limit, paper, authors = (line.split() for line in lines[2:])
     assert [limit[0], paper[0], authors[0]] == ["limit", "paper", "authors"]

@@ -16,14 +16,26 @@ def mission(tmp_path, max_time, *settings):
     return explore(scenario, max_time=max_time, out_dir=tmp_path / "run", record=False)
 
 
-@pytest.mark.parametrize(
-    "setting",
-    [f"explorer.gain={name}" for name in GAINS]
-    + [f"explorer.goal={name}" for name in GOAL_RULES]
-    + ["explorer.pose_price=false", "explorer.least_tags=8", "planner.risk=path"],
-)
-def test_the_robot_explores(tmp_path, setting):
-    result = mission(tmp_path, 30.0, setting)
+# Each rule with a gain, and with options of other parts.
+DRIVEN = {
+    ("tour", "exact"): ("planner.risk=path",),
+    ("tour", "limit"): (),
+    ("argmax", "exact"): ("explorer.pose_price=false",),
+    ("argmax", "paper"): ("explorer.least_tags=8",),
+    ("gain_per_time", "authors"): (),
+    ("nearest_frontier", "exact"): (),
+    ("random", "exact"): (),
+}
+
+
+def test_every_rule_and_every_gain_is_driven():
+    assert {rule for rule, _ in DRIVEN} == set(GOAL_RULES)
+    assert {gain for _, gain in DRIVEN} == set(GAINS)
+
+
+@pytest.mark.parametrize(("rule", "gain"), DRIVEN)
+def test_the_robot_explores(tmp_path, rule, gain):
+    result = mission(tmp_path, 30.0, f"explorer.goal={rule}", f"explorer.gain={gain}", *DRIVEN[rule, gain])
     assert result.summary["outcome"] == "time_limit"
     assert result.summary["stages"] >= 2
     assert result.summary["landmarks_mapped"] > 30

@@ -1,4 +1,4 @@
-"""Every shipped scenario runs: the house to its end, the large ones for a minute."""
+"""Every shipped scenario runs: the house to its end, large ones for a minute, paper in test_goal_options.py."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from tfg_drake.diagrams.scenario import LoadScenario
 
 
 def test_the_house_is_explored_to_its_end(tmp_path):
-    summary = explore(LoadScenario("house"), name="house", out_dir=tmp_path).summary
+    summary = explore(LoadScenario("house"), name="house", out_dir=tmp_path, record=False).summary
     assert summary["outcome"] == "complete"
     assert summary["landmarks_mapped"] >= 0.95 * summary["landmarks_reachable"]
     assert summary["contacts"] == 0
@@ -15,7 +15,7 @@ def test_the_house_is_explored_to_its_end(tmp_path):
     assert summary["landmark_rmse_m"] < 0.06
 
 
-@pytest.mark.parametrize("name", ["paper", "paper_white", "corridor", "office"])
+@pytest.mark.parametrize("name", ["paper_white", "corridor", "office"])
 def test_a_minute_of_a_large_world(tmp_path, name):
     summary = explore(LoadScenario(name), name=name, out_dir=tmp_path, max_time=60.0, record=False).summary
     assert (summary["outcome"], summary["sim_time_s"]) == ("time_limit", 60.0)
