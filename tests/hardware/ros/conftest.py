@@ -1,4 +1,5 @@
-"""Emulated TurtleBots in processes of their own, on each transport."""
+"""Emulated TurtleBots in processes of their own, on each transport: they keep real time, so none is left running when
+the tests of a file have ended."""
 
 import contextlib
 import functools
@@ -152,7 +153,7 @@ def ros_domain():
         yield
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def ros2(ros_domain):
     """An emulated TurtleBot on ROS 2."""
     transport = Transport("ros2")
@@ -160,7 +161,7 @@ def ros2(ros_domain):
     transport.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def rosbridge():
     """An emulated TurtleBot behind rosbridge."""
     pytest.importorskip("roslibpy", reason="roslibpy is not installed: pip install -e .[rosbridge]")
