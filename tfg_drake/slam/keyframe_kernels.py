@@ -91,6 +91,41 @@ def linearised(
 
 
 @njit(cache=True)
+def _seen(
+    k: int,
+    offsets: IntArray,
+    rows: IntArray,
+    p_AL: FloatArray,
+    X_AD: FloatArray,
+    starts: IntArray,
+    information: FloatArray,
+    X_MN: FloatArray,
+    p_ML: FloatArray,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Of keyframe k: the rows (n,) of its landmarks, its information (2n + 3, 2n + 3), its error (2n + 3,) and the
+    Jacobian of that (2n + 3, 3) on A. Arguments as in `assemble`."""
+    some = slice(offsets[k], offsets[k + 1])
+    error, on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
+    m = len(error)
+    return rows[some], information[starts[k] : starts[k + 1]].reshape(m, m), error, on_A
+
+
+@njit(cache=True)
+def _unknowns(k: int, rows: IntArray, landmark_at: IntArray, node_at: IntArray) -> IntArray:
+    """The unknowns (2n + 6,) of keyframe k: those of its landmarks, in rows (n,), then D's and A's; negative where one
+    has none."""
+    n = len(rows)
+    at = np.empty(2 * n + 6, dtype=np.int64)
+    for i in range(n):
+        at[2 * i] = landmark_at[rows[i]]
+        at[2 * i + 1] = at[2 * i] + 1
+    for i in range(3):
+        at[2 * n + i] = node_at[k + 1] + i
+        at[2 * n + 3 + i] = node_at[k] + i if node_at[k] >= 0 else -1
+    return at
+
+
+@njit(cache=True)
 def batch_error(
     offsets: IntArray,
     rows: IntArray,
@@ -104,10 +139,8 @@ def batch_error(
     """The weighted squared error of k keyframes, arguments as in `assemble`."""
     total = 0.0
     for k in range(len(X_AD)):
-        some = slice(offsets[k], offsets[k + 1])
-        error, _on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
-        m = len(error)
-        total += float(error @ (information[starts[k] : starts[k + 1]].reshape(m, m) @ error))
+        _rows, W, error, _on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+        total += float(error @ (W @ error))
     return total
 
 
@@ -151,13 +184,7 @@ def assemble(
         H, g, error = linearised(rows[some], p_AL[some], X_AD[k], W, X_MN[k], X_MN[k + 1], p_ML)
         total += error
         poses[q] = H[2 * n :, 2 * n :]
-        at = np.empty(m + 3, dtype=np.int64)
-        for i in range(n):
-            at[2 * i] = landmark_at[rows[offsets[k] + i]]
-            at[2 * i + 1] = at[2 * i] + 1
-        for i in range(3):
-            at[2 * n + i] = node_at[k + 1] + i
-            at[m + i] = node_at[k] + i if node_at[k] >= 0 else -1
+        at = _unknowns(k, rows[some], landmark_at, node_at)
         for i in range(m + 3):
             if at[i] < 0:
                 continue
@@ -207,32 +234,23 @@ def assemble_tag_errors(
         n = offsets[k + 1] - offsets[k]
         begin[k + 1], begin_own[k + 1] = begin[k] + (2 * n + 3) * 2 * n, begin_own[k] + 4 * n * n
     for k in keyframes:
-        some = slice(offsets[k], offsets[k + 1])
-        n = offsets[k + 1] - offsets[k]
-        m = 2 * n + 3
-        W = information[starts[k] : starts[k + 1]].reshape(m, m)
+        if offsets[k] == offsets[k + 1]:
+            continue
+        tags, W, error, on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+        n, m = len(tags), len(error)
         on = on_error[begin[k] : begin[k + 1]].reshape(m, 2 * n)
         told = curvature[begin_own[k] : begin_own[k + 1]].reshape(2 * n, 2 * n)
-        if n == 0:
-            continue
-        error, on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
         weighted = W @ on
         back, own, pull = _pulled_back(on_A, weighted, X_MN[k, 2]), told + on.T @ weighted, weighted.T @ error
-        pull -= slope[2 * offsets[k] : 2 * offsets[k + 1]] + told @ np.ascontiguousarray(errors[rows[some]]).ravel()
-        at, of_error = np.empty(m + 3, dtype=np.int64), np.empty(2 * n, dtype=np.int64)
-        for i in range(n):
-            row = rows[offsets[k] + i]
-            for f in range(2):
-                at[2 * i + f], of_error[2 * i + f] = landmark_at[row] + f, error_at[row] + f
-        for i in range(3):
-            at[2 * n + i] = node_at[k + 1] + i
-            at[m + i] = node_at[k] + i if node_at[k] >= 0 else -1
+        pull -= slope[2 * offsets[k] : 2 * offsets[k + 1]] + told @ np.ascontiguousarray(errors[tags]).ravel()
+        at = _unknowns(k, tags, landmark_at, node_at)
         for j in range(2 * n):
-            q = of_error[j]
+            q = error_at[tags[j // 2]] + j % 2
             gradient[q] -= pull[j]
             for i in range(2 * n):
-                if cell[q] <= cell[of_error[i]]:
-                    _add_to_cells(blocks, cell, first, size, block_at, q, of_error[i], own[j, i])
+                other = error_at[tags[i // 2]] + i % 2
+                if cell[q] <= cell[other]:
+                    _add_to_cells(blocks, cell, first, size, block_at, q, other, own[j, i])
             for i in range(m + 3):
                 if at[i] < 0:
                     continue
@@ -265,28 +283,21 @@ def batch_gradient(
     `assemble_tag_errors`; where error_at is -1 tags have no errors."""
     total, begin, begin_own = 0.0, 0, 0
     for k in range(len(X_AD)):
-        some = slice(offsets[k], offsets[k + 1])
-        n = offsets[k + 1] - offsets[k]
-        m = 2 * n + 3
-        error, on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
-        weighted = information[starts[k] : starts[k + 1]].reshape(m, m) @ error
+        tags, W, error, on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+        n, m = len(tags), len(error)
+        weighted = W @ error
         total += float(error @ weighted)
-        back = _pulled_back(on_A, weighted.reshape(m, 1), X_MN[k, 2])
-        for i in range(n):
-            for f in range(2):
-                gradient[landmark_at[rows[offsets[k] + i]] + f] += back[2 * i + f, 0]
-        for i in range(3):
-            gradient[node_at[k + 1] + i] += back[2 * n + i, 0]
-            if node_at[k] >= 0:
-                gradient[node_at[k] + i] += back[m + i, 0]
-        if n > 0 and error_at[rows[offsets[k]]] >= 0:
+        back, at = _pulled_back(on_A, weighted.reshape(m, 1), X_MN[k, 2]), _unknowns(k, tags, landmark_at, node_at)
+        for i in range(m + 3):
+            if at[i] >= 0:
+                gradient[at[i]] += back[i, 0]
+        if n > 0 and error_at[tags[0]] >= 0:
             on = on_error[begin : begin + m * 2 * n].reshape(m, 2 * n)
             told = curvature[begin_own : begin_own + 4 * n * n].reshape(2 * n, 2 * n)
-            pull = on.T @ weighted - told @ np.ascontiguousarray(errors[rows[some]]).ravel()
+            pull = on.T @ weighted - told @ np.ascontiguousarray(errors[tags]).ravel()
             for i in range(n):
                 for f in range(2):
-                    place = 2 * (offsets[k] + i) + f
-                    gradient[error_at[rows[offsets[k] + i]] + f] -= pull[2 * i + f] - slope[place]
+                    gradient[error_at[tags[i]] + f] -= pull[2 * i + f] - slope[2 * (offsets[k] + i) + f]
         begin, begin_own = begin + m * 2 * n, begin_own + 4 * n * n
     return total
 
@@ -313,15 +324,10 @@ def tag_pulls(
     pull, variance = np.zeros_like(p_ML), np.zeros_like(p_ML)
     total, by_place, begin, begin_own = np.zeros((len(p_ML), 2, 2)), np.zeros((len(p_ML), 2, 2)), 0, 0
     for k in range(len(X_AD)):
-        some = slice(offsets[k], offsets[k + 1])
-        n = offsets[k + 1] - offsets[k]
-        m = 2 * n + 3
-        W = information[starts[k] : starts[k + 1]].reshape(m, m)
-        error, _on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
-        weighted = W @ error
+        tags, W, error, _on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+        n, weighted = len(tags), W @ error
         for i in range(n):
-            row = rows[offsets[k] + i]
-            x, y = 2 * i, 2 * i + 1
+            row, x, y = tags[i], 2 * i, 2 * i + 1
             c, s = math.cos(X_MN[k, 2]), math.sin(X_MN[k, 2])
             R = np.array([[c, -s], [s, c]])
             own = R @ np.ascontiguousarray(W[x : y + 1, x : y + 1]) @ R.T
@@ -335,7 +341,7 @@ def tag_pulls(
                 pull[row, f] += slope[2 * offsets[k] + x + f]
                 pull[row, f] -= (R.T @ on)[0, f] * weighted[x] + (R.T @ on)[1, f] * weighted[y]
                 variance[row, f] += curvature[begin_own + (2 * n + 1) * (x + f)] + (on.T @ own @ on)[f, f]
-        begin, begin_own = begin + m * 2 * n, begin_own + 4 * n * n
+        begin, begin_own = begin + len(error) * 2 * n, begin_own + 4 * n * n
     for row in range(len(p_ML)):
         taken = by_place[row].T @ np.linalg.solve(total[row], by_place[row])
         for f in range(2):

@@ -222,7 +222,8 @@ def _with_entropy(graph: KeyframeGraph, new: int, root: FloatArray, R: FloatArra
     one = graph.keyframes[-1]
     rows = np.searchsorted(graph.ids, one.ids)
     H, _, _ = linearised(rows, one.p_AL, one.X_AD, one.information, graph.X_MN[-2], graph.X_MN[-1], graph.p_ML)
-    of_chain, own = chain(graph.pose_information, H[None, 2 * len(rows) :, 2 * len(rows) :])
+    poses = np.ascontiguousarray(H[None, 2 * len(rows) :, 2 * len(rows) :])
+    of_chain, own = chain(graph.pose_information, poses)
     of_chain += float(np.linalg.slogdet(own)[1])
     if len(graph.keyframes) > 1:
         of_chain -= float(np.linalg.slogdet(graph.pose_information)[1])
