@@ -80,9 +80,9 @@ SAME_TAG_ERROR = 0.05
 MOST_SOLVES = 6
 # A turn that ends this near to where it began was one in place, m.
 IN_PLACE = 0.1
-# A frame is compared with a scan if the robot has moved by less than this meanwhile, m and rad.
+# A frame's ranges are compared with a scan's where the robot has moved by no more than this meanwhile, m and rad.
 SAME_PLACE = 0.004
-# ... and tells what hides its tags by less than this.
+# A scan tells whether something hid the tags of a frame where it has moved by no more than this.
 NEARLY_THERE = 0.05
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
@@ -164,8 +164,8 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     """The state with the piece of the way since the last call added to the map as a view, as if it had been a turn.
 
     For recorded drives without turns; needs path_keyframe_period = inf. While it is in doubt where the robot is, the
-    piece stays open. The stamp is brought into the span of the
-    odometry at hand. Raises ValueError before any odometry, or where no piece is open.
+    piece stays open. The stamp is brought into the span of the odometry at hand. Raises ValueError before any odometry,
+    or where no piece is open.
     """
     if state.piece is None or not math.isinf(state.path_keyframe_period):
         raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
@@ -267,11 +267,10 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     increment, dt = seen_from_camera(arc(state.X_OB, X_OB), float(state.graph.yaw[0])), clock - state.clock
     twist = _twist(state.odometry[before], state.odometry[after])
     scale, compared = state.scale, state.compared
-    if len(frame.ids) and state.scans:
-        scan = min(state.scans, key=lambda scan: abs(scan.stamp - stamp))
-        if abs(scan.stamp - stamp) * float(np.max(np.abs(twist))) < SAME_PLACE:
-            seen_from_body = replace(frame, bearing=frame.bearing + state.graph.yaw[0])
-            scale, compared = compare(scale, compared, seen_from_body, scan)
+    scan = _scan_beside(state, frame, twist, SAME_PLACE)
+    if scan is not None:
+        seen_from_body = replace(frame, bearing=frame.bearing + state.graph.yaw[0])
+        scale, compared = compare(scale, compared, seen_from_body, scan)
     seen = corrected(frame, correction(scale, compared))
     turn, piece = state.turn, state.piece
     taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.camera.offset)
@@ -315,18 +314,19 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     return state
 
 
+def _scan_beside(state: EstimatorState, frame: TagDetections, twist: FloatArray, most: float) -> LaserScan | None:
+    """The scan nearest in time to a frame that has tags. None where there is none, or where the robot moves by more
+    than `most`, m and rad, between the two; twist (2,): its speeds at the frame."""
+    if not (len(frame.ids) and state.scans):
+        return None
+    scan = min(state.scans, key=lambda scan: abs(scan.stamp - frame.stamp))
+    return scan if abs(scan.stamp - frame.stamp) * float(np.max(np.abs(twist))) <= most else None
+
+
 def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> TagWatch:
     """Which tags should have been seen, with a frame at the state's stamp and the robot's twist (2,) then."""
-    if (
-        state.map is None
-        or state.contradictions
-        or state.lost
-        or state.kidnapped
-        or not (len(frame.ids) and state.scans)
-    ):
-        return state.watch
-    scan = min(state.scans, key=lambda scan: abs(scan.stamp - state.stamp))
-    if abs(scan.stamp - state.stamp) * float(np.max(np.abs(twist))) > NEARLY_THERE:
+    scan = _scan_beside(state, frame, twist, NEARLY_THERE)
+    if scan is None or state.map is None or state.contradictions or state.lost or state.kidnapped:
         return state.watch
     X_MC = se2.compose(state.localizer.X_MD, state.localizer.filter.mean[:3])
     return watched(state.watch, state.map.p_ML, X_MC, float(state.graph.yaw[0]), frame, scan)
