@@ -143,39 +143,27 @@ def explore(
 ) -> None:
     """Explore a building and map it, until nothing is left to gain."""
     _check_positive("--max-time", max_time, "s")
-    if not (math.isfinite(realtime_rate) and realtime_rate >= 0.0):
-        _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
+    _check_rate_and_seed(realtime_rate, seed)
     _check_spacing(tag_spacing)
-    if seed is not None and not 0 <= seed < 2**31:
-        _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
-    replayed = robot.removeprefix("replay:") if robot.startswith("replay:") else None
-    if replayed is not None and not (Path(replayed) / "scenario.yaml").is_file():
-        _bad_input(f"--robot {robot}: there is no scenario.yaml; name the folder of a run")
-    scenario = scenario or ("paper" if replayed is None else str(Path(replayed) / "scenario.yaml"))
+    replayed = explore_command.replayed_run(robot)
+    scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
-    from tfg_drake.config import ROBOTS
-
-    explore_command.check_robot(
-        robot, links, {"--world": world, "--tag-spacing": tag_spacing, "--start": start}, realtime_rate
-    )
+    place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
+    explore_command.check_robot(robot, links, place, realtime_rate)
+    need = explore_command.kernels_needed(scenario, method, robot, [*place.values(), settings])
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
         show: Callable[[str], None] = stack.enter_context(Screen())
         show("loading")
         # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
-        placed = [world, tag_spacing, start]
-        need = explore_command.kernels_needed(scenario, method, robot, [*placed, settings])
         compilation = None
         if need == kernels.MISSION and not headless:
             compilation = compile_kernels(need, kernels.BESIDE)
             stack.enter_context(contextlib.closing(compilation) if compilation else contextlib.nullcontext())
-        elif need == kernels.MISSION or (any(placed) and (world is None or world.exists())):
+        elif need == kernels.MISSION or _places_tags(world, tag_spacing, start):
             wait_for_kernels(show, _interrupted, need)
         loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
         if robot != "sim" and replayed is None:
-            loaded.hardware.robot = robot
-            for link, value in links.items():
-                if value is not None:
-                    setattr(loaded.hardware, link, value)
+            explore_command.link(loaded.hardware, robot, links)
         if out is not None:
             read = [Path(file) for file in (scenario, world) if file is not None and Path(file).is_file()]
             explore_command.check_kept(out, replayed, read)
@@ -185,7 +173,7 @@ def explore(
             from tfg_drake.diagrams.commands.page import open_page
 
             name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
-            rate = realtime_rate if robot not in ROBOTS else None
+            rate = None if explore_command.is_real(robot) else realtime_rate
             cockpit = page_stack.enter_context(open_page(name, host, page_port, rate=rate))
             show = explore_command.also_on_page(show, cockpit)
         if compilation is not None:
@@ -306,8 +294,7 @@ def compare(
 
     with Screen() as show:
         show("loading")
-        # Placing tags calls kernels, too.
-        if any([world, tag_spacing, start]) and (world is None or world.exists()):
+        if _places_tags(world, tag_spacing, start):
             wait_for_kernels(show, _interrupted)
 
         from tfg_drake.diagrams.commands import compare as compare_command
@@ -566,6 +553,18 @@ def _one_line(message: str) -> str:
 def _check_positive(option: str, value: float | None, unit: str) -> None:
     if value is not None and not (math.isfinite(value) and value > 0.0):
         _bad_input(f"{option} {value:g}: must be greater than 0 {unit}")
+
+
+def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:
+    if not (math.isfinite(realtime_rate) and realtime_rate >= 0.0):
+        _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
+    if seed is not None and not 0 <= seed < 2**31:
+        _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
+
+
+def _places_tags(world: Path | None, tag_spacing: float | None, start: str | None) -> bool:
+    """Whether loading the scenario looks for what can be reached in its world, which calls kernels."""
+    return any([world, tag_spacing, start]) and (world is None or world.exists())
 
 
 def _check_spacing(tag_spacing: float | None) -> None:

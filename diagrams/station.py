@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pydrake.common import RandomDistribution
@@ -17,6 +18,7 @@ from tfg_drake.systems.odometry import Odometry
 from tfg_drake.systems.people import PeopleWalking
 from tfg_drake.systems.safety_filter import SafetyFilter
 from tfg_drake.systems.tag_sensor import TagSensor
+from tfg_drake.world.world import World
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -91,17 +93,8 @@ def MakeTurtlebotStation(
     wheels = builder.AddNamedSystem(
         "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )
-    eyes: list[System]
-    if scenario.station.eyes == "camera":
-        # Few missions need what this imports.
-        from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
-
-        camera = builder.AddNamedSystem("eyes", MakeRenderedEyes(scenario, world))
-        eyes, tag_sensor, scanner = [camera], camera, camera
-    else:
-        tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
-        scanner = builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
-        eyes = [tag_sensor, scanner]
+    tag_sensor, scanner = _AddEyes(builder, scenario, world)
+    eyes = [tag_sensor] if scanner is tag_sensor else [tag_sensor, scanner]
 
     builder.Connect(safety_filter.GetOutputPort("velocity"), plant.GetInputPort("velocity_commanded"))
     builder.Connect(plant.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
@@ -112,38 +105,17 @@ def MakeTurtlebotStation(
 
     _AddNoise(builder, "odometry_noise", wheels.GetInputPort("noise"), odometry.PERIOD)
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
-    if scenario.station.eyes == "camera":
-        port = tag_sensor.GetInputPort("noise")
-        _AddNoise(builder, "image_noise", port, 1.0 / scenario.tags.rate, RandomDistribution.kUniform)
-    else:
-        _AddSensorNoise(builder, scenario, tag_sensor, scanner)
+    _AddSensorNoise(builder, scenario, tag_sensor, scanner)
 
-    walking = None
-    if reality.people:
-        walking = builder.AddNamedSystem("people", PeopleWalking(world, scenario.robot.radius, reality.people))
-        _AddNoise(
-            builder, "people_numbers", walking.GetInputPort("numbers"), people.PERIOD, RandomDistribution.kUniform
-        )
-        builder.Connect(plant.GetOutputPort("pose"), walking.GetInputPort("pose"))
-        for system in (plant, *eyes):
-            builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
-
+    walking = _AddPeople(builder, scenario, world, plant, eyes) if reality.people else None
     changing = None
     if reality.changes:
         changing = builder.AddNamedSystem("world", ChangingWorld(world, reality.changes, scenario.robot.radius))
         builder.Connect(plant.GetOutputPort("pose"), changing.GetInputPort("pose"))
         for system in (plant, *eyes, *([walking] if walking is not None else [])):
             builder.Connect(changing.GetOutputPort("world"), system.GetInputPort("world"))
-
     if meshcat is not None:
-        # Only a picture needs what this imports.
-        from tfg_drake.systems.visualizer import TfgVisualizer
-
-        picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, "station")
-        builder.AddNamedSystem("visualizer", picture)
-        builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))
-        if walking is not None:
-            builder.Connect(walking.GetOutputPort("people"), picture.GetInputPort("people"))
+        _AddPicture(builder, meshcat, scenario, world, plant, walking)
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
@@ -157,10 +129,8 @@ def MakeTurtlebotStation(
     builder.ExportOutput(scanner.GetOutputPort("ranges"), "scan.ranges")
 
     # The truth, for metrics and pictures. A simulation knows it, a robot does not: never wire it into an explorer.
-    builder.ExportOutput(plant.GetOutputPort("pose"), "truth.pose")
-    builder.ExportOutput(plant.GetOutputPort("contacts"), "truth.contacts")
-    builder.ExportOutput(plant.GetOutputPort("clearance"), "truth.clearance")
-    builder.ExportOutput(plant.GetOutputPort("contacts_received"), "truth.contacts_received")
+    for name in ("pose", "contacts", "clearance", "contacts_received"):
+        builder.ExportOutput(plant.GetOutputPort(name), f"truth.{name}")
     if walking is not None:
         builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")
     if changing is not None:
@@ -171,7 +141,57 @@ def MakeTurtlebotStation(
     return station
 
 
-def _AddSensorNoise(builder: DiagramBuilder, scenario: Scenario, tag_sensor: TagSensor, scanner: LaserScanner) -> None:
+def _AddEyes(builder: DiagramBuilder, scenario: Scenario, world: World) -> tuple[System, System]:
+    """What sees tags, and what sees walls: one system where both look through the same rendered camera."""
+    if scenario.station.eyes == "camera":
+        # Few missions need what this imports.
+        from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
+
+        camera = builder.AddNamedSystem("eyes", MakeRenderedEyes(scenario, world))
+        return camera, camera
+    reality = scenario.reality
+    tag_sensor = builder.AddNamedSystem("tag_sensor", TagSensor(world, scenario.tags, reality.tags))
+    return tag_sensor, builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
+
+
+def _AddPeople(
+    builder: DiagramBuilder, scenario: Scenario, world: World, plant: System, eyes: Sequence[System]
+) -> PeopleWalking:
+    """The people who walk about: the robot meets and sees them."""
+    robot, count = scenario.robot, scenario.reality.people
+    walking = builder.AddNamedSystem("people", PeopleWalking(world, robot.radius, count))
+    numbers = walking.GetInputPort("numbers")
+    _AddNoise(builder, "people_numbers", numbers, people.PERIOD, RandomDistribution.kUniform)
+    builder.Connect(plant.GetOutputPort("pose"), walking.GetInputPort("pose"))
+    for system in (plant, *eyes):
+        builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
+    return walking
+
+
+def _AddPicture(
+    builder: DiagramBuilder,
+    meshcat: Meshcat,
+    scenario: Scenario,
+    world: World,
+    plant: System,
+    walking: PeopleWalking | None,
+) -> None:
+    """The true robot in its world, and the people, in Meshcat."""
+    # Only a picture needs what this imports.
+    from tfg_drake.systems.visualizer import TfgVisualizer
+
+    picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, "station")
+    builder.AddNamedSystem("visualizer", picture)
+    builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))
+    if walking is not None:
+        builder.Connect(walking.GetOutputPort("people"), picture.GetInputPort("people"))
+
+
+def _AddSensorNoise(builder: DiagramBuilder, scenario: Scenario, tag_sensor: System, scanner: System) -> None:
+    if scenario.station.eyes == "camera":
+        port = tag_sensor.GetInputPort("noise")
+        _AddNoise(builder, "image_noise", port, 1.0 / scenario.tags.rate, RandomDistribution.kUniform)
+        return
     _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
     _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
 

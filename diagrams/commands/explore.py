@@ -17,6 +17,7 @@ from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
     from tfg_drake.cockpit.server import Cockpit
+    from tfg_drake.config import HardwareConfig
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.diagrams.robots import Robot
@@ -37,9 +38,34 @@ def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
 
 def kernels_needed(scenario: str, method: str, robot: str, changes: Sequence[Any]) -> int:
     """What kernels a mission may call: few in a shipped scenario as it is, by the usual method."""
-    shipped = (Path(__file__).parent / "scenarios" / f"{scenario}.yaml").is_file()
+    shipped = (Path(__file__).parents[1] / "scenarios" / f"{scenario}.yaml").is_file()
     plain = shipped and method == "tfg" and robot == "sim" and not any(changes)
     return kernels.MISSION if plain else kernels.OTHER
+
+
+def replayed_run(robot: str) -> Path | None:
+    """The folder of the run that is driven once more; None where it is none. Raises BadInput where it holds none."""
+    if not robot.startswith("replay:"):
+        return None
+    folder = Path(robot.removeprefix("replay:"))
+    if not (folder / "scenario.yaml").is_file():
+        bad_input(f"--robot {robot}: there is no scenario.yaml; name the folder of a run")
+    return folder
+
+
+def is_real(robot: str) -> bool:
+    """Whether what is driven is neither simulated nor replayed."""
+    from tfg_drake.config import ROBOTS
+
+    return robot in ROBOTS
+
+
+def link(hardware: HardwareConfig, robot: str, links: dict[str, str | None]) -> None:
+    """Sets which robot is driven, and those of its links that were given."""
+    hardware.robot = robot
+    for name, value in links.items():
+        if value is not None:
+            setattr(hardware, name, value)
 
 
 def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:
@@ -61,7 +87,7 @@ def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any],
         bad_input("--realtime-rate: a real robot's time is real; leave it out")
 
 
-def check_kept(out: Path, replayed: str | None = None, inputs: Sequence[Path] = ()) -> None:
+def check_kept(out: Path, replayed: Path | None = None, inputs: Sequence[Path] = ()) -> None:
     """Raises BadInput where a run in the folder would be lost that nothing brings back, or what somebody wrote: one of
     the files that are read has the name of the scenario that a run leaves, and is none."""
     from tfg_drake.config import ROBOTS
@@ -70,7 +96,7 @@ def check_kept(out: Path, replayed: str | None = None, inputs: Sequence[Path] = 
     for file in inputs:
         if file.resolve() == (out / "scenario.yaml").resolve() and not (out / "stages.jsonl").exists():
             bad_input(f"--out {out}: its scenario.yaml, which is read, would be written over; name another folder")
-    if replayed is not None and out.resolve() == Path(replayed).resolve():
+    if replayed is not None and out.resolve() == replayed.resolve():
         bad_input(f"--out {out}: holds the run that is replayed; name another folder")
     robot = recorded_robot(out)
     if robot in ROBOTS:

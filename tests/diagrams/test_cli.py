@@ -11,7 +11,7 @@ import time
 import pytest
 
 from tests.diagrams.rooms import ROOM
-from tfg_drake import __version__
+from tfg_drake import __version__, kernels
 from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
@@ -254,6 +254,13 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
     assert code == 3
     assert err.startswith("tfg-drake: internal error: ValueError: no way more (test_cli.py, line ")
     assert err.count("\n") == 1
+
+
+def test_a_shipped_mission_begins_before_all_kernels_are_compiled():
+    assert explore_command.kernels_needed("paper", "tfg", "sim", [None, None]) == kernels.MISSION
+    others = [("mine.yaml", "tfg", "sim"), ("paper", "grid-nearest", "sim"), ("paper", "tfg", "ros2")]
+    assert [explore_command.kernels_needed(*mission, []) for mission in others] == 3 * [kernels.OTHER]
+    assert explore_command.kernels_needed("paper", "tfg", "sim", [["robot.max_speed=0.2"]]) == kernels.OTHER
 
 
 def test_the_progress_line():
