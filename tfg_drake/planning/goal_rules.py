@@ -22,7 +22,7 @@ AS_GOOD_AS_ALL = 0.95
 
 
 def gain_per_time(gain: FloatArray, time: FloatArray) -> FloatArray:
-    """Nats (c,) over seconds (c,): what exploring as a whole is quick by."""
+    """Nats (c,) over seconds (c,). A robot that goes where this is largest learns fast at first."""
     return np.asarray(gain / time)
 
 
@@ -53,11 +53,15 @@ def tour(
     """The value (c,) of each candidate by a short tour, and which frontier points (f,) the tour's first goal is for.
 
     The value is minus the time, s, until a goal of the tour is done with, so the first goal is best; -inf for
-    candidates that are not in it. The goals are chosen one after the other: the candidate of most gain, nats, in
-    proportion to the frontier that it sees and those before do not, over the time (c,), s, of going there and the stay,
-    s. They are visited in the order that takes least time from the robot to the farthest of them, which comes last, as
-    exploring goes on from there. Last, the first goal is moved to the candidate that lies best on the way to the
-    second, among those that see almost all that it was chosen for.
+    candidates that are not in it.
+
+    1. Goals are chosen one after the other. Of the frontier that a candidate sees some is new, seen by no goal chosen
+       before it: its gain, nats, counts by the share that is new. The most of that over the time (c,), s, of going
+       there and the stay, s, is the next goal.
+    2. They are visited in the order that takes least time, with the one farthest from the robot last: exploring goes on
+       from there.
+    3. The first goal is replaced by the candidate that lies best on the way to the second, among those that see almost
+       all that the first was chosen for.
 
     frontier: (c, f) m that each candidate sees of each frontier point. least: m, less than this is not worth a goal.
     nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides; where no candidate that
@@ -94,8 +98,8 @@ def _most_by_time(
 ) -> tuple[list[int], list[BoolArray]]:
     """The goals of a tour, TOUR_GOALS at the most, and which frontier points (f,) each is the first to see.
 
-    They are chosen one after the other: the candidate (c,) of most gain, in proportion to what is new of the frontier
-    that it sees (c, f), m, over the time spent (c,), s. least: m, as of `tour`.
+    Step 1 of `tour`. frontier: (c, f) m that each candidate sees of each frontier point. spent: (c,) s, of going there
+    and staying. least: m, as of `tour`.
     """
     seen = np.maximum(frontier.sum(axis=1), 1e-9)
 

@@ -46,14 +46,14 @@ FRONTIER_DARTS = 5
 PASSAGE_WIDTH = 1.5
 # Nothing is nearer to the middle of a gap than this share of its width, rounding and all.
 HALF_GAP = 0.475
-# The least margin of a way that the robot has driven before, m, unless it leads back to where it began: the robot came
-# by that, whatever the newest map says of it.
+# The least margin of a way that the robot has driven before, m. The way back to where it began needs none: the robot
+# has come by it, whatever the newest map says.
 TRAVELLED_MARGIN = 0.02
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
-# How hard a stage tries to reach a place that sees a frontier, one after the other: how many times as many samples are
-# thrown and as near to each other, and the probability of a collision that is accepted, if that is more than
+# How hard a stage tries to reach a place that sees a frontier. Each effort is made only if those before it failed: the
+# factor on the number and density of samples, and the probability of a collision that is accepted where it is more than
 # planner.collision_probability. The scan watches every path anyway.
 EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.2))
 # Clearance beyond which a path costs its length only, m.
@@ -82,8 +82,9 @@ class RoadmapParameters:
 class Edges:
     """Edges of a roadmap as they were checked last.
 
-    nodes: (e, 2) their ends. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. clearance
-    and required: (e,) m, what it has and needs (beyond COMFORT or what any needs no more is told apart). usable: (e,).
+    nodes: (e, 2) their ends. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. clearance:
+    (e,) m, measured up to COMFORT or, if that is more, up to the most that any edge needs. required: (e,) m, the
+    clearance that it needs. usable: (e,).
     """
 
     nodes: IntArray
@@ -172,11 +173,11 @@ def fitting(
     segments: FloatArray,
     room: float,
 ) -> BoolArray:
-    """Which proposals (p, 2) to keep, in order: each in free space, if that is not known of it (p,), with room, m, to
-    all segments (m, 4), and at least its own spacing (p,), m, from those kept and from the nodes (n, 2) that have room
-    themselves: those that the newest map leaves too little must not keep better ones out of the middle of a passage.
+    """Which proposals (p, 2) to keep. They are judged in their order; one is kept that lies in free space, has `room`,
+    m, to all segments (m, 4), and keeps its spacing (p,), m, to those kept before it and to the nodes (n, 2).
 
-    Star polygons as in `tfg_drake.geometry.star.inside_any`.
+    Nodes that have too little room by the newest map do not count: they must not keep better ones out of the middle of
+    a passage. is_free: (p,) known to lie in free space. Star polygons as in `tfg_drake.geometry.star.inside_any`.
     """
     keep, kept = np.zeros(len(proposals), dtype=np.bool_), np.empty((len(proposals), 2))
     grid, node_grid = segment_grid(segments), segment_grid(np.hstack((nodes, nodes)))
@@ -551,9 +552,12 @@ def _checked(
     parameters: RoadmapParameters,
     accepted: float,
 ) -> tuple[Edges, BoolArray]:
-    """The edges between points (n, 2), those of them (e,), told too, checked against the map that join two of the nodes
-    around (n,): each usable where it lies in free space and has the room that it needs by the deviations sigma (n,), m,
-    for the probability of a collision that is accepted, or the planner's, if that is more."""
+    """The edges between points (n, 2), with those checked against the map that join two of the nodes around (n,); and
+    which these are (e,).
+
+    An edge is usable where it lies in free space and has the room that it needs. How much that is follows from the
+    deviations sigma (n,), m, and the probability of a collision: the accepted one, or the planner's if that is more.
+    """
     has, need = edges.clearance.copy(), edges.required.copy()
     node_need = room_needed(parameters.robot, parameters.planner, sigma, accepted)
     asked = _measure(has, need, edges.nodes, around, points, node_need, tfg.segments)
@@ -574,9 +578,11 @@ def _measure(
     node_need: FloatArray,
     segments: FloatArray,
 ) -> BoolArray:
-    """Which of the edges (e, 2) join two of the points around (n,), (e,). Of these it puts in place the clearance that
-    they have (e,), m, from segments (m, 4), if it is less than COMFORT or what any of them needs, and what they need
-    (e,), m, by what either end does (n,), m."""
+    """Which of the edges (e, 2) join two of the points around (n,), (e,).
+
+    Of these it sets, in place, `has` (e,): the clearance from segments (m, 4), m, as far as it is less than COMFORT or
+    than what any of them needs; and `need` (e,): the clearance they need, m, the greater of both ends' node_need (n,).
+    """
     asked, reach = np.zeros(len(edges), dtype=np.bool_), COMFORT
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]

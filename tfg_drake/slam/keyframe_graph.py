@@ -24,7 +24,7 @@ from tfg_drake.slam.keyframe_kernels import fused_information
 WITNESSES = 2
 # Tags of a keyframe up to which others are fused with it.
 FULL = 25
-# A pose that its two keyframes know no better than this, m, is no part of one: what is known of it still changes.
+# Keyframes are fused only where they know the pose between them better than this, m: fusing linearises them about it.
 MOST_DEVIATION = 0.02
 # The newest keyframes stay as they are: a slip may still be found between them.
 UNFUSED = 4
@@ -227,8 +227,8 @@ def extended(graph: KeyframeGraph, observation: Observation, X_MD: FloatArray, *
 def fused(graph: KeyframeGraph) -> KeyframeGraph:
     """The graph with the poses marginalised out between recent keyframes that share landmarks.
 
-    Two become one as long as it has no more than FULL landmarks; the newest UNFUSED stay. What was linearised is how
-    they lie to each other, which is known to millimetres and milliradians.
+    Two become one as long as it has no more than FULL landmarks; the newest UNFUSED stay. Fusing linearises only how
+    the two lie to each other, and that is known to millimetres and milliradians.
     """
     keyframes, X_MN = list(graph.keyframes), graph.X_MN
     view_keyframe, X_AV, yaw_prior = graph.view_keyframe.copy(), graph.X_AV.copy(), graph.yaw_prior
@@ -303,8 +303,10 @@ def _over_yaw_and_errors(one: Keyframe) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def rescaled(graph: KeyframeGraph, range_scale: float) -> KeyframeGraph:
-    """The graph with the range scale error, as it is known now, taken out of the keyframes from when it was not: what
-    they saw grows or shrinks about A, and the way with it, which the ranges tell better than the wheels."""
+    """The graph with the error of range scale, as it is known now, taken out of all keyframes.
+
+    What a keyframe saw grows or shrinks about A. So does its way: the ranges tell its length better than the wheels.
+    """
 
     def again(one: Keyframe) -> Keyframe:
         if abs(one.range_scale - range_scale) < SAME_SCALE:

@@ -57,10 +57,11 @@ from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, 
 
 # Attempts from within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
-# From beyond this share of the sensor's range a small face may be missed though it is in view: no attempt at it.
+# A view counts as an attempt at a small face only from within this share of the sensor's range: farther off the face
+# may be missed though it is in view.
 NEAR_SHARE = 0.5
-# A surface that is seen less slantwise than a tag on it could be, but not by this, rad, may show none: so well is its
-# direction known.
+# A surface is inspected only where it is seen less slantwise, by this, rad, than the sensor needs to see a tag on it:
+# its direction is known no better.
 SLANT_KNOWN = math.radians(2.5)
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
@@ -169,8 +170,8 @@ def update(
 
     estimate: the map at stage graph.stage + 1. panorama: what that view's turn saw, in its arrival frame. sightings:
     tags seen on the way to it. glance: the view is a glance on the way, no attempt at what was open there. views: (k,)
-    those that the graph holds the stars of, one after the other, if it is a part of one. reach: m round the newest
-    view, faces that no view has seen are looked for there only.
+    the views whose stars the graph holds, in their order, where it is a part of a larger graph. reach: m, unseen faces
+    are looked for only so near to the newest view.
 
     Raises ValueError where the estimate is of another stage.
     """
@@ -578,7 +579,7 @@ def _place_stars(
     pose = np.repeat(X_MA, np.diff(star_offsets), axis=0)
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x, y = star_vertices[:, 0], star_vertices[:, 1]
-    return star_offsets, pose[:, :2] + np.stack([c * x - s * y, s * x + c * y], axis=1), X_MA[:, :2]
+    return star_offsets, pose[:, :2] + np.stack([c * x - s * y, s * x + c * y], axis=1), X_MA[:, :2].copy()
 
 
 def _merge(
