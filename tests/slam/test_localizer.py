@@ -6,7 +6,6 @@ import pytest
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections
-from tfg_drake.slam import localizer as localizer_module
 from tfg_drake.slam import pose_filter
 from tfg_drake.slam.departure_frame import (
     covariance_in_departure_frame,
@@ -15,6 +14,7 @@ from tfg_drake.slam.departure_frame import (
 )
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.localizer import (
+    MOST_LOCAL,
     localized_pose,
     new_tags,
     start_localizer,
@@ -227,19 +227,23 @@ def test_the_map_seen_from_the_departure_pose():
     np.testing.assert_allclose(covariance, np.cov(np.transpose(seen)), atol=0.05 * np.abs(covariance).max())
 
 
-def test_all_that_is_known_jointly_is_considered_and_the_latest_local_tags_are_kept(monkeypatch):
-    monkeypatch.setattr(localizer_module, "MOST_LOCAL", 2)
-    estimate, _, X_MB = make_map(8, 4)
+def test_all_that_is_known_jointly_is_considered():
+    estimate, _, _ = make_map(8, 4)
     localizer = start_localizer(MODEL, part_of(estimate, np.array([1, 2, 5, 7])))
     np.testing.assert_array_equal(localizer.filter.map_ids, [1, 2, 5, 7])
     p_ML = se2.transform(estimate.X_MD, localizer.filter.p_DL)
     np.testing.assert_allclose(p_ML, estimate.p_ML[localizer.filter.map_ids])
-    for stamp, tag in ((0.0, 50), (0.1, 51), (0.2, 52)):
-        frame = sight([tag], np.array([[2.0, tag - 50.0]]), X_MB, stamp)
+
+
+def test_of_many_new_tags_the_filter_keeps_the_latest():
+    estimate, _, X_MB = make_map(8, 4)
+    localizer = start_localizer(MODEL, estimate)
+    for k, tag in enumerate(range(50, 100)):
+        frame = sight([tag], np.array([[2.0, tag - 75.0]]), X_MB, 0.1 * k)
         localizer, _, _ = step_localizer(localizer, MODEL, np.zeros(3), 0.1, frame)
-    np.testing.assert_array_equal(localizer.filter.local_ids, [51, 52])
+    np.testing.assert_array_equal(localizer.filter.local_ids, np.arange(100 - MOST_LOCAL, 100))
     p_MU = se2.transform(localizer.X_MD, localizer.filter.mean[pose_filter.CORE :].reshape(-1, 2))
-    np.testing.assert_allclose(p_MU[:, 0], 2.0, atol=0.2)
+    np.testing.assert_allclose(p_MU[:, 1], np.arange(100 - MOST_LOCAL, 100) - 75.0, atol=0.5)
 
 
 def test_before_the_first_map_it_stands_at_the_origin():
