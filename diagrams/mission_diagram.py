@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 
 from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
@@ -67,28 +67,11 @@ def MakeMissionDiagram(
     ConnectStation(builder, station, explorer)
 
     if robot.real or operated:
-        recalls, sources = explorer.HasInputPort("recall"), [*robot.operated, *operated]
-        operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=not robot.real))
-        if station.HasInputPort("base.enable"):
-            builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
-        for name in ("pause", "stop", "recall"):
-            if explorer.HasInputPort(name):
-                builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
-
+        _AddOperator(builder, station, explorer, robot, operated)
     if pushed is not None and station.HasInputPort("truth.pushes"):
         pusher = builder.AddNamedSystem("pusher", Requester("pushes", Pushes(), pushed, with_push))
         builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
-
-    requested = None
-    if explorer.HasInputPort("requested_goal"):
-        if station.HasOutputPort(GOAL):
-            requested = station.GetOutputPort(GOAL)
-        elif sent is not None:
-            requester = Requester("requested_goal", RequestedGoal(), sent, goal_asked_for)
-            requested = builder.AddNamedSystem("goal_requester", requester).get_output_port()
-    if requested is not None:
-        builder.Connect(requested, explorer.GetInputPort("requested_goal"))
-
+    requested = _AddRequests(builder, station, explorer, sent)
     if robot.Announce is not None:
         robot.Announce(builder, station, explorer)
 
@@ -109,3 +92,41 @@ def MakeMissionDiagram(
     diagram = builder.Build()
     diagram.set_name("mission")
     return diagram, truth_log, pose_log
+
+
+def _AddOperator(
+    builder: DiagramBuilder,
+    station: System,
+    explorer: System,
+    robot: Robot,
+    operated: Sequence[Callable[[], Sequence[Request]]],
+) -> None:
+    """Base and mission under an operator, as far as they have ports for that."""
+    recalls, sources = explorer.HasInputPort("recall"), [*robot.operated, *operated]
+    operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=not robot.real))
+    if station.HasInputPort("base.enable"):
+        builder.Connect(operator.GetOutputPort("enable"), station.GetInputPort("base.enable"))
+    for name in ("pause", "stop", "recall"):
+        if explorer.HasInputPort(name):
+            builder.Connect(operator.GetOutputPort(name), explorer.GetInputPort(name))
+
+
+def _AddRequests(
+    builder: DiagramBuilder,
+    station: System,
+    explorer: System,
+    sent: Callable[[], Sequence[tuple[float, float]]] | None,
+) -> OutputPort | None:
+    """Where the places come from that somebody sends the robot to: a recording's own, else those of `sent`; None where
+    there are none, or the explorer does not ask."""
+    if not explorer.HasInputPort("requested_goal"):
+        return None
+    if station.HasOutputPort(GOAL):
+        requested = station.GetOutputPort(GOAL)
+    elif sent is not None:
+        requester = Requester("requested_goal", RequestedGoal(), sent, goal_asked_for)
+        requested = builder.AddNamedSystem("goal_requester", requester).get_output_port()
+    else:
+        return None
+    builder.Connect(requested, explorer.GetInputPort("requested_goal"))
+    return requested
