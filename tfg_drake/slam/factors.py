@@ -10,14 +10,13 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of
-from tfg_drake.slam.keyframe_kernels import batch_error
+from tfg_drake.slam.keyframe_kernels import Keyframes, OnErrors, batch_error
 
 
 @dataclasses.dataclass(frozen=True)
 class Factors:
-    """All keyframes in flat arrays, see `keyframe_kernels.assemble`. on_error: (2n + 3, 2n) of each,
-    curvature, slope: what all say of the errors by themselves, see `keyframe_kernels.assemble_tag_errors`. tag_error:
-    (2,) standard deviation of the errors."""
+    """All keyframes in flat arrays, as the kernels take them: see `Keyframes` and `OnErrors`. on_error: (2n + 3, 2n) of
+    each. tag_error: (2,) standard deviation of the errors."""
 
     offsets: IntArray
     rows: IntArray
@@ -31,14 +30,14 @@ class Factors:
     tag_error: FloatArray
 
     @property
-    def arrays(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, FloatArray]:
-        """In the order in which the kernels take them."""
-        return self.offsets, self.rows, self.p_AL, self.X_AD, self.starts, self.information
+    def keyframes(self) -> Keyframes:
+        """What was seen."""
+        return Keyframes(self.offsets, self.rows, self.p_AL, self.X_AD, self.starts, self.information)
 
     @property
-    def of_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What the kernels take besides for the tags' errors."""
-        return np.concatenate([one.ravel() for one in self.on_error]), self.curvature, self.slope
+    def on_errors(self) -> OnErrors:
+        """What it says of the tags' errors."""
+        return OnErrors(np.concatenate([one.ravel() for one in self.on_error]), self.curvature, self.slope)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +111,7 @@ def at_errors(factors: Factors, errors: FloatArray) -> Factors:
 
 def squared_error(factors: Factors, values: Values) -> float:
     """The weighted squared error."""
-    error = batch_error(*at_errors(factors, values.errors).arrays, values.X_MN, values.p_ML)
+    error = batch_error(at_errors(factors, values.errors).keyframes, values.X_MN, values.p_ML)
     return error + error_of_errors(factors, values.errors)
 
 

@@ -7,6 +7,7 @@ by its information. Poses move additively, (x, y) in M and theta; so their covar
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,6 +20,55 @@ SMALL_STEP = 1e-9
 MOST_STEPS = 5
 # A change of yaw small enough that no angle wraps, rad.
 YAW_STEP = 1e-3
+
+
+class Keyframes(NamedTuple):
+    """k keyframes in flat arrays.
+
+    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows and p_AL. rows: of its landmarks in
+    p_ML. p_AL: (., 2), X_AD: (k, 3). starts: (k + 1,) the same of information, each flattened.
+    """
+
+    offsets: IntArray
+    rows: IntArray
+    p_AL: FloatArray
+    X_AD: FloatArray
+    starts: IntArray
+    information: FloatArray
+
+
+class OnErrors(NamedTuple):
+    """What k keyframes say of the errors of their tags, one keyframe after the other, each flattened.
+
+    on_error: the derivatives (2n + 3, 2n) of what was seen on the errors. curvature (2n, 2n), slope (2n,): what each
+    says of the errors by itself.
+    """
+
+    on_error: FloatArray
+    curvature: FloatArray
+    slope: FloatArray
+
+
+class Unknowns(NamedTuple):
+    """Which unknown the x of a landmark (n,) or of a node (k + 1,) is, and a tag's error of range (n,); negative for
+    what is none: the origin, and errors where tags have none."""
+
+    landmark_at: IntArray
+    node_at: IntArray
+    error_at: IntArray
+
+
+class InCells(NamedTuple):
+    """How the information on u unknowns is kept, in the blocks of c cells.
+
+    cell: (u,) of each unknown. first, size: (c,) first unknown and number of unknowns of a cell. block_at: (c, c) where
+    the block of two cells begins, the lower number first, row by row.
+    """
+
+    cell: IntArray
+    first: IntArray
+    size: IntArray
+    block_at: IntArray
 
 
 @njit(cache=True)
@@ -92,239 +142,173 @@ def linearised(
 
 @njit(cache=True)
 def _seen(
-    k: int,
-    offsets: IntArray,
-    rows: IntArray,
-    p_AL: FloatArray,
-    X_AD: FloatArray,
-    starts: IntArray,
-    information: FloatArray,
-    X_MN: FloatArray,
-    p_ML: FloatArray,
+    k: int, keyframes: Keyframes, X_MN: FloatArray, p_ML: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Of keyframe k: the rows (n,) of its landmarks, its information (2n + 3, 2n + 3), its error (2n + 3,) and the
-    Jacobian of that (2n + 3, 3) on A. Arguments as in `assemble`."""
-    some = slice(offsets[k], offsets[k + 1])
-    error, on_A = _residual(rows[some], p_AL[some], X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
-    m = len(error)
-    return rows[some], information[starts[k] : starts[k + 1]].reshape(m, m), error, on_A
+    Jacobian of that (2n + 3, 3) on A."""
+    some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
+    rows = keyframes.rows[some]
+    error, on_A = _residual(rows, keyframes.p_AL[some], keyframes.X_AD[k], X_MN[k], X_MN[k + 1], p_ML)
+    W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(len(error), len(error))
+    return rows, W, error, on_A
 
 
 @njit(cache=True)
-def _unknowns(k: int, rows: IntArray, landmark_at: IntArray, node_at: IntArray) -> IntArray:
+def _of_keyframe(k: int, rows: IntArray, unknowns: Unknowns) -> IntArray:
     """The unknowns (2n + 6,) of keyframe k: those of its landmarks, in rows (n,), then D's and A's; negative where one
     has none."""
     n = len(rows)
     at = np.empty(2 * n + 6, dtype=np.int64)
     for i in range(n):
-        at[2 * i] = landmark_at[rows[i]]
+        at[2 * i] = unknowns.landmark_at[rows[i]]
         at[2 * i + 1] = at[2 * i] + 1
+    A, D = unknowns.node_at[k], unknowns.node_at[k + 1]
     for i in range(3):
-        at[2 * n + i] = node_at[k + 1] + i
-        at[2 * n + 3 + i] = node_at[k] + i if node_at[k] >= 0 else -1
+        at[2 * n + i] = D + i
+        at[2 * n + 3 + i] = A + i if A >= 0 else -1
     return at
 
 
 @njit(cache=True)
-def batch_error(
-    offsets: IntArray,
-    rows: IntArray,
-    p_AL: FloatArray,
-    X_AD: FloatArray,
-    starts: IntArray,
-    information: FloatArray,
-    X_MN: FloatArray,
-    p_ML: FloatArray,
-) -> float:
-    """The weighted squared error of k keyframes, arguments as in `assemble`."""
+def batch_error(keyframes: Keyframes, X_MN: FloatArray, p_ML: FloatArray) -> float:
+    """The weighted squared error of k keyframes."""
     total = 0.0
-    for k in range(len(X_AD)):
-        _rows, W, error, _on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+    for k in range(len(keyframes.X_AD)):
+        _rows, W, error, _on_A = _seen(k, keyframes, X_MN, p_ML)
         total += float(error @ (W @ error))
     return total
 
 
 @njit(cache=True)
 def assemble(
-    keyframes: IntArray,
-    offsets: IntArray,
-    rows: IntArray,
-    p_AL: FloatArray,
-    X_AD: FloatArray,
-    starts: IntArray,
-    information: FloatArray,
+    which: IntArray,
+    keyframes: Keyframes,
     X_MN: FloatArray,
     p_ML: FloatArray,
-    landmark_at: IntArray,
-    node_at: IntArray,
-    cell: IntArray,
-    first: IntArray,
-    size: IntArray,
-    block_at: IntArray,
+    unknowns: Unknowns,
+    cells: InCells,
     blocks: FloatArray,
     gradient: FloatArray,
 ) -> tuple[float, FloatArray]:
-    """Add the Hessians and gradients of some of k keyframes to a system in cells.
-
-    keyframes: (q,) which. offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, the rows of
-    its landmarks in p_ML, and of p_AL. starts: (k + 1,) the same of information, each flattened. landmark_at (n,),
-    node_at (k + 1,): the unknown that a landmark's x, or a node's x, is, -1 for the origin. cell: (u,) of each unknown;
-    first, size: (c,) first unknown and number of unknowns of a cell. block_at: (c, c) where in blocks the block of two
-    cells begins, the lower number first, row by row.
+    """Add the Hessians and gradients of some of k keyframes, which (q,), to a system in cells.
 
     Returns the weighted squared error, and (q, 6, 6) the Hessians' blocks of each keyframe's two poses, D first.
     """
-    total, poses = 0.0, np.empty((len(keyframes), 6, 6))
-    for q in range(len(keyframes)):
-        k = keyframes[q]
-        some = slice(offsets[k], offsets[k + 1])
-        n = offsets[k + 1] - offsets[k]
-        m = 2 * n + 3
-        W = information[starts[k] : starts[k + 1]].reshape(m, m)
-        H, g, error = linearised(rows[some], p_AL[some], X_AD[k], W, X_MN[k], X_MN[k + 1], p_ML)
+    total, poses, cell = 0.0, np.empty((len(which), 6, 6)), cells.cell
+    for q in range(len(which)):
+        k = which[q]
+        some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
+        rows = keyframes.rows[some]
+        m = 2 * len(rows) + 3
+        W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
+        H, g, error = linearised(rows, keyframes.p_AL[some], keyframes.X_AD[k], W, X_MN[k], X_MN[k + 1], p_ML)
         total += error
-        poses[q] = H[2 * n :, 2 * n :]
-        at = _unknowns(k, rows[some], landmark_at, node_at)
+        poses[q] = H[m - 3 :, m - 3 :]
+        at = _of_keyframe(k, rows, unknowns)
         for i in range(m + 3):
             if at[i] < 0:
                 continue
             gradient[at[i]] += g[i]
-            row = cell[at[i]]
             for j in range(m + 3):
-                if at[j] >= 0 and row <= cell[at[j]]:
-                    column = cell[at[j]]
-                    place = (at[i] - first[row]) * size[column] + at[j] - first[column]
-                    blocks[block_at[row, column] + place] += H[i, j]
+                if at[j] >= 0 and cell[at[i]] <= cell[at[j]]:
+                    _add_to_cells(blocks, cells, at[i], at[j], H[i, j])
     return total, poses
 
 
 @njit(cache=True)
 def assemble_tag_errors(
-    keyframes: IntArray,
-    offsets: IntArray,
-    rows: IntArray,
-    p_AL: FloatArray,
-    X_AD: FloatArray,
-    starts: IntArray,
-    information: FloatArray,
-    on_error: FloatArray,
-    curvature: FloatArray,
-    slope: FloatArray,
+    which: IntArray,
+    keyframes: Keyframes,
+    on_errors: OnErrors,
     X_MN: FloatArray,
     p_ML: FloatArray,
     errors: FloatArray,
-    landmark_at: IntArray,
-    node_at: IntArray,
-    error_at: IntArray,
-    cell: IntArray,
-    first: IntArray,
-    size: IntArray,
-    block_at: IntArray,
+    unknowns: Unknowns,
+    cells: InCells,
     blocks: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Add to a system in cells what some of k keyframes say of the error of each tag, and with it of all else.
-
-    on_error: the derivatives (2n + 3, 2n) of what was seen on the errors, row by row, one keyframe after the other,
-    curvature (2n, 2n) and slope (2n,) likewise: what each says of the errors by itself. errors: (n, 2) as p_AL and X_AD
-    have them. error_at: (n,) the unknown that a tag's error of range is. Other arguments as in `assemble`.
-    """
-    begin, begin_own = np.zeros(len(X_AD) + 1, dtype=np.int64), np.zeros(len(X_AD) + 1, dtype=np.int64)
-    for k in range(len(X_AD)):
+    """Add to a system in cells what some of k keyframes, which (q,), say of the error of each tag, and with it of all
+    else. errors: (n, 2) as p_AL and X_AD of the keyframes have them."""
+    offsets, slope, error_at, cell = keyframes.offsets, on_errors.slope, unknowns.error_at, cells.cell
+    begin, begin_own = np.zeros(len(offsets), dtype=np.int64), np.zeros(len(offsets), dtype=np.int64)
+    for k in range(len(offsets) - 1):
         n = offsets[k + 1] - offsets[k]
         begin[k + 1], begin_own[k + 1] = begin[k] + (2 * n + 3) * 2 * n, begin_own[k] + 4 * n * n
-    for k in keyframes:
+    for k in which:
         if offsets[k] == offsets[k + 1]:
             continue
-        tags, W, error, on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+        tags, W, error, on_A = _seen(k, keyframes, X_MN, p_ML)
         n, m = len(tags), len(error)
-        on = on_error[begin[k] : begin[k + 1]].reshape(m, 2 * n)
-        told = curvature[begin_own[k] : begin_own[k + 1]].reshape(2 * n, 2 * n)
+        on = on_errors.on_error[begin[k] : begin[k + 1]].reshape(m, 2 * n)
+        told = on_errors.curvature[begin_own[k] : begin_own[k + 1]].reshape(2 * n, 2 * n)
         weighted = W @ on
         back, own, pull = _pulled_back(on_A, weighted, X_MN[k, 2]), told + on.T @ weighted, weighted.T @ error
         pull -= slope[2 * offsets[k] : 2 * offsets[k + 1]] + told @ np.ascontiguousarray(errors[tags]).ravel()
-        at = _unknowns(k, tags, landmark_at, node_at)
+        at = _of_keyframe(k, tags, unknowns)
         for j in range(2 * n):
             q = error_at[tags[j // 2]] + j % 2
             gradient[q] -= pull[j]
             for i in range(2 * n):
                 other = error_at[tags[i // 2]] + i % 2
                 if cell[q] <= cell[other]:
-                    _add_to_cells(blocks, cell, first, size, block_at, q, other, own[j, i])
+                    _add_to_cells(blocks, cells, q, other, own[j, i])
             for i in range(m + 3):
                 if at[i] < 0:
                     continue
                 if cell[at[i]] <= cell[q]:
-                    _add_to_cells(blocks, cell, first, size, block_at, at[i], q, -back[i, j])
+                    _add_to_cells(blocks, cells, at[i], q, -back[i, j])
                 if cell[q] <= cell[at[i]]:
-                    _add_to_cells(blocks, cell, first, size, block_at, q, at[i], -back[i, j])
+                    _add_to_cells(blocks, cells, q, at[i], -back[i, j])
 
 
 @njit(cache=True)
 def batch_gradient(
-    offsets: IntArray,
-    rows: IntArray,
-    p_AL: FloatArray,
-    X_AD: FloatArray,
-    starts: IntArray,
-    information: FloatArray,
-    on_error: FloatArray,
-    curvature: FloatArray,
-    slope: FloatArray,
+    keyframes: Keyframes,
+    on_errors: OnErrors,
     X_MN: FloatArray,
     p_ML: FloatArray,
     errors: FloatArray,
-    landmark_at: IntArray,
-    node_at: IntArray,
-    error_at: IntArray,
+    unknowns: Unknowns,
     gradient: FloatArray,
 ) -> float:
-    """Add the gradient of half the weighted squared error of k keyframes, and return that error. Arguments as in
-    `assemble_tag_errors`; where error_at is -1 tags have no errors."""
+    """Add the gradient of half the weighted squared error of k keyframes, and return that error. errors: as of
+    `assemble_tag_errors`."""
+    offsets, error_at = keyframes.offsets, unknowns.error_at
     total, begin, begin_own = 0.0, 0, 0
-    for k in range(len(X_AD)):
-        tags, W, error, on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+    for k in range(len(keyframes.X_AD)):
+        tags, W, error, on_A = _seen(k, keyframes, X_MN, p_ML)
         n, m = len(tags), len(error)
         weighted = W @ error
         total += float(error @ weighted)
-        back, at = _pulled_back(on_A, weighted.reshape(m, 1), X_MN[k, 2]), _unknowns(k, tags, landmark_at, node_at)
+        back, at = _pulled_back(on_A, weighted.reshape(m, 1), X_MN[k, 2]), _of_keyframe(k, tags, unknowns)
         for i in range(m + 3):
             if at[i] >= 0:
                 gradient[at[i]] += back[i, 0]
         if n > 0 and error_at[tags[0]] >= 0:
-            on = on_error[begin : begin + m * 2 * n].reshape(m, 2 * n)
-            told = curvature[begin_own : begin_own + 4 * n * n].reshape(2 * n, 2 * n)
+            on = on_errors.on_error[begin : begin + m * 2 * n].reshape(m, 2 * n)
+            told = on_errors.curvature[begin_own : begin_own + 4 * n * n].reshape(2 * n, 2 * n)
             pull = on.T @ weighted - told @ np.ascontiguousarray(errors[tags]).ravel()
             for i in range(n):
                 for f in range(2):
-                    gradient[error_at[tags[i]] + f] -= pull[2 * i + f] - slope[2 * (offsets[k] + i) + f]
+                    gradient[error_at[tags[i]] + f] -= pull[2 * i + f] - on_errors.slope[2 * (offsets[k] + i) + f]
         begin, begin_own = begin + m * 2 * n, begin_own + 4 * n * n
     return total
 
 
 @njit(cache=True)
 def tag_pulls(
-    offsets: IntArray,
-    rows: IntArray,
-    p_AL: FloatArray,
-    X_AD: FloatArray,
-    starts: IntArray,
-    information: FloatArray,
-    on_error: FloatArray,
-    curvature: FloatArray,
-    slope: FloatArray,
-    X_MN: FloatArray,
-    p_ML: FloatArray,
+    keyframes: Keyframes, on_errors: OnErrors, X_MN: FloatArray, p_ML: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """How hard k keyframes pull at the errors (n, 2) of each tag where these are zero, and the variance (n, 2) of that
-    where only noise does. Arguments as in `assemble_tag_errors`.
+    where only noise does.
 
     Of two keyframes that see a tag from the same side the place of the tag takes all; poses are taken to be known.
     """
     pull, variance = np.zeros_like(p_ML), np.zeros_like(p_ML)
     total, by_place, begin, begin_own = np.zeros((len(p_ML), 2, 2)), np.zeros((len(p_ML), 2, 2)), 0, 0
-    for k in range(len(X_AD)):
-        tags, W, error, _on_A = _seen(k, offsets, rows, p_AL, X_AD, starts, information, X_MN, p_ML)
+    for k in range(len(keyframes.X_AD)):
+        tags, W, error, _on_A = _seen(k, keyframes, X_MN, p_ML)
         n, weighted = len(tags), W @ error
         for i in range(n):
             row, x, y = tags[i], 2 * i, 2 * i + 1
@@ -334,13 +318,14 @@ def tag_pulls(
             total[row] += own
             on = np.empty((2, 2))
             for f in range(2):
-                on[0, f], on[1, f] = on_error[begin + 2 * n * x + x + f], on_error[begin + 2 * n * y + x + f]
+                on[0, f] = on_errors.on_error[begin + 2 * n * x + x + f]
+                on[1, f] = on_errors.on_error[begin + 2 * n * y + x + f]
             on = R @ on
             by_place[row] += own @ on
             for f in range(2):
-                pull[row, f] += slope[2 * offsets[k] + x + f]
+                pull[row, f] += on_errors.slope[2 * keyframes.offsets[k] + x + f]
                 pull[row, f] -= (R.T @ on)[0, f] * weighted[x] + (R.T @ on)[1, f] * weighted[y]
-                variance[row, f] += curvature[begin_own + (2 * n + 1) * (x + f)] + (on.T @ own @ on)[f, f]
+                variance[row, f] += on_errors.curvature[begin_own + (2 * n + 1) * (x + f)] + (on.T @ own @ on)[f, f]
         begin, begin_own = begin + len(error) * 2 * n, begin_own + 4 * n * n
     for row in range(len(p_ML)):
         taken = by_place[row].T @ np.linalg.solve(total[row], by_place[row])
@@ -350,19 +335,11 @@ def tag_pulls(
 
 
 @njit(cache=True)
-def _add_to_cells(
-    blocks: FloatArray,
-    cell: IntArray,
-    first: IntArray,
-    size: IntArray,
-    block_at: IntArray,
-    i: int,
-    j: int,
-    value: float,
-) -> None:
+def _add_to_cells(blocks: FloatArray, cells: InCells, i: int, j: int, value: float) -> None:
     """Add a value to an entry of the system, whose row is of no later cell than its column."""
-    row, column = cell[i], cell[j]
-    blocks[block_at[row, column] + (i - first[row]) * size[column] + j - first[column]] += value
+    row, column = cells.cell[i], cells.cell[j]
+    place = (i - cells.first[row]) * cells.size[column] + j - cells.first[column]
+    blocks[cells.block_at[row, column] + place] += value
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.dissection import Dissection, Front, dissected, eliminated, leaves, solution
 from tfg_drake.slam.factors import Factors, Linear, Solved, Values, at_errors, error_of_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.keyframe_kernels import assemble, assemble_tag_errors, batch_gradient
+from tfg_drake.slam.keyframe_kernels import InCells, Unknowns, assemble, assemble_tag_errors, batch_gradient
 from tfg_drake.slam.small_system import DAMPING_GROWTH, LEAST_DAMPING, MOST_DAMPING
 
 # So far values may move, m or rad, until the system is eliminated anew.
@@ -72,8 +72,8 @@ class Parts:
         """The same system with the gradient of other values or factors."""
         gradient, seen = np.zeros(self.dissection.size), at_errors(factors, values.errors)
         where = values.X_MN, values.p_ML, values.errors
-        at = self.landmark_at, self.node_at, self.error_at
-        error = batch_gradient(*seen.arrays, *factors.of_errors, *where, *at, gradient)
+        at = Unknowns(self.landmark_at, self.node_at, self.error_at)
+        error = batch_gradient(seen.keyframes, factors.on_errors, *where, at, gradient)
         if factors.tag_error.any():
             gradient[self.error_at[:, None] + [0, 1]] += values.errors * factors.tag_error**-2
         error += error_of_errors(factors, values.errors)
@@ -95,7 +95,7 @@ class _Batch:
 
     def __init__(self, factors: Factors, parts: Parts, values: Values) -> None:
         self.factors, self.parts, self.values = factors, parts, values
-        self.seen = at_errors(factors, values.errors).arrays
+        self.seen = at_errors(factors, values.errors).keyframes
         self.gradient, self.error = np.zeros(parts.dissection.size), 0.0
         self.poses = np.empty((len(factors.X_AD), 6, 6))
         # A variable that is left out has no unknown, not even after its first.
@@ -107,16 +107,16 @@ class _Batch:
         parts, values, f = self.parts, self.values, len(front.unknowns)
         blocks, gradient, one = np.zeros(f * f), np.zeros(f), np.zeros(1, dtype=np.int64)
         self.entry[front.unknowns] = np.arange(f)
-        at, of_error = (self.entry[parts.landmark_at], self.entry[parts.node_at]), self.entry[parts.error_at]
+        at = Unknowns(self.entry[parts.landmark_at], self.entry[parts.node_at], self.entry[parts.error_at])
         self.entry[front.unknowns] = -2
-        cells = np.zeros(f, dtype=np.int64), one, np.array([f]), one[:, None]
+        cells = InCells(np.zeros(f, dtype=np.int64), one, np.array([f]), one[:, None])
         where = values.X_MN, values.p_ML
-        error, poses = assemble(front.keyframes, *self.seen, *where, *at, *cells, blocks, gradient)
+        error, poses = assemble(front.keyframes, self.seen, *where, at, cells, blocks, gradient)
         if self.factors.tag_error.any():
-            seen, errors = (*self.seen, *self.factors.of_errors), values.errors
-            assemble_tag_errors(front.keyframes, *seen, *where, errors, *at, of_error, *cells, blocks, gradient)
-            rows = np.flatnonzero((of_error >= 0) & self.no_prior)
-            own, prior = of_error[rows][:, None] + [0, 1], self.factors.tag_error**-2
+            seen = self.seen, self.factors.on_errors
+            assemble_tag_errors(front.keyframes, *seen, *where, values.errors, at, cells, blocks, gradient)
+            rows = np.flatnonzero((at.error_at >= 0) & self.no_prior)
+            own, prior = at.error_at[rows][:, None] + [0, 1], self.factors.tag_error**-2
             blocks[own * (f + 1)] += prior
             gradient[own] += prior * values.errors[rows]
             self.no_prior[rows] = False

@@ -80,7 +80,7 @@ def solve(
     if tag_error.any():
         tag_error = learnt(tag_error, values.errors[local], of_errors)
     else:
-        tag_error = suspected(*tag_pulls(*factors.arrays, *factors.of_errors, values.X_MN, values.p_ML))
+        tag_error = suspected(*tag_pulls(factors.keyframes, factors.on_errors, values.X_MN, values.p_ML))
     yaw = graph.yaw
     if any(one.on_yaw.any() for one in graph.keyframes):
         yaw, on_yaw = _yaw(graph, factors, system, linear, values)

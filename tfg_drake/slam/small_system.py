@@ -15,7 +15,7 @@ import scipy.linalg
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.factors import Factors, Linear, Solved, Values, at_errors, error_of_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.keyframe_kernels import assemble, assemble_tag_errors
+from tfg_drake.slam.keyframe_kernels import InCells, Unknowns, assemble, assemble_tag_errors
 
 # Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
 # time. The first holds what hangs on nothing by 100 m, or rad.
@@ -30,8 +30,8 @@ CELL = 48
 class Cells:
     """Where the unknowns are: landmarks and nodes near each other make a cell; the first `kept` cells are kept.
 
-    Arrays as in `keyframe_kernels.assemble`, error_at as in `assemble_tag_errors`, -1 where tags have none. pairs: (p,
-    2) cells that share a keyframe, bounds: (p + 1,) of their blocks. dense: unknowns kept.
+    Arrays as in `keyframe_kernels.Unknowns` and `InCells`. pairs: (p, 2) cells that share a keyframe, bounds: (p + 1,)
+    of their blocks. dense: unknowns kept.
     """
 
     landmark_at: IntArray
@@ -137,13 +137,13 @@ def cells_of(graph: KeyframeGraph, factors: Factors, node: int) -> Cells:
 def _linearised(factors: Factors, cells: Cells, values: Values) -> tuple[FloatArray, FloatArray, float, FloatArray]:
     """Blocks and gradient (u,) at some values, the weighted squared error there, and the blocks of the poses."""
     blocks, gradient = np.zeros(cells.bounds[-1]), np.zeros(len(cells.cell))
-    seen, of_cells = at_errors(factors, values.errors).arrays, (cells.cell, cells.first, cells.size, cells.block_at)
-    at, keyframes = (cells.landmark_at, cells.node_at), np.arange(len(factors.X_AD))
-    error, poses = assemble(keyframes, *seen, values.X_MN, values.p_ML, *at, *of_cells, blocks, gradient)
+    seen, every = at_errors(factors, values.errors).keyframes, np.arange(len(factors.X_AD))
+    at = Unknowns(cells.landmark_at, cells.node_at, cells.error_at)
+    in_cells = InCells(cells.cell, cells.first, cells.size, cells.block_at)
+    error, poses = assemble(every, seen, values.X_MN, values.p_ML, at, in_cells, blocks, gradient)
     if factors.tag_error.any():
-        everywhere = *at, cells.error_at
         where = values.X_MN, values.p_ML, values.errors
-        assemble_tag_errors(keyframes, *seen, *factors.of_errors, *where, *everywhere, *of_cells, blocks, gradient)
+        assemble_tag_errors(every, seen, factors.on_errors, *where, at, in_cells, blocks, gradient)
         own, prior = cells.error_at[:, None] + [0, 1], factors.tag_error**-2
         cell = cells.cell[own]
         entry = own - cells.first[cell]
