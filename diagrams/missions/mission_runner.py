@@ -83,8 +83,9 @@ class MissionRunner:
         kernels: Compilation | None = None,
         monitor: Callable[[Context], EventStatus] | None = None,
     ) -> None:
-        """Simulate until the mission ends, for a reason. write, monitor: as for `Mission.begin`. keep: called now and
-        then, to keep what there is; what it or `write` raises ends the mission. kernels: as for `explore`."""
+        """Simulate until the mission ends, and note its outcome and the reason. write, monitor: as for `Mission.begin`.
+        keep: called now and then, to keep what there is; what it or `write` raises ends the mission. kernels: as for
+        `explore`."""
         mission, step = self._mission, REAL_STEP if self._mission.robot.real else STEP
         self._wall_start = time.monotonic()
         try:
@@ -104,8 +105,8 @@ class MissionRunner:
                     keep()
                 self._tell()
             if not terminated:
-                # A mission that ends by itself does all that is due at its last instant; so that a recording of any
-                # gives the same once more, whatever ended it then and ends it now, so does every other.
+                # A mission that ends by itself has done all that was due at its last instant. One that is ended from
+                # outside does it here, so that a replay of its recording comes to the same.
                 mission.simulator.AdvancePendingEvents()
                 mission.observe()
             mission.say(f"{mission.outcome.replace('_', ' ')}: solving the whole map")
@@ -123,8 +124,11 @@ class MissionRunner:
             self._tell()
 
     def _advance(self, boundary: float) -> bool:
-        """Simulates up to a time, s, or less when interrupted; whether the mission has ended by itself. Whoever looks
-        on may hold the clock meanwhile or change its speed, at instants that change nothing."""
+        """Simulates up to a time, s, or less when interrupted; whether the mission has ended by itself.
+
+        Meanwhile somebody at the page may hold the clock or change its speed. The instants at which that is looked for
+        change nothing of the mission.
+        """
         mission, page = self._mission, self._cockpit
         while mission.time < boundary and not self._interrupted.is_set():
             ahead = math.inf
@@ -139,7 +143,7 @@ class MissionRunner:
         return False
 
     def _is_held(self, clock: Clock) -> bool:
-        """Does what is wanted of the clock, waiting while it is held; whether somebody has interrupted it then."""
+        """Sets the clock as the page wants it, and waits while it is held; whether the mission was interrupted then."""
         mission = self._mission
         clock.at_stage(mission.stage_now())
         if clock.version == self._clock_version:
@@ -154,7 +158,7 @@ class MissionRunner:
         return self._interrupted.is_set()
 
     def _pace(self, kernels: Compilation) -> bool:
-        """Goes as slowly as it takes that all kernels are there before the first look is over; whether they are."""
+        """Slows the mission down so that all kernels are there when its first look is over; whether they are."""
         mission, ended, rate = self._mission, kernels.ended, self._rate
         if not ended:
             left = mission.scenario.explorer.first_look - mission.time

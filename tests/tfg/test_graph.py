@@ -31,6 +31,7 @@ from tfg_drake.tfg.graph import (
 )
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import sample
+from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import EDGE, END, LOOSE
 
 # Seven views that see all of the two rooms.
@@ -429,8 +430,8 @@ def test_a_frontier_is_explored_half_a_metre_inside_of_what_another_arm_saw(two_
     square = np.array([[1.0, 1.0], [5.0, 1.0], [5.0, 5.0], [1.0, 5.0]])
     p, outward = np.array([[4.6, 3.0], [4.4, 3.0], [5.2, 3.0]]), np.tile([-1.0, 0.0], (3, 1))
     points = place_points(points_of(0, p, outward, np.ones(3)), np.zeros((1, 3)))
-    star = np.array([0, 4]), square, np.array([[3.0, 3.0]])
-    assert _explored(points, star, two_rooms.estimate).tolist() == [False, True, False]
+    stars = Stars(np.array([0, 4]), square, np.array([[3.0, 3.0]]))
+    assert _explored(points, stars, two_rooms.estimate).tolist() == [False, True, False]
 
 
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:

@@ -8,6 +8,7 @@ from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.drift import MOST_DRIFT
 from tfg_drake.tfg.overlap import SWING, distance_along_map, standing, weakly_tied
+from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import Surfaces
 
 # Views on the corners of a square of 4 m and a fifth beyond the first; landmarks in the middle and beside the fifth.
@@ -57,13 +58,9 @@ def test_of_two_surfaces_in_each_others_way_that_stands_whose_view_is_tied_more_
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     star_view = np.array([0, 2, 4])
     centers = X_MA[star_view, :2]
-    stars = (
-        frozen(4 * np.arange(4), np.int64),
-        np.vstack([centers[0] + 2.0 * square, centers[1] + 2.0 * square, centers[2] + 0.1 * square]),
-    )
-    stand = standing(
-        surfaces, surfaces.vertices.copy(), np.array([7]), np.array([2]), (*stars, centers), star_view, estimate
-    )
+    vertices = np.vstack([centers[0] + 2.0 * square, centers[1] + 2.0 * square, centers[2] + 0.1 * square])
+    stars = Stars(frozen(4 * np.arange(4), np.int64), vertices, centers)
+    stand = standing(surfaces, surfaces.vertices.copy(), np.array([7]), np.array([2]), stars, star_view, estimate)
     np.testing.assert_array_equal(stand, [*expected, True, True])
 
 

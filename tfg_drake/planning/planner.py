@@ -130,8 +130,8 @@ def step(
 ) -> PlannerState:
     """The state after one look at the newest messages; the same object where nothing changed.
 
-    whole: map and TFG with nothing left out, asked for where the goal lies outside the part that is worked on, or only
-    a way longer than that reaches leads to it.
+    whole: returns the whole map and TFG. It is called only where the goal lies outside the part that is worked on, or
+    where no way within that part leads to it.
     """
     estimate, tfg = working.estimate, working.tfg
     if len(state.obstacles) and scan.stamp > state.look_stamp:
@@ -167,8 +167,8 @@ def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
 def _length(driven: FloatArray, p_MD: FloatArray) -> float:
     """Length, m, of the way driven (d, 2), m in M, from where one observation ended to where (2,) the next did.
 
-    The way during a glance comes first in it and was counted at the end of the stage before; what is not noted at the
-    end is a step at most, and where it is more, the robot was kidnapped.
+    `driven` begins with the way during the last glance, which was counted then and is left out. Its last point lies at
+    most a step before the end of the way; where it lies farther off, the robot was kidnapped, and a step is counted.
     """
     if not len(driven):
         return 0.0

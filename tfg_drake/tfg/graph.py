@@ -50,9 +50,10 @@ from tfg_drake.tfg.frontier import (
 from tfg_drake.tfg.overlap import WeaklyTied, nothing_weakly_tied, standing, weakly_tied
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
-from tfg_drake.tfg.polyline import segments_of, taken
+from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import Components, panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
+from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
 from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
 
 # Attempts from within this distance of each other count for the same frontier point, m.
@@ -192,18 +193,18 @@ def update(
     star = star_polygon(panorama)
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
     star_vertices = np.concatenate([graph.star_vertices, star])
-    stars = _place_stars(star_offsets, star_vertices, X_MA if views is None else X_MA[np.append(views, view)])
+    stars = placed_stars(star_offsets, star_vertices, X_MA if views is None else X_MA[np.append(views, view)])
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
     weak, seen = nothing_weakly_tied(surfaces, estimate), stars
     if views is not None and len(views) < view:
         weak = weakly_tied(surfaces, tag_ids, tag_view, estimate)
-        seen = _of_views(stars, ~weak.views[np.append(views, view)])
+        seen = some_stars(stars, ~weak.views[np.append(views, view)])
     newest = _Newest(
         estimate,
         tags,
         segments=segments_of(surfaces.offsets, placed)[0],
-        star=_place_stars(np.array([0, len(star)]), star, X_MA[view:]),
+        star=placed_stars(np.array([0, len(star)]), star, X_MA[view:]),
         stars=seen,
         weak=weak.views,
         reach=reach,
@@ -236,25 +237,26 @@ class _Newest:
     """What the newest view of the estimate changes of the frontiers, in M.
 
     segments: (s, 4) of the surfaces, the newest included, m. star: the newest view's, stars: of all views that say
-    something of the robot's surroundings; offsets, vertices and centers each. weak: (k,) which views are weakly tied.
+    something of the robot's surroundings. weak: (k,) which views are weakly tied.
     reach: m round the newest view, see `update`.
     """
 
     estimate: MapEstimate
     tags: TagSensorConfig
     segments: FloatArray
-    star: tuple[IntArray, FloatArray, FloatArray]
-    stars: tuple[IntArray, FloatArray, FloatArray]
+    star: Stars
+    stars: Stars
     weak: BoolArray
     reach: float
 
     def free_space_frontiers(
         self, old: FrontierPoints, p: FloatArray, normal: FloatArray, length: FloatArray
     ) -> FrontierPoints:
-        """The old ones that it has not covered, and those that it found, p and normal (f, 2) in A, length (f,) m."""
+        """The old frontiers that the view has not covered, and those that it found: p and normal (f, 2) in A, length
+        (f,) m."""
 
         def open_still(points: FrontierPoints) -> BoolArray:
-            explored = inside_any(points.p, *self.star[:2]) | _explored(points, self.stars, self.estimate)
+            explored = inside_any(points.p, *self.star.polygons) | _explored(points, self.stars, self.estimate)
             return self._theirs(points) | ~explored
 
         return _merge(
@@ -262,12 +264,13 @@ class _Newest:
             points_of(self._view, p, normal, length),
             self.estimate.X_MA,
             open_still,
-            lambda points: ~inside_any(points.p, *self.stars[:2]),
+            lambda points: ~inside_any(points.p, *self.stars.polygons),
             lambda old, new: far_from(new.p, old.p[~self._theirs(old)], SAME_FRONTIER),
         )
 
     def uninspected(self, old: FrontierPoints, components: Components) -> FrontierPoints:
-        """The old ones that it has not inspected, and those on the components of its panorama that no view has."""
+        """The old points that the view has not inspected, and those on the components of its panorama that no view
+        has."""
         p, normal = find_uninspected(components, self.tags.range, self.tags.max_incidence - SLANT_KNOWN)
         return _merge(
             old,
@@ -279,7 +282,7 @@ class _Newest:
         )
 
     def unseen_faces(
-        self, offsets: IntArray, placed: FloatArray, stars: tuple[IntArray, FloatArray, FloatArray]
+        self, offsets: IntArray, placed: FloatArray, stars: Stars
     ) -> tuple[FrontierPoints, FrontierPoints]:
         """The unseen backs and the open ends of surfaces placed in M; stars: of all views."""
 
@@ -287,8 +290,8 @@ class _Newest:
         def drift(p: FloatArray, normal: FloatArray) -> FloatArray:
             return drift_between(p, normal, self.estimate)
 
-        backs = find_unseen_backs(offsets, placed, stars[:2], drift)
-        ends = find_open_ends(offsets, placed, stars[:2])
+        backs = find_unseen_backs(offsets, placed, stars.polygons, drift)
+        ends = find_open_ends(offsets, placed, stars.polygons)
         return self._on_surface(*backs, UNINSPECTED_SPACING), self._on_surface(*ends, END_LENGTH)
 
     def near(self, points: FrontierPoints) -> BoolArray:
@@ -316,7 +319,7 @@ class _Newest:
         """Which points weakly tied views have found."""
         return self.weak[points.view]
 
-    def _not_inspected(self, stars: tuple[IntArray, FloatArray, FloatArray], points: FrontierPoints) -> BoolArray:
+    def _not_inspected(self, stars: Stars, points: FrontierPoints) -> BoolArray:
         front = in_front(points.p, points.normal, self.segments, UNINSPECTED_LIFT)
         return np.asarray(~inspected(front, points.normal, *stars, self.tags.range, self.tags.max_incidence))
 
@@ -335,7 +338,7 @@ def _without_dynamic(
 
     earlier: (k, 3) poses in M of the views that the graph holds the stars of.
     """
-    stars, X_MA = _place_stars(graph.star_offsets, graph.star_vertices, earlier), estimate.X_MA
+    stars, X_MA = placed_stars(graph.star_offsets, graph.star_vertices, earlier), estimate.X_MA
     before = place_points(graph.met, X_MA).p
     static = without_dynamic(panorama, stars, estimate, before[graph.met_stamp <= estimate.stamp - STAYS])
     if not (len(before) or len(static.left_out)):
@@ -394,9 +397,9 @@ def resolve(
         frontiers=frontier.p,
         frontier_length=frontier.length,
         frontier_normal=frontier.normal,
-        star_offsets=placed.stars[0],
-        star_vertices=placed.stars[1],
-        star_centers=placed.stars[2],
+        star_offsets=placed.stars.offsets,
+        star_vertices=placed.stars.vertices,
+        star_centers=placed.stars.centers,
         given_up=given_up.p,
         given_up_length=given_up.length,
         given_up_normal=given_up.normal,
@@ -434,7 +437,7 @@ class _Placed:
     pieces: FloatArray
     owner: IntArray
     stand: BoolArray
-    stars: tuple[IntArray, FloatArray, FloatArray]
+    stars: Stars
     weakly_tied: WeaklyTied
 
     @functools.cached_property
@@ -451,7 +454,7 @@ class _Placed:
 def _placed(graph: TfgGraph, estimate: MapEstimate, views: IntArray | None) -> _Placed:
     """The graph placed; views: (k,) those that it holds the stars of, if it is a part of one."""
     of_view = np.arange(graph.stage) if views is None else views
-    stars = _place_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_view])
+    stars = placed_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_view])
     vertices = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, vertices)
     stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_view, stars, of_view, estimate)
@@ -483,15 +486,13 @@ def _live_frontiers(
     return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
-def _explored(
-    points: FrontierPoints, stars: tuple[IntArray, FloatArray, FloatArray], estimate: MapEstimate
-) -> BoolArray:
+def _explored(points: FrontierPoints, stars: Stars, estimate: MapEstimate) -> BoolArray:
     """Which frontier points (f,) are explored, because another arm of a closed loop has seen free space there: the
     point and the place MOST_DRIFT behind it lie inside the stars, and the landmarks there are known jointly."""
-    explored = inside_any(points.p, *stars[:2])
+    explored = inside_any(points.p, *stars.polygons)
     inside = select(points, explored)
     behind = inside.p - MOST_DRIFT * inside.normal
-    explored[explored] = inside_any(behind, *stars[:2]) & known_jointly(inside.p, estimate)
+    explored[explored] = inside_any(behind, *stars.polygons) & known_jointly(inside.p, estimate)
     return np.asarray(explored)
 
 
@@ -560,26 +561,6 @@ def _update_facing(
     distance[better] = new_distance[better]
     has = tag_view >= 0
     return ids[has], tag_view[has], facing[has], distance[has]
-
-
-def _of_views(
-    stars: tuple[IntArray, FloatArray, FloatArray], which: BoolArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The stars of some (k,) of the views."""
-    if which.all():
-        return stars
-    rows = np.flatnonzero(which)
-    return *taken(rows, *stars[:2]), stars[2][rows]
-
-
-def _place_stars(
-    star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """star_offsets, star_vertices and star_centers in the map frame; X_MA: (k, 3), a row a star."""
-    pose = np.repeat(X_MA, np.diff(star_offsets), axis=0)
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    x, y = star_vertices[:, 0], star_vertices[:, 1]
-    return star_offsets, pose[:, :2] + np.stack([c * x - s * y, s * x + c * y], axis=1), X_MA[:, :2].copy()
 
 
 def _merge(

@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 from tfg_drake.geometry.star import looked_through
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_from_robot
+from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import Surfaces
 
 # A surface has drifted if it lies this deep, m, in the free space of a view at most this far away, m, that did not look
@@ -36,7 +37,7 @@ def standing(
     vertices: FloatArray,
     tag_ids: IntArray,
     tag_view: IntArray,
-    stars: tuple[IntArray, FloatArray, FloatArray],
+    stars: Stars,
     star_view: IntArray,
     estimate: MapEstimate,
 ) -> BoolArray:
@@ -46,7 +47,7 @@ def standing(
     the map, than the surface's own view (see `distance_along_map`).
 
     vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_view: (n,) landmarks and a view that saw each.
-    stars: as in `tfg_drake.geometry.star.inside_any`, in the map frame, star_view: (k,) the view of each.
+    stars: in the map frame, star_view: (k,) the view of each.
     """
     count, none = len(surfaces.view), np.zeros(len(star_view))
 

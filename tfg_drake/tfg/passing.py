@@ -23,6 +23,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, rep
 from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import pack, taken
+from tfg_drake.tfg.stars import Stars
 
 # A dynamic body has points this deep in free space, m, over at least this width, m: a post may have been missed. Points
 # next to them belong to it while they are SHALLOW deep, m.
@@ -66,26 +67,25 @@ class StaticPanorama:
 
 def without_dynamic(
     panorama: Panorama,
-    stars: tuple[IntArray, FloatArray, FloatArray],
+    stars: Stars,
     estimate: MapEstimate,
     before: FloatArray,
 ) -> StaticPanorama:
     """The newest view's panorama without dynamic bodies.
 
     It is compared with those earlier views round which all landmarks are well known relative to the robot. stars: of
-    the earlier views, in the map frame, as in `tfg_drake.geometry.star`. before: (n, 2) m in M, the points that were
-    left out at least STAYS ago.
+    the earlier views, in the map frame. before: (n, 2) m in M, the points that were left out at least STAYS ago.
     """
     unchanged = StaticPanorama(panorama, np.zeros((0, 2)), [])
     here = estimate.X_MA[-1]
-    rows = np.flatnonzero(np.hypot(*(stars[2] - here[:2]).T) <= REACH)
-    rows = rows[_well_known(stars[2][rows], estimate)]
+    rows = np.flatnonzero(np.hypot(*(stars.centers - here[:2]).T) <= REACH)
+    rows = rows[_well_known(stars.centers[rows], estimate)]
     if not len(rows):
         return unchanged
-    offsets, vertices = taken(rows, stars[0], stars[1])
+    offsets, vertices = taken(rows, *stars.polygons)
     met = replace(panorama, ranges=np.where(np.isfinite(panorama.ranges), panorama.ranges, np.nan))
     points = met.points
-    passing = _passing(transform(here, points), offsets, vertices, stars[2][rows])
+    passing = _passing(transform(here, points), offsets, vertices, stars.centers[rows])
     if not passing.any():
         return unchanged
     bodies = []
