@@ -15,6 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.least_squares import MOST_STEPS, Rows, cost, minimise
 
@@ -182,8 +183,7 @@ def in_body(X_MB: FloatArray, p_M: FloatArray) -> tuple[FloatArray, FloatArray, 
 
 def in_map(X_MB: FloatArray, p_B: FloatArray) -> FloatArray:
     """p_M (n, 2) of points p_B (n, 2), each in the frame of its pose (n, 3)."""
-    c, s = np.cos(X_MB[:, 2]), np.sin(X_MB[:, 2])
-    return np.asarray(X_MB[:, :2] + np.column_stack([c * p_B[:, 0] - s * p_B[:, 1], s * p_B[:, 0] + c * p_B[:, 1]]))
+    return np.asarray(X_MB[:, :2] + turned(p_B, X_MB[:, 2]))
 
 
 def _at(rows: IntArray, width: int) -> IntArray:

@@ -17,6 +17,7 @@ from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, enter
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
+from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 from tfg_drake.tfg.drift import DRIFT_SIGMAS
 from tfg_drake.tfg.panorama import Panorama
@@ -116,14 +117,8 @@ def join(*parts: FrontierPoints) -> FrontierPoints:
 def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
     """The points in the map frame, with the views' poses X_MA (k, 3)."""
     pose = X_MA[points.view]
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-
-    def turn(v: FloatArray) -> FloatArray:
-        return np.stack([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]], axis=1)
-
-    return FrontierPoints(
-        points.view, pose[:, :2] + turn(points.p), turn(points.normal), points.length, points.on_surface, points.id
-    )
+    p, normal = pose[:, :2] + turned(points.p, pose[:, 2]), turned(points.normal, pose[:, 2])
+    return FrontierPoints(points.view, p, normal, points.length, points.on_surface, points.id)
 
 
 def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tuple[FloatArray, FloatArray, FloatArray]:

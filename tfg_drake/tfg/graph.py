@@ -20,6 +20,7 @@ from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig, TagSensor
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
+from tfg_drake.geometry.turned import turned
 from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
@@ -526,10 +527,7 @@ def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
     """The side each of graph.tag_ids faces, in the map frame (n, 2)."""
-    theta = X_MA[graph.tag_view, 2]
-    c, s = np.cos(theta), np.sin(theta)
-    x, y = graph.tag_facing[:, 0], graph.tag_facing[:, 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+    return turned(graph.tag_facing, X_MA[graph.tag_view, 2])
 
 
 def _update_facing(

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.tfg.polyline import taken
 
@@ -26,9 +27,7 @@ class Stars(NamedTuple):
 def placed_stars(offsets: IntArray, vertices: FloatArray, X_MA: FloatArray) -> Stars:
     """Stars whose vertices are in the frames of their views, in the map frame; X_MA: (k, 3), a row a star."""
     pose = np.repeat(X_MA, np.diff(offsets), axis=0)
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    x, y = vertices[:, 0], vertices[:, 1]
-    return Stars(offsets, pose[:, :2] + np.stack([c * x - s * y, s * x + c * y], axis=1), X_MA[:, :2].copy())
+    return Stars(offsets, pose[:, :2] + turned(vertices, pose[:, 2]), X_MA[:, :2].copy())
 
 
 def some_stars(stars: Stars, which: BoolArray) -> Stars:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, WorkingMap, replace
 from tfg_drake.tfg import graph as tfg_graph
 from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
@@ -141,13 +142,7 @@ def anchored(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
     placed = place_points(points, X_MA)
     _, view = cKDTree(X_MA[:, :2]).query(placed.p)
     d, theta = placed.p - X_MA[view, :2], X_MA[view, 2]
-    return replace(points, view=np.asarray(view), p=_turned(d, -theta), normal=_turned(placed.normal, -theta))
-
-
-def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
-    """Vectors (n, 2), each turned by its angle (n,), rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]], axis=1)
+    return replace(points, view=np.asarray(view), p=turned(d, -theta), normal=turned(placed.normal, -theta))
 
 
 def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
