@@ -108,8 +108,7 @@ def read_drive(path: Path) -> tuple[Pressed, ...]:
             drive.append(Pressed(float(time), key))
         except ValueError:
             key = ""
-        if not (key in KEYS.values() or _pushed(key) or place_sent(key)) or (
-            len(drive) > 1 and not drive[-1].time >= drive[-2].time
-        ):
+        known = key in KEYS.values() or _pushed(key) or place_sent(key)
+        if not known or (len(drive) > 1 and not drive[-1].time >= drive[-2].time):
             raise DriveError(f"{path}, line {number}: expected a time, not before the last, and a key; mend the line")
     return tuple(drive)
