@@ -184,9 +184,8 @@ class TimelineRecorder(LeafSystem):
             told["sent"] = message.reason == REASON
             write("goal", now, there, **told)
             if roadmap is not None:
-                layer = dict(scene.gains(message, roadmap))
-                layer["share"] = np.rint(255.0 * layer["share"]).astype(np.uint8)
-                write("gains", now, layer, explained=scene.explained(message, roadmap), stage=message.stage)
+                told = {"explained": scene.explained(message, roadmap), "stage": message.stage}
+                self._WriteRows("gains", now, tables.gains(message, roadmap), **told)
         elif name == "path":
             write("path", now, scene.path(message))
         elif name == "grid":

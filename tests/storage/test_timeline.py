@@ -42,6 +42,7 @@ def test_what_is_read_is_what_was_written_to_the_millimetre(tmp_path):
 
 
 def test_a_table_is_read_whole_and_lines_of_many_points_to_the_centimetre(tmp_path):
+    far = np.array([[-500.0, 0.0, 500.0, 0.25], [500.0, 0.25, -500.0, 0.0]])
     points, ids = np.array([[-1e3, 2.0], [400.004, 3.5], [0.0, 0.0]]), np.array([1, 2, 3])
     with TimelineWriter(tmp_path / FILE_NAME) as writer:
         writer.write_rows("map", 1.0, Table({"points": points, "ids": ids}, points, points, ids), stage=1)
@@ -49,7 +50,9 @@ def test_a_table_is_read_whole_and_lines_of_many_points_to_the_centimetre(tmp_pa
         writer.write_rows("map", 2.0, Table({"points": points, "ids": ids[1:]}, points, points, ids[1:]), stage=2)
         writer.write_rows("map", 3.0, Table({"points": points[:0], "ids": ids[:0]}, points[:0], points[:0], ids[:0]))
         writer.write("scan", 3.0, {"points": points})
-    one, two, none, scan = read_timeline(tmp_path)
+        writer.write("path", 3.0, {"segments": far})
+    one, two, none, scan, path = read_timeline(tmp_path)
+    np.testing.assert_allclose(path.arrays["segments"], far)
     np.testing.assert_allclose(one.arrays["points"], [[-1e3, 2.0], [400.004, 3.5], [0.0, 0.0]])
     assert (one.arrays["ids"].tolist(), dict(one.told)) == ([1, 2, 3], {"stage": 1})
     np.testing.assert_allclose(two.arrays["points"], [[400.004, 3.5], [9.0, 9.0]])

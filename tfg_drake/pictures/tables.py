@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene
 from tfg_drake.storage.rows import Table
 
@@ -14,6 +14,8 @@ POSITION = 0.01
 NODE = 0.05
 # Of a variance's logarithm, that is a tenth of a standard deviation; of a correlation; of a unit vector's components.
 VARIANCE, CORRELATION, DIRECTION = 0.2, 0.2, 0.05
+# Of the most gain: a fifth of the way from one shade to the next.
+SHARE = 0.04
 # Added to variances, m^2: below a tenth of a millimetre they are all alike.
 LEAST = 1e-8
 
@@ -59,6 +61,14 @@ def edges(roadmap: Roadmap) -> Table:
     ends = roadmap.node_ids(roadmap.edges)
     places = np.zeros((len(ends), 2))  # All of a roadmap is told at once.
     return Table({"edges": ends}, places, np.zeros((len(ends), 0)), (ends[:, 0] << 32) + ends[:, 1])
+
+
+def gains(choice: GoalChoice, roadmap: Roadmap) -> Table:
+    """points: (c, 2) m, of the candidates. share: (c,) of the most gain, of 255."""
+    layer, ids = scene.gains(choice, roadmap), choice.candidates[roadmap.nodes(choice.candidates) >= 0]
+    values = np.column_stack([layer["points"] / NODE, layer["share"] / SHARE])
+    arrays = {"points": layer["points"], "share": np.rint(255.0 * layer["share"]).astype(np.uint8)}
+    return Table(arrays, layer["points"], values, ids)
 
 
 def _middles(segments: FloatArray) -> FloatArray:

@@ -4,8 +4,8 @@ The file is MAGIC and then blocks: the length of a block (uint32), and so many b
 records. A record is the length of its header (uint32), the header (JSON, filled up with spaces), and its arrays one
 behind the other; all lengths are multiples of 4, all numbers little-endian. The header has "t", the simulated time, s,
 "layer", the record's name, "arrays", a list of [name, type, shape], and whatever else is told. An array's type is "f4"
-(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or, of what is metres to whoever reads it, "mm" or "cm": int32,
-millimetres or, column by column, by how many centimetres each row differs from the one before.
+(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or, of what is metres to whoever reads it, "mm": millimetres, int32,
+"c2" or "c4": column by column, by how many centimetres each row differs from the one before, int16 or int32.
 
 A record says what a layer is like from its time on, until there is another one of that layer; those of the layer "free"
 name the star polygons that have changed. Where a record has an array "gone", the layer is a table, and the record says
@@ -44,6 +44,7 @@ COARSE = ("scan", "free", "path")
 # zlib's: the quickest; more takes twice the time and saves a twentieth.
 COMPRESSION = 1
 
+_NUMBERS = {"mm": "<i4", "c2": "<i2", "c4": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}
 _LENGTH = struct.Struct("<I")
 _log = logging.getLogger("tfg_drake.storage.timeline")
 
@@ -79,7 +80,9 @@ def encoded(layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: M
 
 def _packed(array: NDArray[Any], coarse: bool) -> tuple[str, NDArray[Any]]:
     if array.dtype == np.float64 and coarse:
-        return "cm", np.diff(np.rint(100.0 * array), axis=0, prepend=0.0).T.astype("<i4")
+        steps = np.diff(np.rint(100.0 * array), axis=0, prepend=0.0).T
+        kind = "c2" if np.abs(steps).max(initial=0.0) < 2**15 else "c4"
+        return kind, steps.astype(_NUMBERS[kind])
     if array.dtype == np.float64:
         return "mm", np.rint(1000.0 * array).astype("<i4")
     if array.dtype == np.float32:
@@ -211,11 +214,10 @@ def _records(block: bytes) -> Iterator[Record]:
         start += 4 + length
         arrays = {}
         for name, kind, shape in header["arrays"]:
-            entries = np.dtype({"mm": "<i4", "cm": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}[kind])
-            array = np.frombuffer(block, entries, math.prod(shape), start)
+            array = np.frombuffer(block, np.dtype(_NUMBERS[kind]), math.prod(shape), start)
             start += array.nbytes + -array.nbytes % 4
-            if kind == "cm":
-                arrays[name] = 1e-2 * np.cumsum(array.reshape(shape[::-1]), axis=1).T
+            if kind in ("c2", "c4"):
+                arrays[name] = 1e-2 * np.cumsum(array.reshape(shape[::-1]), axis=1, dtype=np.int64).T
             else:
                 arrays[name] = (1e-3 * array if kind == "mm" else array).reshape(shape)
         told = {key: value for key, value in header.items() if key not in ("t", "layer", "arrays")}

@@ -1,7 +1,15 @@
 // The timeline, see tfg_drake/storage/timeline.py: read as it comes, kept as it is told.
 
 const MAGIC = 24;
-const TYPES = { mm: Int32Array, cm: Int32Array, i4: Int32Array, f4: Float32Array, u2: Uint16Array, u1: Uint8Array };
+const TYPES = {
+  mm: Int32Array,
+  c2: Int16Array,
+  c4: Int32Array,
+  i4: Int32Array,
+  f4: Float32Array,
+  u2: Uint16Array,
+  u1: Uint8Array,
+};
 
 async function inflated(block) {
   return new Response(new Blob([block]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
@@ -152,8 +160,8 @@ function own(record) {
   for (const [name, type, shape] of record.told.arrays) {
     const count = shape.reduce((a, b) => a * b, 1);
     const array = new TYPES[type](record.buffer, start, count);
-    found[name] =
-      type === "mm" ? Float32Array.from(array, (value) => 1e-3 * value) : type === "cm" ? summed(array, shape) : array;
+    if (type === "mm") found[name] = Float32Array.from(array, (value) => 1e-3 * value);
+    else found[name] = type[0] === "c" ? summed(array, shape) : array;
     start += array.byteLength + ((4 - (array.byteLength % 4)) % 4);
   }
   // Only what is small is kept: the whole of a long mission would not fit.
