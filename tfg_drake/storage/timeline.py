@@ -4,8 +4,8 @@ The file is MAGIC and then blocks: the length of a block (uint32), and so many b
 records. A record is the length of its header (uint32), the header (JSON, filled up with spaces), and its arrays one
 behind the other; all lengths are multiples of 4, all numbers little-endian. The header has "t", the simulated time, s,
 "layer", the record's name, "arrays", a list of [name, type, shape], and whatever else is told. An array's type is "f4"
-(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or, of what is metres to whoever reads it, "mm": millimetres, int32,
-"c2" or "c4": column by column, by how many centimetres each row differs from the one before, int16 or int32.
+(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or, of what is metres to whoever reads it, "mm" (int32),
+millimetres, "c2" (int16) or "c4" (int32), column by column, by how many centimetres each row differs from the last.
 
 A record says what a layer is like from its time on, until there is another one of that layer; those of the layer "free"
 name the star polygons that have changed. Where a record has an array "gone", the layer is a table, and the record says
