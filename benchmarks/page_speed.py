@@ -28,7 +28,8 @@ from tfg_drake.cockpit.browser import SEEK, open_browser, wait_for_page
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
-from tfg_drake.pictures.scene import Near
+from tfg_drake.pictures.tables import POSITION
+from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.storage.timeline import TimelineWriter
 
 ROOM = 6.0  # m, of a wall
@@ -36,6 +37,7 @@ TAGS = 20  # of a room
 RATE = 8.0  # poses a second
 STAGE = 2.0  # s
 NEAR = 12.0  # m: what is nearer is mapped a little more accurately by a stage
+WHOLE = 6  # stages: once in so many all of the map is told
 STAR = 96  # corners
 
 # Counts the pictures, each until its pixels are there, and notes the longest time between two.
@@ -101,27 +103,26 @@ class Building:
         writer.write("scan", now, {"points": place + self.star[1:]})
 
     def stage(self, writer: TimelineWriter, now: float, number: int, rooms: int, place: np.ndarray) -> None:
-        """A look, of so many rooms: what is near the robot has become a little more accurate. All is written where it
-        is time to, else what is near, as of a real mission."""
+        """A look, of so many rooms: what is near the robot has become a little more accurate. Now and then it is told
+        of all, else of what is near, as of a real mission."""
         count = TAGS * rooms
         near = np.hypot(*(self.points - place).T) < NEAR
-        self.points[near] += self.rng.normal(0.0, 2e-3, (int(near.sum()), 2))
+        self.points[near] += self.rng.normal(0.0, POSITION, (int(near.sum()), 2))
         covariance = np.tile(np.array([4e-4, 1e-4, 3e-4], dtype=np.float32), (count, 1))
         ids, doubtful = np.arange(count), np.arange(count) % 97 == 0
-        tags = {"points": self.points[:count], "covariance": covariance, "doubtful": doubtful, "ids": ids}
-        walls = {
-            "segments": self.segments[:count],
-            "kind": self.kind[:count],
-            "facing": self.facing[:count],
-            "ids": ids,
-        }
-        part = Near() if writer.is_due("map", now) and writer.is_due("tfg", now) else Near(place, NEAR)
+        points, segments = self.points[:count], self.segments[:count]
+        tags = {"points": points, "covariance": covariance, "doubtful": doubtful, "ids": ids}
+        walls = {"segments": segments, "kind": self.kind[:count]}
+        sides = {"facing": self.facing[:count], "ids": ids}
+        part = EVERYWHERE if number % WHOLE == 1 else Near(place, NEAR)
         told = {"stage": number, "entropy": -5.0 * count, "views": number}
-        writer.write("map", now, part.of(tags, self.points[:count]), **told, **part.told)
-        writer.write("tfg", now, part.of(walls, self.points[:count]), **part.told)
-        writer.write("frontiers", now, {"segments": self.segments[max(0, count - 200) : count]})
+        writer.write_rows("map", now, Table(tags, points, points / POSITION, ids), part, **told)
+        writer.write_rows("tfg", now, Table(walls, points, segments / POSITION), part)
+        writer.write_rows("facing", now, Table(sides, points, self.facing[:count], ids), part)
+        some = segments[max(0, count - 200) :]
+        writer.write_rows("frontiers", now, Table({"segments": some}, some[:, :2], some / POSITION))
         middles = self.corner[:rooms] + 0.5 * ROOM
-        share = self.rng.uniform(0.0, 1.0, rooms).astype(np.float32)
+        share = self.rng.integers(0, 256, rooms).astype(np.uint8)
         writer.write("gains", now, {"points": middles, "share": share}, explained=[])
         writer.write("goal", now, {"points": middles[-1:]}, verdict="goal", reason="")
         writer.write("path", now, {"segments": np.hstack([place, middles[-1]])[None]})

@@ -22,7 +22,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.mission.manual_drive import END, LOOK, Pressed, steered
+from tfg_drake.mission.manual_drive import END, LOOK, Pressed, place_sent, send, steered
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.planning.scripted_drive import end_of_drive
@@ -45,8 +45,9 @@ LEFT = 10.0
 @message
 class _Driving:
     """goal and path as the mission is told. velocity: (v, w) of the keys, m/s and rad/s. looks: the driver wants to
-    look round here; ends: to end then. pressed: all keys so far. sent: where the driver has sent the robot. planned:
-    the id of the planner's path that it is on, or was last."""
+    look round here; ends: to end then. pressed: all keys so far. requested: the place that the driver has sent the
+    robot to last, heard: how many such places came by the port; sent: where it is on its way to. planned: the id of the
+    planner's path that it is on, or was last."""
 
     goal: GoalChoice
     path: Path
@@ -54,6 +55,8 @@ class _Driving:
     looks: bool = False
     ends: bool = False
     pressed: tuple[Pressed, ...] = ()
+    requested: RequestedGoal = RequestedGoal()
+    heard: int = 0
     sent: Sent = Sent()
     planned: int = 0
 
@@ -140,7 +143,7 @@ class ManualDriver(LeafSystem):
         if mission.phase == "observe" or now.sent.node >= 0:
             return following
         # Of a robot that stands nothing is told: the mission waits. A driver who sends it somewhere waits for a stage.
-        waits = self._Requested(context).count > now.sent.count
+        waits = now.requested.count > now.sent.count
         told = now.path.id if now.looks or waits or any(now.velocity) else -1
         arrived = now.looks or (waits and not self._glances)
         return replace(following, path_id=told, arrived=arrived, turn_done=False, stalled=False, left=LEFT)
@@ -159,7 +162,7 @@ class ManualDriver(LeafSystem):
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission, before = eval_message(self._mission, context, MissionStatus), self._State(context)
-        now = self._Press(before, context.get_time())
+        now = self._Press(before, context)
         if mission.phase == "paused" and any(now.velocity):
             now = replace(now, velocity=(0.0, 0.0))  # What goes on after a stop stands until the next key.
         if mission.phase == "observe" and now.looks:
@@ -179,12 +182,21 @@ class ManualDriver(LeafSystem):
         set_state_message(state, self._state, now)
         return EventStatus.Succeeded()
 
-    def _Press(self, now: _Driving, time: float) -> _Driving:
-        """After the keys that are due."""
-        keys = list(self._keys())
+    def _Press(self, now: _Driving, context: Context) -> _Driving:
+        """After the keys that are due; a place that the robot is sent to is one, too."""
+        time, keys = context.get_time(), list(self._keys())
+        requested = self._Requested(context)
+        if requested.count > now.heard:
+            keys.append(send(*requested.p_MG))
+            now = replace(now, heard=requested.count)
         replayed = sum(one.time <= time for one in self._drive) if self._drive else 0
         keys += [one.key for one in self._drive[len(now.pressed) : replayed]]
         for key in keys:
+            place = place_sent(key)
+            if place is not None:
+                asked = RequestedGoal(now.requested.count + 1, np.array(place))
+                now = replace(now, requested=asked, pressed=(*now.pressed, Pressed(time, key)))
+                continue
             now = replace(
                 now,
                 velocity=steered(now.velocity, key, self._robot),
@@ -200,14 +212,13 @@ class ManualDriver(LeafSystem):
             return replace(now, goal=end_of_drive(mission.stage, eval_message(self._tfg, context, TfgMap)))
         p_MB = eval_message(self._pose, context, PoseEstimate).X_MB[:2]
         goal = replace(empty_choice(), stage=mission.stage, node=0, p_MG=p_MB, reason="Somebody drives.")
-        requested = self._Requested(context)
-        if now.sent.node < 0 and requested.count == now.sent.count:
+        if now.sent.node < 0 and now.requested.count == now.sent.count:
             return replace(now, goal=goal)
         roadmap = eval_message(self._roadmap, context, Roadmap)
         if roadmap.stage != mission.stage:
             return now  # The planner extends it in a moment.
         p_MA = eval_message(self._map, context, MapEstimate).X_MA[-1, :2]
-        sent = where_sent(now.sent, requested, roadmap, mission, p_MA)
+        sent = where_sent(now.sent, now.requested, roadmap, mission, p_MA)
         if sent.node < 0:
             return replace(now, goal=goal, sent=sent)
         return replace(now, goal=goal_there(goal, sent.node, roadmap), sent=sent, velocity=(0.0, 0.0))

@@ -21,10 +21,11 @@ from tfg_drake.messages import (
     TfgMap,
     WorkingMap,
 )
-from tfg_drake.pictures import scene
+from tfg_drake.pictures import scene, tables
 from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
+from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
@@ -46,11 +47,12 @@ _MESSAGES = {
     "working_map": WorkingMap,
     "working_roadmap": Roadmap,
 }
-ALL = scene.Near()
-# What is made anew of all of a large map for whoever asks for it.
+# What is made anew of all of a large map for whoever asks for it, and how seldom it is asked for: bytes a simulated
+# second, so that a larger one is made less often.
 _WHOLE = ("map", "tfg", "roadmap")
-# The layer of a message that is the most to write, where it has several.
-_HEAVIEST = {"goal": "gains"}
+_WHOLE_RATE = 40e3
+# The layers of a message that has several.
+_LAYERS = {"goal": ("goal", "gains"), "tfg": ("tfg", "facing", "frontiers"), "roadmap": ("nodes", "roadmap")}
 
 
 class TimelineRecorder(LeafSystem):
@@ -88,6 +90,7 @@ class TimelineRecorder(LeafSystem):
         self._writer = writer
         self._newest: dict[str, object] = {}  # what stands in the file
         self._stars: dict[int, FloatArray] = {}  # the same, of each view
+        self._whole_due: dict[str, float] = {}  # when all of a large map is asked for again
         self._count = 0
         self._inputs = {name: declare_message_input(self, name) for name in _MESSAGES}
         self._enabled = self.DeclareVectorInputPort("enabled", 1)
@@ -134,8 +137,8 @@ class TimelineRecorder(LeafSystem):
         working = self._Get(context, "working_map")
         is_large = working is not None and not working.is_all
         for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "mission"):
-            is_due = everything or self._writer.is_due(_HEAVIEST.get(name, name), now)
-            if is_large and name in _WHOLE and not is_due:
+            is_due = everything or self._IsDue(name, now)
+            if is_large and name in _WHOLE and not (everything or (is_due and now >= self._whole_due.get(name, now))):
                 continue
             message = self._Get(context, name)
             before = self._newest.get(name)
@@ -146,7 +149,8 @@ class TimelineRecorder(LeafSystem):
             if is_due:
                 self._newest[name] = message
                 self._WriteMessage(name, message, now, context)
-        if is_large and working is not self._newest.get("working_map"):
+        is_new = is_large and working is not self._newest.get("working_map")
+        if is_new and (everything or (self._IsDue("map", now) and self._IsDue("tfg", now))):
             self._newest["working_map"] = working
             self._WriteNear(working, now)
         if self._enabled.HasValue(context):
@@ -157,16 +161,20 @@ class TimelineRecorder(LeafSystem):
         self._WriteMoving(context, now, scans=everything or self._count % POSES_A_SCAN == 0)
         self._count += 1
 
+    def _IsDue(self, name: str, now: float) -> bool:
+        return all(self._writer.is_due(layer, now) for layer in _LAYERS.get(name, (name,)))
+
     def _WriteMessage(self, name: str, message: Any, now: float, context: Context) -> None:
         write = self._writer.write
         if name == "map":
-            self._WriteMap(message, now, ALL)
+            self._WriteMap(message, now, EVERYWHERE)
         elif name == "tfg":
             estimate = self._Get(context, "map")
-            self._WriteTfg(message, estimate.ids if estimate is not None else None, now, ALL)
+            self._WriteTfg(message, estimate, now, EVERYWHERE)
             self._WriteStars(message, np.arange(len(message.star_centers)), now)
         elif name == "roadmap":
-            write("roadmap", now, scene.roadmap_lines(message))
+            self._WriteRows("nodes", now, tables.nodes(message))
+            self._WriteRows("roadmap", now, tables.edges(message))
         elif name == "goal":
             working = self._Get(context, "working_map")
             near = working is not None and not working.is_all
@@ -176,9 +184,8 @@ class TimelineRecorder(LeafSystem):
             told["sent"] = message.reason == REASON
             write("goal", now, there, **told)
             if roadmap is not None:
-                layer = dict(scene.gains(message, roadmap))
-                layer["share"] = layer["share"].astype(np.float32)
-                write("gains", now, layer, explained=scene.explained(message, roadmap), stage=message.stage)
+                told = {"explained": scene.explained(message, roadmap), "stage": message.stage}
+                self._WriteRows("gains", now, tables.gains(message, roadmap), **told)
         elif name == "path":
             write("path", now, scene.path(message))
         elif name == "grid":
@@ -189,24 +196,26 @@ class TimelineRecorder(LeafSystem):
 
     def _WriteNear(self, working: WorkingMap, now: float) -> None:
         """What is round the newest view, as far as it is all there."""
-        near = scene.Near(working.estimate.X_MA[-1, :2], working.reach)
+        near = Near(working.estimate.X_MA[-1, :2], working.reach)
         self._WriteMap(working.estimate, now, near)
-        self._WriteTfg(working.tfg, working.estimate.ids, now, near)
+        self._WriteTfg(working.tfg, working.estimate, now, near)
         self._WriteStars(working.tfg, working.views, now)
 
-    def _WriteMap(self, estimate: MapEstimate, now: float, part: scene.Near) -> None:
-        layer = part.of(scene.landmarks(estimate), estimate.p_ML)
-        layer["covariance"] = layer["covariance"].astype(np.float32)
+    def _WriteMap(self, estimate: MapEstimate, now: float, near: Near) -> None:
         told = {"stage": estimate.stage, "entropy": estimate.entropy, "views": len(estimate.X_MA)}
-        self._writer.write("map", now, layer, **told, **part.told)
+        self._WriteRows("map", now, tables.landmarks(estimate), near, **told)
 
-    def _WriteTfg(self, tfg: TfgMap, ids: IntArray | None, now: float, part: scene.Near) -> None:
-        layer = part.of(scene.surfaces(tfg), 0.5 * (tfg.segments[:, :2] + tfg.segments[:, 2:]))
-        layer["kind"] = layer["kind"].astype(np.uint8)
-        if ids is not None and len(ids) == len(tfg.facing):
-            layer["ids"], layer["facing"] = ids, scene.tag_normals(tfg, ids).astype(np.float32)
-        self._writer.write("tfg", now, layer, **part.told)
-        self._writer.write("frontiers", now, part.of(scene.frontiers(tfg), tfg.frontiers), **part.told)
+    def _WriteTfg(self, tfg: TfgMap, estimate: MapEstimate | None, now: float, near: Near) -> None:
+        self._WriteRows("tfg", now, tables.surfaces(tfg), near)
+        if estimate is not None and len(estimate.ids) == len(tfg.facing):
+            self._WriteRows("facing", now, tables.facing(tfg, estimate.ids, estimate.p_ML), near)
+        self._WriteRows("frontiers", now, tables.frontiers(tfg), near)
+
+    def _WriteRows(self, layer: str, now: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
+        self._writer.write_rows(layer, now, table, near, **told)
+        if near is EVERYWHERE:
+            size = sum(array.nbytes for array in table.arrays.values())
+            self._whole_due[layer] = now + size / _WHOLE_RATE
 
     def _WriteStars(self, tfg: TfgMap, views: IntArray, now: float) -> None:
         stars, unknown = scene.free_space(tfg), np.zeros((0, 2))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.cockpit.server import Cockpit
+from tfg_drake.storage.rows import Table
 from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter
 
 WALLS = np.array([[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]], dtype=float)
@@ -57,24 +58,23 @@ def stage(writer, number, time):
     points = np.stack([1.5 * k, np.full(number, -1.9)], axis=1)
     covariance = np.tile(np.array([0.01, 0.002, 0.02], dtype=np.float32), (number, 1))
     doubtful = k == 2
-    writer.write(
-        "map",
-        time,
-        {"points": points, "covariance": covariance, "doubtful": doubtful, "ids": k},
-        stage=number,
-        entropy=-5.0 * number,
-        views=number,
-    )
+    tags = Table({"points": points, "covariance": covariance, "doubtful": doubtful, "ids": k}, points, points, k)
+    writer.write_rows("map", time, tags, stage=number, entropy=-5.0 * number, views=number)
     segments = np.array([[-0.9, -2.0, 1.5, -2.0], [1.5, -2.0, 3.0, -2.0], [5.0, -2.0, 5.0, 0.5]])[:number]
     facing = np.tile(np.array([0.0, 1.0], dtype=np.float32), (number, 1))
-    writer.write("tfg", time, {"segments": segments, "kind": k.astype(np.uint8), "facing": facing})
-    writer.write("frontiers", time, {"segments": np.array([[3.0, -1.0, 3.0, -0.6], [3.2, 0.0, 3.2, 0.4]])})
+    kind = k.astype(np.uint8)
+    writer.write_rows("tfg", time, Table({"segments": segments, "kind": kind}, segments[:, :2], 1e3 * segments))
+    writer.write_rows("facing", time, Table({"ids": k, "facing": facing}, points, facing, k))
+    bars = np.array([[3.0, -1.0, 3.0, -0.6], [3.2, 0.0, 3.2, 0.4]])
+    writer.write_rows("frontiers", time, Table({"segments": bars}, bars[:, :2], bars))
     star = np.array([[1.0, 0.0], [-0.8, -1.8], [2.0 + number, -1.8], [2.0 + number, 1.8], [-0.8, 1.8]])
     writer.write("free", time, {"index": np.array([0]), "count": np.array([5]), "points": star})
     nodes = np.array([[0.0, 1.0], [2.0, 1.0], [2.0, -1.0], [3.5, 1.2]])
-    writer.write("roadmap", time, {"points": nodes, "edges": np.array([[0, 1], [1, 2], [1, 3]])})
+    ids, edges = np.array([2, 5, 6, 9]), np.array([[2, 5], [5, 6], [5, 9]])
+    writer.write_rows("nodes", time, Table({"points": nodes, "ids": ids}, nodes, nodes, ids))
+    writer.write_rows("roadmap", time, Table({"edges": edges}, nodes[1:], edges.astype(float)))
     writer.write("goal", time, {"points": nodes[-1:]}, verdict="goal", reason="")
-    share = np.array([0.1, 0.5, 0.7, 1.0], dtype=np.float32)
+    share = np.array([25, 128, 180, 255], dtype=np.uint8)
     writer.write("gains", time, {"points": nodes, "share": share}, explained=EXPLAINED, stage=number)
     writer.write("path", time, {"segments": np.array([[0.0, 0.0, 2.0, 1.0], [2.0, 1.0, 3.5, 1.2]])})
     writer.write("mission", time, {}, phase="follow", stage=number, outcome="", reason="", drives=True)

@@ -1,5 +1,6 @@
 """The page in a browser: every button and every toggle is pressed, and does what it says."""
 
+import base64
 import itertools
 import json
 import time
@@ -14,7 +15,8 @@ from tfg_drake.cockpit.browser import SEEK, BrowserMissing, open_browser, wait_f
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
-from tfg_drake.storage.timeline import TimelineWriter
+from tfg_drake.storage.rows import Table
+from tfg_drake.storage.timeline import TimelineWriter, read_timeline
 
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "path", "trail", "scan", "camera", "free"]
 
@@ -141,34 +143,32 @@ def test_what_is_told_of_the_very_time_that_is_shown_is_shown(page):
         page("for (const name of ['times', 'records']) timeline.layers.get('enabled')[name].pop(); setLive(false)")
 
 
-def test_what_is_told_of_a_part_is_put_into_what_was_told_before(page):
-    """Of a large map a record tells what is near a place; rows elsewhere stay as they were."""
-    joined = page(
-        """const record = (told, now, before) => ({ told: { layer: "part", ...told }, arrays: now, before });
-        const f = (...values) => new Float32Array(values), u = (...values) => new Uint16Array(values);
-        const whole = record({}, { points: f(0, 0, 5, 0, 9, 0), doubtful: u(0, 1, 0), ids: u(1, 2, 3) }, null);
-        const one = record({ near: [9, 0, 2] }, { points: f(9.1, 0, 8, 1), doubtful: u(1, 0), ids: u(3, 4) }, whole);
-        const two = record({ near: [0, 0, 2] }, { points: f(), doubtful: u(), ids: u() }, one);
-        const tfg = record({ layer: "walls" }, { segments: f(0, 0, 2, 0, 8, 0, 9, 0), kind: u(0, 1), ids: u(1, 3),
-                                                 facing: f(0, 1, 1, 0) }, null);
-        const near = record({ layer: "walls", near: [9, 0, 2] }, { segments: f(8, 0, 9, 1), kind: u(2), ids: u(3, 4),
-                                                                   facing: f(0, -1, -1, 0) }, tfg);
-        const told = [two, one, whole, near].map((r) => Object.fromEntries(
-            Object.entries(arrays(r)).map(([name, array]) => [name, [...array].map((v) => Math.round(10 * v) / 10)])));
-        joined.delete("part"), joined.delete("walls");
-        return told;"""
+def test_a_table_is_put_together_at_any_time_from_what_has_changed(page, tmp_path):
+    """As Python reads it."""
+    rng = np.random.default_rng(0)
+    path, ids = tmp_path / "timeline.tfg", np.zeros(0, dtype=int)
+    with TimelineWriter(path) as writer:
+        for time in range(40):
+            ids = np.union1d(rng.choice(ids, len(ids) // 2, replace=False), rng.integers(0, 10 ** (2 + time // 10), 20))
+            points = rng.normal(0.0, 1.0, (len(ids), 2))
+            table = Table({"points": points, "ids": ids, "kind": (ids % 3).astype(np.uint8)}, points, points, ids)
+            writer.write_rows("map", float(time), table)
+            writer.write("scan", float(time), {"points": points})
+    told = page(
+        """const bytes = Uint8Array.from(atob(arguments[0]), (c) => c.charCodeAt(0)), read = new Timeline();
+        return read.feed(bytes).then(() => ["map", "scan"].map((name) => [39, 7, 8, 22].map((t) => {
+            const record = read.at(name, t), now = arrays(record);
+            return [record.count ?? null, ...["points", "ids", "kind"].map((array) => [...(now[array] ?? [])])];
+        })));""",
+        base64.b64encode(path.read_bytes()).decode(),
     )
-    assert joined == [
-        {"points": [5, 0, 9.1, 0, 8, 1], "doubtful": [1, 1, 0], "ids": [2, 3, 4]},
-        {"points": [0, 0, 5, 0, 9.1, 0, 8, 1], "doubtful": [0, 1, 1, 0], "ids": [1, 2, 3, 4]},
-        {"points": [0, 0, 5, 0, 9, 0], "doubtful": [0, 1, 0], "ids": [1, 2, 3]},
-        {
-            "segments": [0, 0, 2, 0, 8, 0, 9, 1],
-            "kind": [0, 2],
-            "ids": [1, 3, 4],
-            "facing": [0, 1, 0, -1, -1, 0],
-        },
-    ]
+    for name, shown in zip(("map", "scan"), told, strict=True):
+        records = [record for record in read_timeline(path) if record.layer == name]
+        for time, (count, points, *numbers) in zip((39, 7, 8, 22), shown, strict=True):
+            now = records[time].arrays
+            np.testing.assert_allclose(points, now["points"].ravel(), atol=1e-5)
+            if name == "map":
+                assert [count, *numbers] == [len(now["ids"]), now["ids"].tolist(), now["kind"].tolist()]
 
 
 def test_what_stands_still_is_drawn_once(page):

@@ -105,6 +105,12 @@ def test_the_robot_drives_by_itself_where_its_driver_sends_it(tmp_path, monkeypa
     assert result.summary["distance_m"] > 2.0
     assert [one.told["reason"] for one in read_timeline(tmp_path) if one.layer == "goal"][-1] == "Somebody drives."
 
+    # Where it was sent is kept with the keys, and so it goes there once more.
+    keys = tmp_path / "keys.csv"
+    assert [one.key for one in read_drive(keys)] == ["send 3.0 1.0"]
+    again = run.explore(room(), method=FindMethod(str(keys)), out_dir=tmp_path / "again", max_time=30.0)
+    assert (again.folder / "trajectory.tum").read_bytes() == (tmp_path / "trajectory.tum").read_bytes()
+
 
 def test_a_comparison_wants_keys_that_were_pressed(driven):
     keys = driven.folder / "keys.csv"
@@ -118,6 +124,7 @@ def test_a_comparison_wants_keys_that_were_pressed(driven):
     [
         ("x,y\n1,2\n", "holds no drive; name the keys.csv of a run with --method manual"),
         ("time_s,key\n1.0,stick 0.5 1.5\n", "line 2: expected a time, not before the last, and a key; mend the line"),
+        ("time_s,key\n1.0,send 1.0 nan\n", "line 2: expected a time, not before the last, and a key; mend the line"),
         ("time_s,key\n1.0,jump\n", "line 2: expected a time, not before the last, and a key; mend the line"),
         ("time_s,key\n2.0,look\n1.0,look\n", "line 3: expected a time"),
     ],

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.storage import timeline as module
+from tfg_drake.storage.rows import Table
 from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, read_timeline
 
 ARRAYS = {
@@ -40,6 +41,26 @@ def test_what_is_read_is_what_was_written_to_the_millimetre(tmp_path):
     assert first.arrays["none"].shape == (0, 4)
 
 
+def test_a_table_is_read_whole_and_lines_of_many_points_to_the_centimetre(tmp_path):
+    far = np.array([[-500.0, 0.0, 500.0, 0.25], [500.0, 0.25, -500.0, 0.0]])
+    points, ids = np.array([[-1e3, 2.0], [400.004, 3.5], [0.0, 0.0]]), np.array([1, 2, 3])
+    with TimelineWriter(tmp_path / FILE_NAME) as writer:
+        writer.write_rows("map", 1.0, Table({"points": points, "ids": ids}, points, points, ids), stage=1)
+        points = points[1:] + np.array([[0.5, 0.5], [9.0, 9.0]])
+        writer.write_rows("map", 2.0, Table({"points": points, "ids": ids[1:]}, points, points, ids[1:]), stage=2)
+        writer.write_rows("map", 3.0, Table({"points": points[:0], "ids": ids[:0]}, points[:0], points[:0], ids[:0]))
+        writer.write("scan", 3.0, {"points": points})
+        writer.write("path", 3.0, {"segments": far})
+    one, two, none, scan, path = read_timeline(tmp_path)
+    np.testing.assert_allclose(path.arrays["segments"], far)
+    np.testing.assert_allclose(one.arrays["points"], [[-1e3, 2.0], [400.004, 3.5], [0.0, 0.0]])
+    assert (one.arrays["ids"].tolist(), dict(one.told)) == ([1, 2, 3], {"stage": 1})
+    np.testing.assert_allclose(two.arrays["points"], [[400.004, 3.5], [9.0, 9.0]])
+    assert two.arrays["ids"].tolist() == [2, 3]
+    assert none.arrays["points"].shape == (0, 2)
+    np.testing.assert_allclose(scan.arrays["points"], points, atol=5.001e-3)
+
+
 def test_of_a_program_that_was_killed_all_is_there_but_the_last_block(tmp_path):
     path = write(tmp_path, 1.0, 2.0, 3.0)
     data = path.read_bytes()
@@ -69,7 +90,7 @@ def test_it_is_on_the_disk_soon_and_sooner_where_somebody_looks_on(tmp_path, mon
 def test_a_large_layer_is_written_seldom(tmp_path):
     with TimelineWriter(tmp_path / FILE_NAME) as writer:
         assert writer.is_due("map", 0.0)
-        writer.write("map", 0.0, {"points": np.zeros((10000, 2))})
+        writer.write("map", 0.0, {"points": np.zeros((4000, 2))})
         assert [writer.is_due("map", time) for time in (1.0, 3.9, 4.1)] == [False, False, True]
         assert writer.is_due("tfg", 1.0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from tfg_drake.config import RobotConfig
@@ -35,7 +36,7 @@ class DriveError(ValueError):
 
 @message
 class Pressed:
-    """A key pressed at a time, s; key: one of KEYS' values, or what `stick` makes."""
+    """A key pressed at a time, s; key: one of KEYS' values, or what `stick` and `send` make."""
 
     time: float
     key: str
@@ -47,14 +48,29 @@ def stick(forward: float, left: float) -> str:
     return " ".join(["stick", *(f"{share:.2f}" for share in bounded)])
 
 
+def send(x: float, y: float) -> str:
+    """That the robot is sent to a place, m in M, as a key."""
+    return f"send {float(x)!r} {float(y)!r}"
+
+
+def place_sent(key: str) -> tuple[float, float] | None:
+    """The place (x, y), m in M, that the robot is sent to, None of another key."""
+    return _two_numbers(key, "send")
+
+
 def _pushed(key: str) -> tuple[float, float] | None:
     """How far a stick is pushed, None of a key."""
-    name, *shares = key.split(" ")
+    pushed = _two_numbers(key, "stick")
+    return pushed if pushed is not None and max(map(abs, pushed)) <= 1.0 else None
+
+
+def _two_numbers(key: str, word: str) -> tuple[float, float] | None:
+    name, *numbers = key.split(" ")
     try:
-        forward, left = map(float, shares)
+        first, second = map(float, numbers)
     except ValueError:
         return None
-    return (forward, left) if name == "stick" and abs(forward) <= 1.0 and abs(left) <= 1.0 else None
+    return (first, second) if name == word and math.isfinite(first) and math.isfinite(second) else None
 
 
 def steered(velocity: tuple[float, float], key: str, robot: RobotConfig) -> tuple[float, float]:
@@ -92,6 +108,7 @@ def read_drive(path: Path) -> tuple[Pressed, ...]:
             drive.append(Pressed(float(time), key))
         except ValueError:
             key = ""
-        if not (key in KEYS.values() or _pushed(key)) or (len(drive) > 1 and not drive[-1].time >= drive[-2].time):
+        known = key in KEYS.values() or _pushed(key) or place_sent(key)
+        if not known or (len(drive) > 1 and not drive[-1].time >= drive[-2].time):
             raise DriveError(f"{path}, line {number}: expected a time, not before the last, and a key; mend the line")
     return tuple(drive)

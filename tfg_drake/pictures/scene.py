@@ -7,7 +7,6 @@ the robot knows, W of what is true. `tfg_drake.systems.visualizer` turns layers 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -43,28 +42,6 @@ STAR_TOLERANCE = 0.03
 SHORT = 0.05
 # How many candidates besides the chosen one are explained.
 NEXT_BEST = 3
-
-
-@dataclasses.dataclass(frozen=True)
-class Near:
-    """Where a layer is told: within reach, m, of center, (2,) m; by default everywhere."""
-
-    center: FloatArray | None = None
-    reach: float = math.inf
-
-    def of(self, layer: Layer, places: FloatArray) -> dict[str, NDArray[Any]]:
-        """The rows of a layer that are there; places: (n, 2) m, of each row."""
-        if self.center is None:
-            return dict(layer)
-        there = np.hypot(*(places - self.center).T) <= self.reach
-        return {name: array[there] for name, array in layer.items()}
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """What a record of the timeline says of it."""
-        if self.center is None:
-            return {}
-        return {"near": [round(float(value), 3) for value in (*self.center, self.reach)]}
 
 
 def walls(world: World) -> Layer:

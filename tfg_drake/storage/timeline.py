@@ -4,11 +4,14 @@ The file is MAGIC and then blocks: the length of a block (uint32), and so many b
 records. A record is the length of its header (uint32), the header (JSON, filled up with spaces), and its arrays one
 behind the other; all lengths are multiples of 4, all numbers little-endian. The header has "t", the simulated time, s,
 "layer", the record's name, "arrays", a list of [name, type, shape], and whatever else is told. An array's type is "f4"
-(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or "mm": int32, in millimetres what is metres to whoever reads it.
+(float32), "i4" (int32), "u2" (uint16), "u1" (uint8) or, of what is metres to whoever reads it, "mm" (int32),
+millimetres, "c2" (int16) or "c4" (int32), column by column, by how many centimetres each row differs from the last.
 
 A record says what a layer is like from its time on, until there is another one of that layer; those of the layer "free"
-name the star polygons that have changed. One with "near": [x, y, reach], m, tells what is there; elsewhere all is as it
-was. Of a program that is killed all is there but the last second.
+name the star polygons that have changed. Where a record has an array "gone", the layer is a table, and the record says
+how it has changed: the other arrays are rows that are added, gone are the numbers of rows that are no longer there. All
+rows of a layer are numbered in the order in which they were written. Of a program that is killed all is there but the
+last second.
 """
 
 from __future__ import annotations
@@ -28,19 +31,20 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.messages import FloatArray
+from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
 
 FILE_NAME = "timeline.tfg"
-MAGIC = b"tfg_drake timeline 1\n\n\n\n"
+MAGIC = b"tfg_drake timeline 2\n\n\n\n"
 # Wall time between two blocks, s: at most so much is lost with the program; less where somebody looks on.
 FLUSH_PERIOD, WATCHED_PERIOD = 1.0, 0.08
-# Of a layer no more is written on average, bytes a simulated second: a large map less often than it changes.
-LAYER_RATE = 20e3
-# Of these less: nobody looks at every roadmap, and a large one is most of the file.
-LAYER_RATES = {"roadmap": 8e3}
+# Of a layer no more is written on average, bytes a simulated second: what changes more is told less often.
+LAYER_RATE = 8e3
+# Layers of many points of which nobody sees a centimetre.
+COARSE = ("scan", "free", "path")
 # zlib's: the quickest; more takes twice the time and saves a twentieth.
 COMPRESSION = 1
 
+_NUMBERS = {"mm": "<i4", "c2": "<i2", "c4": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}
 _LENGTH = struct.Struct("<I")
 _log = logging.getLogger("tfg_drake.storage.timeline")
 
@@ -51,7 +55,7 @@ class TimelineError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """What a layer is like from a time on, s. told: what else the header has. Positions are in metres."""
+    """What a layer is like from a time on, s: of a table all rows. told: what else the header has. Positions in m."""
 
     time: float
     layer: str
@@ -59,16 +63,11 @@ class Record:
     told: Mapping[str, Any]
 
 
-def millimetres(array: FloatArray) -> NDArray[np.int32]:
-    """Positions, m, as they stand in the file."""
-    return np.rint(1000.0 * array).astype("<i4")
-
-
 def encoded(layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]) -> bytes:
-    """A record. Arrays of float64 become millimetres, of float32, of integers and of truth values what they are."""
+    """A record. Arrays of float64 are positions, m; those of float32, integers and truth values stay what they are."""
     entries, data = [], []
     for name, array in arrays.items():
-        kind, packed = _packed(array)
+        kind, packed = _packed(array, layer in COARSE)
         raw = packed.tobytes()
         entries.append([name, kind, list(array.shape)])
         data.append(raw + bytes(-len(raw) % 4))
@@ -79,9 +78,13 @@ def encoded(layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: M
     return b"".join([_LENGTH.pack(len(header)), header, *data])
 
 
-def _packed(array: NDArray[Any]) -> tuple[str, NDArray[Any]]:
+def _packed(array: NDArray[Any], coarse: bool) -> tuple[str, NDArray[Any]]:
+    if array.dtype == np.float64 and coarse:
+        steps = np.diff(np.rint(100.0 * array), axis=0, prepend=0.0).T
+        kind = "c2" if np.abs(steps).max(initial=0.0) < 2**15 else "c4"
+        return kind, steps.astype(_NUMBERS[kind])
     if array.dtype == np.float64:
-        return "mm", millimetres(array)
+        return "mm", np.rint(1000.0 * array).astype("<i4")
     if array.dtype == np.float32:
         return "f4", array.astype("<f4", copy=False)
     if array.dtype == np.bool_ or array.dtype == np.uint8:
@@ -106,6 +109,7 @@ class TimelineWriter:
         self._file.write(MAGIC)
         self._records: list[bytes] = []
         self._due: dict[str, float] = {}
+        self._rows: dict[str, StandingRows] = {}
         self._flushed = time.monotonic()
 
     def __enter__(self) -> TimelineWriter:
@@ -126,8 +130,14 @@ class TimelineWriter:
             return
         record = encoded(layer, time, arrays, told)
         due = max(time, self._due.get(layer, time))
-        self._due[layer] = due + len(record) / LAYER_RATES.get(layer, LAYER_RATE)
+        self._due[layer] = due + len(record) / LAYER_RATE
         self._records.append(record)
+
+    def write_rows(self, layer: str, time: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
+        """Adds a record of how a table has changed; near: where it is told, elsewhere it is as it was."""
+        added, gone = self._rows.setdefault(layer, StandingRows()).change(table, near)
+        rows = {name: array[added] for name, array in table.arrays.items()}
+        self.write(layer, time, {**rows, "gone": gone}, **told)
 
     def flush(self, *, all_of_it: bool = True) -> None:
         """Put on the disk what there is, all of it or only when it is time to."""
@@ -180,7 +190,7 @@ def read_timeline(path: Path) -> list[Record]:
     if not data.startswith(MAGIC):
         raise TimelineError(f"{path}: is no timeline of this version; name the folder of a run that was recorded")
     try:
-        return [record for block in _blocks(data) for record in _records(block)]
+        return list(_whole(record for block in _blocks(data) for record in _records(block)))
     except (zlib.error, ValueError, KeyError, struct.error) as error:
         raise TimelineError(f"{path}: is damaged; copy it again from where it was recorded") from error
 
@@ -204,9 +214,27 @@ def _records(block: bytes) -> Iterator[Record]:
         start += 4 + length
         arrays = {}
         for name, kind, shape in header["arrays"]:
-            entries = np.dtype({"mm": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}[kind])
-            array = np.frombuffer(block, entries, math.prod(shape), start).reshape(shape)
-            arrays[name] = 1e-3 * array if kind == "mm" else array
+            array = np.frombuffer(block, np.dtype(_NUMBERS[kind]), math.prod(shape), start)
             start += array.nbytes + -array.nbytes % 4
+            if kind in ("c2", "c4"):
+                arrays[name] = 1e-2 * np.cumsum(array.reshape(shape[::-1]), axis=1, dtype=np.int64).T
+            else:
+                arrays[name] = (1e-3 * array if kind == "mm" else array).reshape(shape)
         told = {key: value for key, value in header.items() if key not in ("t", "layer", "arrays")}
         yield Record(header["t"], header["layer"], arrays, told)
+
+
+def _whole(records: Iterator[Record]) -> Iterator[Record]:
+    """The records, those of tables with all rows that are there, in the order in which they were written."""
+    tables: dict[str, tuple[NDArray[np.int64], int, Mapping[str, NDArray[Any]]]] = {}
+    for record in records:
+        if "gone" not in record.arrays:
+            yield record
+            continue
+        added = {name: array for name, array in record.arrays.items() if name != "gone"}
+        numbers, count, before = tables.get(record.layer, (np.zeros(0, dtype=np.int64), 0, {}))
+        stays = ~np.isin(numbers, record.arrays["gone"])
+        arrays = {name: np.concatenate([before[name][stays], new]) if before else new for name, new in added.items()}
+        end = count + len(next(iter(added.values())))
+        tables[record.layer] = (np.append(numbers[stays], np.arange(count, end)), end, arrays)
+        yield dataclasses.replace(record, arrays=arrays)

@@ -130,7 +130,7 @@ async function readFork() {
       forkWay.add(record.time, p[0], p[1]);
     } else if (layer === "map") {
       forkSeries.tags.times.push(record.time);
-      forkSeries.tags.values.push(arrays(record).points.length / 2);
+      forkSeries.tags.values.push(record.count);
       forkSeries.entropy.times.push(record.time);
       forkSeries.entropy.values.push(record.told.entropy);
     }

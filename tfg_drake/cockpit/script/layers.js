@@ -19,10 +19,10 @@ const draw = {
   map(record) {
     const { points, covariance, doubtful, ids } = arrays(record),
       count = points.length / 2;
-    const surfaces = flat ? null : timeline.at("tfg", time),
-      { ids: tags, facing } = surfaces ? arrays(surfaces) : {};
+    const sides = flat ? null : timeline.at("facing", time),
+      { ids: tags, facing } = sides ? arrays(sides) : {};
     const faces = new Map(); // of each tag its row in facing
-    if (facing) (tags ?? ids).forEach((id, row) => faces.set(id, 2 * row));
+    if (facing) tags.forEach((id, row) => faces.set(id, 2 * row));
     for (const [name, value] of [
       ["landmark", 0],
       ["doubtful", 1],
@@ -92,7 +92,7 @@ const draw = {
         scale = COLOURS.gains.map((name) => new T.Color(name));
       if (dark.matches) scale.reverse(); // What promises the most stands out.
       for (let i = 0; i < share.length; i++) {
-        const place = share[i] * (scale.length - 1),
+        const place = (share[i] / 255) * (scale.length - 1),
           k = Math.min(Math.floor(place), scale.length - 2);
         shade.lerpColors(scale[k], scale[k + 1], place - k);
         for (let c = 0; c < size; c++) shade.toArray(shades, 3 * (size * i + c));
@@ -102,12 +102,16 @@ const draw = {
     put(groups.gains, "gains", mesh);
   },
 
-  roadmap(record) {
-    const { points, edges } = arrays(record),
-      pairs = new Float32Array(2 * edges.length);
+  roadmap(record, t) {
+    const { edges } = arrays(record),
+      { points, ids } = arrays(timeline.at("nodes", t)),
+      pairs = new Float32Array(2 * edges.length),
+      place = new Map(); // of each node in points
+    ids.forEach((id, row) => place.set(id, 2 * row));
     for (let i = 0; i < edges.length; i++) {
-      pairs[2 * i] = points[2 * edges[i]];
-      pairs[2 * i + 1] = points[2 * edges[i] + 1];
+      const p = place.get(edges[i]);
+      pairs[2 * i] = points[p];
+      pairs[2 * i + 1] = points[p + 1];
     }
     put(groups.roadmap, "roadmap", lines(pairs, Z.roadmap, lineLook("roadmap")));
   },

@@ -49,9 +49,8 @@ timeline.listeners.push((layer, record) => {
       series.error.values.push(100 * Math.hypot(x - q[0], y - q[1]));
     }
   } else if (layer === "map") {
-    const { points } = arrays(record);
     series.tags.times.push(record.time);
-    series.tags.values.push(points.length / 2);
+    series.tags.values.push(record.count);
     series.entropy.times.push(record.time);
     series.entropy.values.push(record.told.entropy);
     if (record.told.stage > stageTimes.length) stageTimes.push(record.time);

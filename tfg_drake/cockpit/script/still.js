@@ -30,7 +30,7 @@ const kept = {
     if (key !== this.key) {
       this.key = key;
       // Edges are smoothed where that is seen, and does not take twice the time of all the rest.
-      const many = drawn.map && arrays(drawn.map).doubtful.length > MANY,
+      const many = drawn.map && drawn.map.count > MANY,
         samples = many || devicePixelRatio >= 2 ? 0 : 4;
       if (samples !== this.target.samples) {
         this.target.samples = samples;

@@ -1,7 +1,15 @@
 // The timeline, see tfg_drake/storage/timeline.py: read as it comes, kept as it is told.
 
 const MAGIC = 24;
-const TYPES = { mm: Int32Array, i4: Int32Array, f4: Float32Array, u2: Uint16Array, u1: Uint8Array };
+const TYPES = {
+  mm: Int32Array,
+  c2: Int16Array,
+  c4: Int32Array,
+  i4: Int32Array,
+  f4: Float32Array,
+  u2: Uint16Array,
+  u1: Uint8Array,
+};
 
 async function inflated(block) {
   return new Response(new Blob([block]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
@@ -29,7 +37,7 @@ class Timeline {
   }
 
   layer(name) {
-    if (!this.layers.has(name)) this.layers.set(name, { name, times: [], records: [] });
+    if (!this.layers.has(name)) this.layers.set(name, { name, times: [], records: [], rows: new Rows() });
     return this.layers.get(name);
   }
 
@@ -65,13 +73,13 @@ class Timeline {
       const length = view.getUint32(start, true);
       const told = JSON.parse(text.decode(new Uint8Array(buffer, start + 4, length)));
       start += 4 + length;
-      const record = { told, time: told.t, buffer, start, before: null };
+      const record = { told, time: told.t, buffer, start, rows: null };
       for (const [, type, shape] of told.arrays) {
         const bytes = shape.reduce((a, b) => a * b, 1) * TYPES[type].BYTES_PER_ELEMENT;
         start += bytes + ((4 - (bytes % 4)) % 4);
       }
       const layer = this.layer(told.layer);
-      if (told.near) record.before = layer.records[layer.records.length - 1] ?? null;
+      if (told.arrays.some(([name]) => name === "gone")) layer.rows.add(record);
       layer.times.push(told.t);
       layer.records.push(record);
       this.end = Math.max(this.end, told.t);
@@ -80,55 +88,70 @@ class Timeline {
   }
 }
 
-const joined = new Map(); // of each layer the record that was read last, and its arrays
-
-/** The arrays of a record by name; positions in metres. Of one that tells what is near a place, with what was told of
- * elsewhere before. */
-function arrays(record) {
-  if (record.arrays && !record.before) return record.arrays;
-  const layer = record.told.layer,
-    last = joined.get(layer),
-    chain = [record];
-  while (chain[0].before && last?.record !== chain[0]) chain.unshift(chain[0].before);
-  let found = last?.record === chain[0] ? last.arrays : own(chain[0]);
-  for (const one of chain.slice(1)) found = within(found, own(one), one.told.near);
-  joined.set(layer, { record, arrays: found });
-  return found;
-}
-
-/** Arrays with what is near a place, [x, y, reach], as some others have it. */
-function within(before, now, [x, y, reach]) {
-  const places = before.points ?? before.segments,
-    columns = before.points ? 2 : 4,
-    known = new Set(now.ids);
-  const far = (i) => {
-    const p = columns * i,
-      last = p + columns - 2;
-    return Math.hypot((places[p] + places[last]) / 2 - x, (places[p + 1] + places[last + 1]) / 2 - y) > reach;
-  };
-  const count = places.length / columns,
-    byId = before.facing ? before.ids.length : count;
-  const stays = new Uint8Array(count).map((_, i) => far(i) && !(before.points && known.has(before.ids[i])));
-  const others = before.facing ? new Uint8Array(byId).map((_, i) => !known.has(before.ids[i])) : stays;
-  const result = {};
-  for (const name of Object.keys(before)) {
-    const kept = name === "ids" || name === "facing" ? others : stays;
-    result[name] = merged(before[name], now[name] ?? before[name].slice(0, 0), kept);
+/** The rows of a layer that is a table: all that there have ever been, one behind the other, with the records from
+ * which on each was there and was gone. */
+class Rows {
+  constructor() {
+    this.written = this.there = this.records = 0;
+    this.columns = new Map(); // of each array its width and its values
+    this.first = new Int32Array(64);
+    this.end = new Int32Array(64);
+    this.shown = { number: -1, arrays: null };
   }
-  return result;
+
+  add(record) {
+    const found = own(record),
+      number = this.records++;
+    for (const row of found.gone) this.end[row] = number;
+    let added = 0;
+    for (const [name, , [count, width = 1]] of record.told.arrays)
+      if (name !== "gone") {
+        added = count;
+        this.append(name, width, found[name]);
+      }
+    this.first = room(this.first, this.written + added).fill(number, this.written, this.written + added);
+    this.end = room(this.end, this.written + added).fill(0x7fffffff, this.written, this.written + added);
+    this.written += added;
+    this.there += added - found.gone.length;
+    Object.assign(record, { rows: this, number, count: this.there, buffer: null, arrays: null });
+  }
+
+  append(name, width, values) {
+    // What are small integers in one record need not be in the next.
+    const kind = values instanceof Uint16Array ? Int32Array : values.constructor;
+    const column = this.columns.get(name) ?? { width, values: new kind(64) };
+    column.values = room(column.values, width * this.written + values.length);
+    column.values.set(values, width * this.written);
+    this.columns.set(name, column);
+  }
+
+  /** The arrays of all rows that were there at a record. */
+  at({ number, count }) {
+    if (this.shown.number === number) return this.shown.arrays;
+    const which = new Int32Array(count),
+      found = {};
+    for (let row = 0, k = 0; k < count; row++)
+      if (this.first[row] <= number && number < this.end[row]) which[k++] = row;
+    for (const [name, { width, values }] of this.columns) {
+      const array = (found[name] = new values.constructor(width * count));
+      for (let k = 0; k < count; k++)
+        for (let c = 0; c < width; c++) array[width * k + c] = values[width * which[k] + c];
+    }
+    this.shown = { number, arrays: found };
+    return found;
+  }
 }
 
-/** The rows of an array that stay, and then those of another. */
-function merged(before, now, stays) {
-  const columns = before.length / (stays.length || 1),
-    kept = stays.reduce((sum, one) => sum + one, 0);
-  const all = new before.constructor(kept * columns + now.length);
-  let place = 0;
-  for (let i = 0; i < stays.length; i++)
-    if (stays[i]) for (let c = 0; c < columns; c++) all[place++] = before[i * columns + c];
-  all.set(now, place);
-  return all;
+/** An array with room for so many values, those that it has in front. */
+function room(array, count) {
+  if (count <= array.length) return array;
+  const larger = new array.constructor(Math.max(count, 2 * array.length));
+  larger.set(array);
+  return larger;
 }
+
+/** The arrays of a record by name; positions in metres. */
+const arrays = (record) => (record.rows ? record.rows.at(record) : own(record));
 
 function own(record) {
   if (record.arrays) return record.arrays;
@@ -137,11 +160,20 @@ function own(record) {
   for (const [name, type, shape] of record.told.arrays) {
     const count = shape.reduce((a, b) => a * b, 1);
     const array = new TYPES[type](record.buffer, start, count);
-    found[name] = type === "mm" ? Float32Array.from(array, (value) => 1e-3 * value) : array;
+    if (type === "mm") found[name] = Float32Array.from(array, (value) => 1e-3 * value);
+    else found[name] = type[0] === "c" ? summed(array, shape) : array;
     start += array.byteLength + ((4 - (array.byteLength % 4)) % 4);
   }
   // Only what is small is kept: the whole of a long mission would not fit.
   if (start - record.start < 4096) record.arrays = found;
+  return found;
+}
+
+/** Metres, row by row, of centimetres by which each row of a column differs from the one before. */
+function summed(steps, [rows, columns]) {
+  const found = new Float32Array(steps.length);
+  for (let c = 0; c < columns; c++)
+    for (let row = 0, sum = 0; row < rows; row++) found[columns * row + c] = 1e-2 * (sum += steps[rows * c + row]);
   return found;
 }
 

@@ -1,0 +1,103 @@
+"""Tables of a timeline: which of their rows stand in the file, and so what has to be written of one as it is now."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Near:
+    """Where a table is told: within reach, m, of center, (2,) m; by default everywhere."""
+
+    center: FloatArray | None = None
+    reach: float = math.inf
+
+    def holds(self, places: FloatArray) -> BoolArray:
+        """Which of some places (n, 2), m, lie there: (n,)."""
+        if self.center is None:
+            return np.ones(len(places), dtype=bool)
+        return np.asarray(np.hypot(*(places - self.center).T) <= self.reach)
+
+
+EVERYWHERE = Near()
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """Rows of a layer.
+
+    arrays: each has n rows. places: (n, 2) m, where each row is. values: (n, k), two rows are alike where no value
+    differs by more than 1. keys: (n,) integers: rows with the same key are the same thing, earlier and later. Without
+    keys a row is told by its values alone.
+    """
+
+    arrays: Mapping[str, NDArray[Any]]
+    places: FloatArray
+    values: FloatArray
+    keys: IntArray | None = None
+
+
+class StandingRows:
+    """The rows of a layer that stand in a file. A row's number counts the rows that were written before it."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._numbers = np.zeros(0, dtype=np.int64)
+        self._places: FloatArray = np.zeros((0, 2))
+        self._values: FloatArray | None = None
+        self._keys: IntArray | None = None
+
+    def change(self, table: Table, near: Near = EVERYWHERE) -> tuple[IntArray, IntArray]:
+        """Makes what stands like a table, as far as the table tells.
+
+        Args:
+            table: what is there now.
+            near: where the table is told; rows elsewhere stand as they did.
+
+        Returns:
+            The rows of the table that have to be written, and the numbers of those that no longer stand.
+        """
+        there = np.flatnonzero(near.holds(table.places))
+        values = table.values[there]
+        keys = None if table.keys is None else table.keys[there]
+        before = np.zeros((0, values.shape[1])) if self._values is None else self._values
+        told = near.holds(self._places)
+        if keys is not None and self._keys is not None:
+            told |= np.isin(self._keys, keys)
+        old = np.flatnonzero(told)
+        old_keys = None if keys is None or self._keys is None else self._keys[old]
+        same = _alike(before[old], values, old_keys, keys)
+        stays = ~told
+        stays[old[same[same >= 0]]] = True
+        new = same < 0
+        gone, added = self._numbers[~stays], there[new]
+        self._numbers = np.append(self._numbers[stays], self._count + np.arange(len(added)))
+        self._count += len(added)
+        self._places = np.vstack([self._places[stays], table.places[added]])
+        self._values = np.vstack([before[stays], values[new]])
+        if keys is not None:
+            self._keys = keys[new] if self._keys is None else np.append(self._keys[stays], keys[new])
+        return added, gone
+
+
+def _alike(before: FloatArray, values: FloatArray, old_keys: IntArray | None, keys: IntArray | None) -> IntArray:
+    """Of each row of values (n, k) one of before (m, k) that is alike, -1 where there is none."""
+    if not len(before) or not len(values):
+        return np.full(len(values), -1)
+    if keys is None or old_keys is None:
+        tree = cKDTree(before, compact_nodes=False, balanced_tree=False)
+        _, rows = tree.query(values, p=np.inf, distance_upper_bound=1.0)
+        return np.where(rows < len(before), rows, -1)
+    order = np.argsort(old_keys)
+    rows = order[np.searchsorted(old_keys, keys, sorter=order).clip(max=len(order) - 1)]
+    known = (old_keys[rows] == keys) & (np.abs(before[rows] - values) <= 1.0).all(axis=1)
+    return np.where(known, rows, -1)
