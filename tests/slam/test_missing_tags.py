@@ -62,10 +62,11 @@ def test_who_stands_before_it_hides_it(known):
     assert gone(look(known, [3, 8], 20, scan=person)) == []
 
 
-def test_what_hides_half_of_it_hides_it(known):
-    """The corner of a cupboard, 1.2 m ahead, stands 5 cm beside the line of sight."""
-    right = np.arctan2(0.2, 3.0) - 0.02
-    corner = replace(SCAN, ranges=np.where(ANGLES < right, np.minimum(SCAN.ranges, 1.2 / np.cos(ANGLES)), SCAN.ranges))
+@pytest.mark.parametrize("beside", [0.015, 0.02, 0.033])
+def test_what_hides_a_part_of_it_hides_it(beside, known):
+    """The corner of a cupboard, 1.2 m ahead, so far, rad, beside the line of sight: its ray, or one next to it."""
+    right = np.arctan2(0.2, 3.0) - beside
+    corner = replace(SCAN, ranges=np.where(right > ANGLES, np.minimum(SCAN.ranges, 1.2 / np.cos(ANGLES)), SCAN.ranges))
     assert gone(look(known, [3, 8], 20, scan=corner)) == []
 
 

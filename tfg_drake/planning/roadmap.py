@@ -339,19 +339,11 @@ def _proposals(
     stars = len(tfg.star_centers)
     newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * density)
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
-    groups = [
-        (tfg.viewpoints, SAME_NODE, False),
-        (gaps, apart, False),
-        (fringe, FRONTIER_SPACING / density, False),
-        (newest, SPACING / density, True),
-        (older, SPACING / density, True),
-    ]
-    sizes = [len(group) for group, _, _ in groups]
-    return (
-        np.concatenate([group for group, _, _ in groups]),
-        np.concatenate([np.broadcast_to(spacing, len(group)) for group, spacing, _ in groups]),
-        np.repeat([is_free for _, _, is_free in groups], sizes),
-    )
+    groups = [tfg.viewpoints, gaps, fringe, newest, older]
+    sizes = [len(group) for group in groups]
+    in_the_open = np.repeat([FRONTIER_SPACING, SPACING, SPACING], sizes[2:]) / density
+    spacing = np.concatenate([np.full(sizes[0], SAME_NODE), apart, in_the_open])
+    return np.concatenate(groups), spacing, np.repeat([False, False, False, True, True], sizes)
 
 
 @njit(cache=True)

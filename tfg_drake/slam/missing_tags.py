@@ -162,5 +162,5 @@ def _expected(
         return False
     half = math.atan(HALF_WIDTH / distance)
     left, right = surface(bearing + half + yaw, angles, ranges)[0], surface(bearing - half + yaw, angles, ranges)[0]
-    apart = max(abs(left - distance), abs(right - distance))
-    return apart < SAME_SURFACE + HALF_WIDTH * abs(slant)
+    most = SAME_SURFACE + HALF_WIDTH * abs(slant)
+    return abs(left - distance) < most and abs(right - distance) < most
