@@ -76,7 +76,8 @@ def MakeRenderedEyes(scenario: Scenario, world: World) -> Diagram:
     builder.Connect(exposure.GetOutputPort("image"), detector.GetInputPort("image"))
 
     depth = camera("depth_camera", scan.field_of_view, reality.scan)
-    sheet = DepthScanConfig(_LOW, _HIGH, scan.least_range, scan.range, scan.range, scan.noise)
+    noise = reality.camera.depth_noise
+    sheet = DepthScanConfig(_LOW, _HIGH, scan.least_range, scan.range, scan.range, scan.noise, noise=noise)
     calibration = calibration_of(depth.default_depth_render_camera().core().intrinsics())
     scanner = builder.AddNamedSystem("depth_scanner", DepthScanner(calibration, mount, sheet, scan.rate))
     builder.Connect(depth.depth_image_32F_output_port(), scanner.GetInputPort("image"))
@@ -84,6 +85,7 @@ def MakeRenderedEyes(scenario: Scenario, world: World) -> Diagram:
     builder.ExportInput(poses.GetInputPort("pose"), "pose")
     builder.ConnectInput("pose", exposure.GetInputPort("pose"))
     builder.ExportInput(exposure.GetInputPort("noise"), "noise")
+    builder.ConnectInput("noise", scanner.GetInputPort("noise"))
     builder.ExportInput(poses.GetInputPort("people"), "people")
     builder.ExportOutput(detector.GetOutputPort("detections"), "detections")
     builder.ExportOutput(scanner.GetOutputPort("ranges"), "ranges")

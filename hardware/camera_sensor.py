@@ -58,11 +58,13 @@ class CameraDriver(SensorReader):
         self._calibration = known_calibration(self.name, camera)
         from tfg_drake.hardware.frame_reader import FrameReader
         from tfg_drake.vision.mount import CameraMount
+        from tfg_drake.vision.same_view import no_views
         from tfg_drake.vision.sighting import TagSizes
         from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
 
         self._sizes = TagSizes(camera.tag_size)
         self._mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch, camera.roll)
+        self._views = no_views()
         self._family = camera.family
         try:
             self._detector = TagDetector(DetectorConfig((camera.family,), camera.threads, camera.decimation))
@@ -91,17 +93,20 @@ class CameraDriver(SensorReader):
 
     def spin(self, duration: float) -> None:
         """Looks at what arrives, for `duration` s, or as long as it takes to look at one image."""
+        from tfg_drake.vision.same_view import weighed
         from tfg_drake.vision.sighting import sighted
 
         frame = self._reader.take(duration)
         now = time.monotonic()
         if frame is not None:
-            seen = sighted(self._detector.detect(frame.image), frame.stamp, self._calibration, self._sizes, self._mount)
-            self._messages.append(seen.detections)
+            tags = self._detector.detect(frame.image)
+            seen = sighted(tags, frame.stamp, self._calibration, self._sizes, self._mount)
+            detections, self._views = weighed(seen.detections, tags, self._views)
+            self._messages.append(detections)
             tell(self.refusals, self.name, seen.remarks)
             self._looked.append(now)
             self._judge_light(frame.image)
-            self._tag_seen = bool(len(seen.detections.ids))
+            self._tag_seen = bool(len(detections.ids))
         while self._looked and (self._looked[0] < now - COUNTED or self._reader.error):
             self._looked.popleft()
         if self._reader.error:

@@ -24,6 +24,9 @@ MODES = ((848, 480, 15), (640, 480, 15), (640, 480, 30))
 PATIENCE, SILENT = 5.0, 2.0
 # What it measures along its axis, m, and the standard deviation of a range, m.
 LEAST_DEPTH, MOST_DEPTH, SIGMA = 0.3, 5.0, 0.03
+# Standard deviation of a pixel's depth at 1 m, m: a D435 matches to 0.08 pixels, with 424 pixels of focal length and
+# 5 cm between its lenses.
+NOISE = 0.004
 # A stamp is believed where it is that much older than the image's arrival, s.
 _OLDEST = 1.0
 
@@ -58,7 +61,8 @@ class RealsenseDriver(SensorReader):
         self._device = device
         self._mount = CameraMount(mount.x, mount.y, mount.z, mount.yaw, mount.pitch)
         try:
-            self._config = DepthScanConfig(mount.low, mount.high, LEAST_DEPTH, MOST_DEPTH, MOST_DEPTH, SIGMA)
+            limits = mount.low, mount.high, LEAST_DEPTH, MOST_DEPTH, MOST_DEPTH
+            self._config = DepthScanConfig(*limits, SIGMA, noise=NOISE)
         except ValueError as error:
             raise DeviceError(f"{name}: {error}") from None
         self._pipeline: Any = None

@@ -14,6 +14,7 @@ from tfg_drake.messages import FloatArray, replace
 from tfg_drake.vision.calibration import BROWN, FISHEYE, CameraCalibration
 from tfg_drake.vision.image import Image
 from tfg_drake.vision.mount import CameraMount
+from tfg_drake.vision.same_view import no_views, weighed
 from tfg_drake.vision.sighting import Sighting, TagNoise, TagSizes, sighted
 from tfg_drake.vision.tag_detector import TagDetector
 
@@ -42,12 +43,16 @@ class ImageTags:
         self._sizes = TagSizes(camera.tag_size)
         self._mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch)
         self._noise = TagNoise(pixels=camera.corner_sigma)
+        self._views = no_views()
 
     def sighting(self, message: Any, camera_info: Any, stamp: float) -> Sighting:
         """What an image shows; raises ValueError where it is none that can be read. stamp: s."""
         image = decompressed(message) if self._compressed else plain(message)
         calibration = lens(camera_info, self._rectified)
-        return sighted(self._detector.detect(image), stamp, calibration, self._sizes, self._mount, self._noise)
+        tags = self._detector.detect(image)
+        seen = sighted(tags, stamp, calibration, self._sizes, self._mount, self._noise)
+        detections, self._views = weighed(seen.detections, tags, self._views)
+        return Sighting(detections, seen.remarks)
 
 
 def plain(message: Any) -> Image:

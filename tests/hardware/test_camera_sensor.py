@@ -155,6 +155,20 @@ def test_the_mount(stream, camera):
     np.testing.assert_allclose(found.bearing, np.arctan2(p[1], p[0]), atol=0.005)
 
 
+def test_frames_of_a_camera_that_stands_tell_little_until_it_moves(stream, camera):
+    driver = CameraDriver(stream.url, camera)
+    first, again = next_of(driver), next_of(driver)
+    stream.pictures.append(image((7, -0.32, 1.5), (9, 0.28, 1.2)))
+    taken = []
+    until(lambda: taken.extend(driver.take()) or any(one.bearing[0] > BEARINGS[0] + 0.005 for one in taken), driver)
+    driver.close()
+    moved = next(one for one in taken if one.bearing[0] > BEARINGS[0] + 0.005)
+    for name in ("sigma_range", "sigma_bearing"):
+        sigma = [getattr(one, name) for one in (first, again, moved)]
+        np.testing.assert_allclose(sigma[1], 20.0 * sigma[0], rtol=0.2)
+        np.testing.assert_allclose(sigma[2], sigma[0], rtol=0.2)
+
+
 GREY = np.full((240, 320), 128, dtype=np.uint8)
 
 

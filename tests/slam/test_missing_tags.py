@@ -62,6 +62,14 @@ def test_who_stands_before_it_hides_it(known):
     assert gone(look(known, [3, 8], 20, scan=person)) == []
 
 
+@pytest.mark.parametrize("beside", [0.015, 0.02, 0.033])
+def test_what_hides_a_part_of_it_hides_it(beside, known):
+    """The corner of a cupboard, 1.2 m ahead, so far, rad, beside the line of sight: its ray, or one next to it."""
+    right = np.arctan2(0.2, 3.0) - beside
+    corner = replace(SCAN, ranges=np.where(right > ANGLES, np.minimum(SCAN.ranges, 1.2 / np.cos(ANGLES)), SCAN.ranges))
+    assert gone(look(known, [3, 8], 20, scan=corner)) == []
+
+
 @pytest.mark.parametrize("beyond", [[6.0, 0.0, np.pi], [4.5, -1.2, 2.39]])
 def test_from_the_other_side_of_a_thin_wall_it_is_not_expected(known, beyond):
     """The second place is not far from where it was seen from, but for the wall between."""

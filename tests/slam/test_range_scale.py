@@ -7,7 +7,15 @@ import pytest
 
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan, TagDetections, replace
-from tfg_drake.slam.range_scale import SCALE_SIGMA, compare, corrected, correction, none_compared, unknown_scale
+from tfg_drake.slam.range_scale import (
+    SCALE_SIGMA,
+    compare,
+    corrected,
+    correction,
+    great_error,
+    none_compared,
+    unknown_scale,
+)
 
 FRAMES = itertools.count()
 WALLS = np.array([[4.0, -6.0, 5.0, 6.0], [-6.0, 5.0, 6.0, 5.0], [-6.0, -5.0, 6.0, -5.0], [-5.0, -6.0, -5.0, 6.0]])
@@ -116,3 +124,19 @@ def test_without_a_pair_nothing_is_learnt():
         scale, _ = compare(unknown_scale(), none_compared(), detections, scan)
         assert scale.pairs == 0
         assert scale.sigma == pytest.approx(SCALE_SIGMA)
+
+
+@pytest.mark.parametrize("stray", [0, 3])
+@pytest.mark.parametrize("exact", [1.0, 0.2])
+@pytest.mark.parametrize("true", [0.8, 0.9, 0.985, 1.0, 1.01, 1.1, 1.2])
+def test_a_setting_that_must_be_wrong_is_told_from_a_scale_that_may_be(true, exact, stray):
+    """exact: what share of the usual deviations a detector has; then no pair agrees with a tenth too much."""
+    rng = np.random.default_rng(1)
+    scale, compared = unknown_scale(), none_compared()
+    for _ in range(30):
+        detections, scan = frame(rng, true, noise=exact, stray=stray)
+        stated = {name: exact * getattr(detections, name) for name in ("sigma_range", "sigma_bearing")}
+        scale, compared = compare(scale, compared, replace(detections, **stated), replace(scan, sigma=0.015 * exact))
+    expected = true - 1.0 if abs(true - 1.0) > 0.03 else 0.0
+    assert great_error(scale, compared) == pytest.approx(expected, abs=0.03)
+    assert bool(great_error(scale, compared)) == bool(expected)

@@ -58,7 +58,7 @@ from tfg_drake.slam.odometry_model import (
     learnt,
     reckon,
 )
-from tfg_drake.slam.range_scale import compare, corrected, correction
+from tfg_drake.slam.range_scale import compare, corrected, correction, great_error
 from tfg_drake.slam.realign import realigned
 from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
@@ -89,6 +89,8 @@ SCANS = 4
 NO_MAP = empty_map()
 
 _log = logging.getLogger("tfg_drake.slam")
+# What somebody can mend is told on the screen, too.
+_remarks = logging.getLogger("tfg_drake.slam.sensors")
 
 
 def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorState:
@@ -387,10 +389,25 @@ def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorStat
     return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph, pending=pending)
 
 
+def _with_scale_told(state: EstimatorState) -> EstimatorState:
+    """The state once the operator knows of ranges that are so wrong that a setting must be."""
+    share = 0.0 if state.compared.told else great_error(state.scale, state.compared)
+    if not share:
+        return state
+    _remarks.warning(
+        "%.2f s: the tags' ranges are %.0f %% %s than the scan's: see whether the calibration is of this camera and "
+        "the tags are as large as was said",
+        state.stamp,
+        100.0 * abs(share),
+        "longer" if share > 0.0 else "shorter",
+    )
+    return replace(state, compared=replace(state.compared, told=True))
+
+
 def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
     """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
-    state, way = _with_camera(state, solution), state.way
+    state, way = _with_camera(_with_scale_told(state), solution), state.way
     if state.kidnapped and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
     before, known = realigned(state.graph, state.map or NO_MAP, solution.observation)

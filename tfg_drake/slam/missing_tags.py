@@ -1,6 +1,6 @@
 """Tags that are not seen where the map has them, though nothing hides them: they fell off, or were taken away.
 
-Where the scan meets a surface at a tag's place, not aslant and from the side that the tag has been seen from, the
+Where the scan meets a surface all over a tag's place, not aslant and from the side that the tag has been seen from, the
 frame should show it. How often frames do, all tags taken together, tells how many in a row must fail to.
 """
 
@@ -24,8 +24,10 @@ STEEPEST = 1.2
 # angle of that direction to the surface's normal: else the tag is on its other side.
 NEAR_BY = math.cos(math.radians(60.0))
 SAME_SIDE = math.cos(math.radians(80.0))
-# The surface that the scan meets is the tag's where its distance differs by no more than this, m.
+# The surface that the scan meets is the tag's where its distance differs by no more than this, m, at its middle and so
+# far to either side of it, m: what hides a part of a tag hides it from the detector.
 SAME_SURFACE = 0.1
+HALF_WIDTH = 0.1
 # A tag is missing where no fewer frames in a row fail to show it than this, and by chance as seldom as that.
 LEAST_FRAMES = 5
 LEAST_CHANCE = 1e-4
@@ -156,4 +158,9 @@ def _expected(
     straight = X_MC[2] + bearing + math.atan(slant)
     side = -seen_from[0] * math.cos(straight) - seen_from[1] * math.sin(straight)
     is_there = abs(slant) < STEEPEST and abs(met - distance) < SAME_SURFACE
-    return is_there and side > SAME_SIDE * often
+    if not (is_there and side > SAME_SIDE * often):
+        return False
+    half = math.atan(HALF_WIDTH / distance)
+    left, right = surface(bearing + half + yaw, angles, ranges)[0], surface(bearing - half + yaw, angles, ranges)[0]
+    most = SAME_SURFACE + HALF_WIDTH * abs(slant)
+    return abs(left - distance) < most and abs(right - distance) < most

@@ -25,6 +25,12 @@ TAG_SIGMA = 0.01
 GATE = 4.0
 # A scale error is corrected when it is this many standard deviations from none.
 SIGNIFICANT = 4.0
+# So large a share, where it is beyond doubt, is told: tags are of another size, or the calibration is of another
+# camera. So many pairs must say so where they agree with no scale that may well be.
+TOLD = 0.03
+MANY = 100
+# They are counted by their share, in bins this wide, up to as much more or less as MOST.
+BIN, MOST = 0.02, 0.5
 # Surfaces seen more slantwise than this are left out (tangent of 60 degrees): a bearing error becomes a range error.
 STEEPEST = 1.75
 # Neighbouring rays belong to one surface when their ranges differ by less than this share; the surface is the line
@@ -54,15 +60,21 @@ class RangeScale:
 
 @message
 class Compared:
-    """What tags' own errors would do to the scale. ids: (t,), ascending. pull: (t, 2) derivative of vector on each."""
+    """What tags' own errors would do to the scale. ids: (t,), ascending. pull: (t, 2) derivative of vector on each.
+
+    apart: (b,) how many of the pairs that do not agree have ranges that are longer than to the surface by a share of
+    -MOST to -MOST + BIN, ... told: whether somebody was told of a `great_error`.
+    """
 
     ids: IntArray
     pull: FloatArray
+    apart: IntArray
+    told: bool = False
 
 
 def none_compared() -> Compared:
     """Before the first pair."""
-    return Compared(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    return Compared(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(round(2.0 * MOST / BIN), dtype=np.int64))
 
 
 def unknown_scale() -> RangeScale:
@@ -77,7 +89,7 @@ def compare(
     instant."""
     if len(scan.angles) < 2 or not len(detections.ids):
         return scale, before
-    information, vector, more = _compare(
+    information, vector, more, apart = _compare(
         scale.information,
         scale.vector,
         detections.range,
@@ -88,12 +100,13 @@ def compare(
         scan.ranges,
         scan.sigma,
     )
+    if len(apart):
+        before = replace(before, apart=before.apart + np.bincount(apart, minlength=len(before.apart)))
     pairs = int(np.count_nonzero(more[:, 0]))
     if not pairs:
         return scale, before
-    return RangeScale(information, vector, scale.pairs + pairs), Compared(
-        *_with_pull(before.ids, before.pull, detections.ids, more)
-    )
+    ids, pull = _with_pull(before.ids, before.pull, detections.ids, more)
+    return RangeScale(information, vector, scale.pairs + pairs), replace(before, ids=ids, pull=pull)
 
 
 @njit(cache=True)
@@ -153,12 +166,14 @@ def _compare(
     angles: FloatArray,
     ranges: FloatArray,
     sigma_scan: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, and the derivative
-    (n, 2) of the vector on each tag's error in range: not zero where they agree."""
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """The information (2, 2) and vector (2,) with the pairs of one frame and one scan that agree, the derivative
+    (n, 2) of the vector on each tag's error in range, not zero where they agree, and of each other one its bin of
+    Compared.apart, (a,)."""
     r, o, _ = _moments(information, vector)
     determinant = information[0, 0] * information[1, 1] - information[0, 1] ** 2
     more, more_vector, pull = information.copy(), vector.copy(), np.zeros((len(range_), 2))
+    apart, others = np.empty(len(range_), dtype=np.int64), 0
     for k in range(len(range_)):
         distance, slant = surface(bearing[k], angles, ranges)
         if not abs(slant) < STEEPEST:
@@ -169,6 +184,10 @@ def _compare(
         predicted += information[0, 0] * lever**2
         error = range_[k] - distance - r * distance - o * lever
         if error * error > GATE**2 * (variance + predicted / determinant):
+            share = range_[k] / distance - 1.0
+            if abs(share) < MOST:
+                apart[others] = int((share + MOST) / BIN)
+                others += 1
             continue
         more[0, 0] += distance * distance / variance
         more[0, 1] += distance * lever / variance
@@ -176,7 +195,7 @@ def _compare(
         more[1, 1] += lever * lever / variance
         pull[k, 0], pull[k, 1] = distance / variance, lever / variance
         more_vector += pull[k] * (range_[k] - distance)
-    return more, more_vector, pull
+    return more, more_vector, pull, apart[:others]
 
 
 def correction(scale: RangeScale, compared: Compared) -> float:
@@ -190,6 +209,18 @@ def correction(scale: RangeScale, compared: Compared) -> float:
         return 0.0
     by_tags = TAG_SIGMA * compared.pull @ np.linalg.inv(scale.information)[0]
     return float(r) if abs(r) >= SIGNIFICANT * math.hypot(sigma, *by_tags) else 0.0
+
+
+def great_error(scale: RangeScale, compared: Compared) -> float:
+    """The share by which the tags' ranges are longer than the scan's where that is more than TOLD and beyond doubt,
+    else 0: one that is corrected, or one so great that most pairs do not agree, and nearly alike."""
+    r, _, sigma = _moments(scale.information, scale.vector)
+    if abs(r) > TOLD + SIGNIFICANT * sigma:
+        return float(r)
+    window = np.convolve(compared.apart, np.ones(3, dtype=np.int64), "valid")
+    share = BIN * (int(np.argmax(window)) + 1.5) - MOST
+    says_so = window.max() > max(MANY, 0.5 * (scale.pairs + compared.apart.sum()))
+    return share if says_so and abs(share) > TOLD else 0.0
 
 
 def corrected(detections: TagDetections, r: float) -> TagDetections:

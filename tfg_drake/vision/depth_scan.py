@@ -13,6 +13,9 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, messa
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 
+# Pixels of one thing differ by no more than so many standard deviations: of many the nearest is half as many too near.
+SAME_THING = 5.0
+
 
 @dataclasses.dataclass(frozen=True)
 class DepthScanConfig:
@@ -20,7 +23,8 @@ class DepthScanConfig:
 
     low, high: the band of heights above the floor, m: what the robot could run into. least_depth, most_depth: along the
     optical axis, m; nearer or farther the camera measures nothing. range_max: of the scan, m. sigma: of a range, m.
-    most_silent: of the pixels in a direction, the share without an answer above which nothing is known there.
+    most_silent: of the pixels in a direction, the share without an answer above which nothing is known there. noise:
+    standard deviation of a pixel's depth at 1 m, m; it grows with the square of the depth.
     """
 
     low: float = 0.05
@@ -30,6 +34,7 @@ class DepthScanConfig:
     range_max: float = 5.0
     sigma: float = 0.02
     most_silent: float = 0.25
+    noise: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises ValueError where the limits are none."""
@@ -105,10 +110,10 @@ def depth_scan(
     """The scan of one depth image (h, w), m along the optical axis, as seen from the body's origin.
 
     0, nan and less than least_depth are no answer; inf and more than most_depth say that there is nothing up to there.
-    A range is that of the nearest thing in the band. Without one it is inf where a pixel sees the band free up to its
-    end or range_max, and nan where none does. It is nan, too, where more than most_silent of the pixels that look into
-    the band give no answer: then something may be in the blind zone. Raises ValueError where the image is not of the
-    calibration's size.
+    A range is that of the nearest thing in the band, the mean of its pixels. Without one it is inf where a pixel sees
+    the band free up to its end or range_max, and nan where none does. It is nan, too, where more than most_silent of
+    the pixels that look into the band give no answer: then something may be in the blind zone. Raises ValueError where
+    the image is not of the calibration's size.
     """
     if depth.shape != rays.shape:
         h, w = rays.shape
@@ -121,12 +126,24 @@ def depth_scan(
         hit = _in_band(rays.p_BC[2] + d * rays.up, config) & ~silent & ~nothing
     free = rays.far_in_band & ~silent & (nothing | (ranges > config.range_max))
     nearest = np.minimum.reduceat(np.where(hit & (ranges <= config.range_max), ranges, np.inf), rays.begins)
+    if config.noise:
+        nearest = _mean_of_nearest(nearest, np.where(hit, ranges, np.inf), rays.begins, config.noise)
     is_free = np.logical_or.reduceat(free, rays.begins)
     looking = np.add.reduceat(rays.near_in_band.astype(float), rays.begins)
     quiet = np.add.reduceat((silent & rays.near_in_band).astype(float), rays.begins)
     nearest[np.isinf(nearest) & ~is_free] = np.nan
     nearest[quiet > config.most_silent * looking] = np.nan
     return _from_body(nearest, rays, stamp, config)
+
+
+def _mean_of_nearest(nearest: FloatArray, ranges: FloatArray, begins: IntArray, noise: float) -> FloatArray:
+    """The ranges (m,), m, of what is nearest in each direction, by all its pixels. nearest: (m,) the nearest pixel of
+    each. ranges: (h w,) of all pixels, inf where there is nothing."""
+    known = np.where(np.isfinite(nearest), nearest, 0.0)
+    last = known + SAME_THING * noise * known**2
+    same = ranges <= np.repeat(last, np.diff(begins, append=len(ranges)))
+    total, count = (np.add.reduceat(values, begins) for values in (np.where(same, ranges, 0.0), same.astype(float)))
+    return np.where(count > 0.0, total / np.maximum(count, 1.0), nearest)
 
 
 def _in_band(height: FloatArray, config: DepthScanConfig) -> BoolArray:

@@ -15,6 +15,8 @@ from tfg_drake.vision.tag_detector import TagsInImage
 _NEW = 0.5
 # A view that is not new has so many times the deviations: four hundred of them count as one.
 _WORTH_LESS = 20.0
+# A greater deviation of a bearing says nothing, rad.
+_NOTHING = 1.0
 
 
 @message
@@ -39,7 +41,6 @@ def weighed(detections: TagDetections, tags: TagsInImage, views: Views) -> tuple
         if len(before) == 1 and np.abs(corners[k] - before[0]).max() < _NEW:
             old[k], corners[k] = True, before[0]
     times = np.where(np.isin(detections.ids, tags.ids[old]), _WORTH_LESS, 1.0)
-    less = replace(
-        detections, sigma_range=times * detections.sigma_range, sigma_bearing=times * detections.sigma_bearing
-    )
+    sigma_bearing = np.minimum(times * detections.sigma_bearing, np.maximum(_NOTHING, detections.sigma_bearing))
+    less = replace(detections, sigma_range=times * detections.sigma_range, sigma_bearing=sigma_bearing)
     return less, Views(tags.ids, corners)
