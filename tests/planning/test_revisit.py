@@ -10,7 +10,7 @@ from tfg_drake.planning import revisit
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.expected_view import Visibility
 from tfg_drake.planning.information_gain import turn_noise
-from tfg_drake.planning.revisit import error_removed, worth_revisiting
+from tfg_drake.planning.revisit import error_removed, known_together, worth_revisiting
 from tfg_drake.slam.keyframe_graph import empty_map
 
 
@@ -97,3 +97,17 @@ def test_screening_finds_the_place_that_all_tags_tell(monkeypatch):
     # Fewer tags never tell more, and here they tell less.
     assert (screened <= by_all * (1 + 1e-9)).all()
     assert (screened < by_all * 0.99).any()
+
+
+def test_a_tag_before_its_wall_by_the_error_of_a_long_way_is_no_promise():
+    rng = np.random.default_rng(1)
+    # Ten tags known together to a centimetre though all are 0.2 m off, one off by as much by another way.
+    own, common = np.full((11, 2), 0.005), np.tile(np.eye(2), (11, 1)) * 0.2
+    common[20:] = 0.0
+    own[10] = 0.2
+    covariance = np.zeros((25, 25))
+    covariance[:22, :22] = common @ common.T + np.diag(own.ravel() ** 2)
+    covariance[22:, 22:] = 1e-4 * np.eye(3)
+    seen = [np.arange(11), np.array([10]), rng.permutation(10)[:3], np.zeros(0, dtype=int)]
+    tags = Visibility(np.cumsum([0, *map(len, seen)]), np.concatenate(seen))
+    assert known_together(tags, covariance).tolist() == [True] * 10 + [False] + [True] * 4

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
-from tfg_drake.planning.expected_view import Visibility, expected_tags, local_visibility
+from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, expected_tags, local_visibility
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
-# Places that are asked, about as many at most: tags are seen from so far away that more tell little more.
+# Places that are asked: about so many, but one of so many nodes at least. The look that ties two parts of a large map
+# together may be had from a few square metres alone.
 PLACES = 100
+NODES_A_PLACE = 20
 # They are screened by so many of the tags in view, and so many of the best judged by all.
 SCREENING_TAGS = 12
 BEST = 10
@@ -37,12 +39,13 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     if not len(estimate.local):
         return value
     # Mostly the same places at every stage: node ids are given once and for all.
-    asked = np.flatnonzero(roadmap.node_ids(nodes) % (1 + len(nodes) // PLACES) == 0)
+    asked = np.flatnonzero(roadmap.node_ids(nodes) % min(1 + len(nodes) // PLACES, NODES_A_PLACE) == 0)
     nodes = nodes[asked]
     sensor, explorer = parameters.sensor, parameters.explorer
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
     Q = odometry_covariance(estimate.X_MD, points, roadmap.travel_length[nodes], time, parameters.odometry)
     tags = local_visibility(expected_tags(points, estimate, now.tfg, sensor), estimate)
+    tags = tags.kept(known_together(tags, estimate.covariance))
     sightings = sightings_of_turn(sensor, explorer.turn_rate, estimate.frame_worth)
     noise = turn_noise(sensor, sightings, estimate.tag_error)
     covariance, p_ML = estimate.covariance, estimate.local_p_ML
@@ -63,6 +66,23 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     worth[best] = share_of_error(best, tags.of(best)) / share_of_time[best]
     value[asked] = worth
     return value
+
+
+def known_together(tags: Visibility, covariance: FloatArray) -> BoolArray:
+    """Which of the tags in view, one truth value for each entry of tags.index, are known relative to the others there
+    as well as the walls that hide tags.
+
+    All is explored, so what can be seen from a place has been seen with what is round it. What has not hangs on the
+    rest of the map by a long way, and only that way's error has put it before the wall that it is behind.
+
+    covariance: (2n + 3, 2n + 3) of the landmarks and a pose.
+    """
+    variance = np.diag(covariance)[:-3].reshape(-1, 2).sum(axis=1)
+    place, tag = np.repeat(np.arange(len(tags.count)), tags.count), tags.index
+    by_variance = tag[np.lexsort((variance[tag], place))]
+    middle = by_variance[(tags.offsets[:-1] + tags.count // 2)[place]]
+    together = covariance[2 * tag, 2 * middle] + covariance[2 * tag + 1, 2 * middle + 1]
+    return np.asarray(variance[tag] + variance[middle] - 2.0 * together <= SURFACE_TOLERANCE**2)
 
 
 def error_removed(
