@@ -174,7 +174,8 @@ class MapEstimate:
     each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
     views. observation: the newest view's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
     objective). doubtful: (d,) ids, ascending, of tags that were seen but are not known to be at any one place, whether
-    they are landmarks or not. frame_worth: information of one frame in a long sequence, as a share of an
+    they are landmarks or not. doubtful_places: (d, 2) where each of these
+    was seen most, in M, m. frame_worth: information of one frame in a long sequence, as a share of an
     independent one's; below 1 where the noise is correlated in time. tag_error: (2,) standard deviation of the tags'
     constant errors of range, m, and bearing, rad.
     """
@@ -191,6 +192,7 @@ class MapEstimate:
     observation: Observation
     entropy: float
     doubtful: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    doubtful_places: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     frame_worth: float = 1.0
     tag_error: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
 
@@ -363,8 +365,8 @@ class GoalChoice:
     "complete", "stuck" or "budget", where there is a node as soon as the robot is there, home. reason: one sentence.
     latest_arrival: s, when the robot is not at the goal by then, it must turn back. spent: what it was chosen for has
     been seen on the way: the next goal can be chosen at once. look: (l,) headings, rad in M, that the robot is to look
-    in at the goal, without any all round. passages_revisited: (t,) ids of the nodes before narrow passages to which the
-    robot has gone back before the mission ends.
+    in at the goal, without any all round. looked_again: (t,) ids of the nodes to which the robot has gone back before
+    the mission ends, for a passage that was too narrow or a tag that is doubtful.
     longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget.
     explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
     """
@@ -383,7 +385,7 @@ class GoalChoice:
     latest_arrival: float = math.inf
     spent: bool = False
     look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    passages_revisited: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    looked_again: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     explored: float = math.inf
     longest_way: float = math.inf
 

@@ -19,8 +19,9 @@ from tfg_drake.slam.doubt import (
     only,
     overturned,
     weighed,
+    with_doubts,
 )
-from tfg_drake.slam.keyframe_graph import empty_graph, extended, taken_back
+from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended, taken_back
 from tfg_drake.slam.map_solver import solve
 
 # Four tags; the robot stands at the origin, and moves a step and a turn from keyframe to keyframe.
@@ -73,6 +74,16 @@ def test_a_tag_is_believed_when_three_frames_saw_it_of_whatever_keyframes():
     assert account.see([5, 5, 1, 1])[TAG]
     assert account.frames() == [(True, 3)]
     assert len(doubtful(account.evidence)) == 0
+
+
+def test_a_doubtful_tag_is_where_most_frames_saw_it():
+    account = Account()
+    account.see([9, 9, 1, 2], agrees=(True, True, False, True))
+    account.see([9, 9, 2, 0], elsewhere(2.0), agrees=(True, True, False, True))
+    graph, estimate = solve(account.graph, 0.0, empty_map().observation)
+    estimate = with_doubts(estimate, account.evidence, graph)
+    np.testing.assert_array_equal(estimate.doubtful, [TAG, 103])
+    np.testing.assert_allclose(estimate.doubtful_places, [elsewhere(2.0)[2], P_ML[3]], atol=0.1)
 
 
 def test_frames_that_say_different_things_do_not_add_up():

@@ -21,6 +21,7 @@ from tfg_drake.planning.candidates import (
     time_at_goal,
     turn_gains,
 )
+from tfg_drake.planning.doubtful_tags import best_views
 from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
@@ -69,16 +70,17 @@ def choose(
     A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
     sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Of a
     large map that is known after one look more: with `explored` the choice asks for what it takes. Where
-    none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`).
+    none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`) and looks
+    again at tags that are doubtful (`tfg_drake.planning.doubtful_tags`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
         reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
-        node, verdict, looked = -1, "stuck", previous.passages_revisited
+        node, verdict, looked = -1, "stuck", previous.looked_again
         if parameters.explorer.return_home:
             node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
         name, p_MG = _named(roadmap, node)
         ended = replace(empty_choice(), stage=estimate.stage, node=name, p_MG=p_MG)
-        return replace(ended, verdict=verdict, reason=reason, passages_revisited=looked)
+        return replace(ended, verdict=verdict, reason=reason, looked_again=looked)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
     if estimate.stage <= more_first_turns(estimate.frame_worth, explorer) and not recalled:
@@ -112,7 +114,7 @@ def choose(
         if len(before) and candidates.time[before[0]] < candidates.time[best]:
             best = int(before[0])
             look = candidates.open_ahead[best] > 0.0
-    looked = previous.passages_revisited
+    looked = previous.looked_again
     # Of a large map it is not asked again where all that draws the robot is nats.
     explored = math.inf if open_left or estimate.is_joint else previous.explored
     if best >= 0:
@@ -149,7 +151,7 @@ def choose(
         latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
         longest_way=budget.longest_way(roadmap, node) if verdict == "goal" else math.inf,
         look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
-        passages_revisited=looked,
+        looked_again=looked,
         explored=explored,
     )
 
@@ -223,7 +225,7 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
         reason=reason,
         latest_arrival=budget.latest_arrival(roadmap, node),
         longest_way=budget.longest_way(roadmap, node),
-        passages_revisited=previous.passages_revisited,
+        looked_again=previous.looked_again,
         explored=min(previous.explored, estimate.stamp),
     )
 
@@ -232,7 +234,8 @@ def _last(
     now: Situation, any_left: bool, budget: Budget, looked: IntArray, *, everything: bool
 ) -> tuple[int, str, str, IntArray]:
     """The choice where no candidate is worth going to: the node before a passage that was too narrow, -1 where the
-    mission ends; verdict and reason; and the ids (t,) of nodes from which the robot has looked at such a passage again.
+    mission ends, or from which a doubtful tag is seen best; verdict and reason; and the ids (t,) of nodes from which the
+    robot has looked again.
 
     any_left: there are candidates. looked: (s,) node ids so far. everything: as of `choose`.
     """
@@ -248,6 +251,12 @@ def _last(
         return int(narrow.entry[again]), "goal", reason, looked
     if back.any():
         return -1, "budget", budget.spent(), looked
+    if everything:
+        tags, at, looked = best_views(now, looked)
+        nearest = pick(np.zeros(len(tags)), budget.affords(roadmap, at), roadmap.travel_time[at])
+        if nearest >= 0:
+            reason = f"Tag {estimate.doubtful[tags[nearest]]} is doubtful: it looks at it once more."
+            return int(at[nearest]), "goal", reason, looked
     _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     verdict, reason = why_end(
         any_left,

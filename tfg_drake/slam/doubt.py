@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, Observation, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of, without_tags
 from tfg_drake.slam.keyframe_kernels import linearised
 from tfg_drake.slam.map_update import REJECTED
@@ -60,8 +60,8 @@ class Evidence:
         """(h,) which of the places the map has."""
         return np.asarray(self.view == MAPPED)
 
-    def kept(self, rows: BoolArray) -> Evidence:
-        """The evidence of some (h,) of the places."""
+    def kept(self, rows: BoolArray | IntArray) -> Evidence:
+        """The evidence of some of the places (h,), given by rows or by a truth value each."""
         return Evidence(self.ids[rows], self.view[rows], self.p_AL[rows], self.variance[rows], self.frames[rows])
 
 
@@ -158,6 +158,17 @@ def doubtful(evidence: Evidence) -> IntArray:
     return ids[mapped - elsewhere < CONFIRMATIONS]
 
 
+def with_doubts(estimate: MapEstimate, evidence: Evidence, graph: KeyframeGraph) -> MapEstimate:
+    """The estimate with the tags that are doubtful, each at the place that most frames speak for. graph: the map's."""
+    ids = doubtful(evidence)
+    order = np.lexsort((~evidence.is_mapped, -evidence.frames, evidence.ids))
+    best = evidence.kept(order[np.searchsorted(evidence.ids[order], ids)])
+    places, mapped = np.empty((len(ids), 2)), best.is_mapped
+    places[mapped] = estimate.p_ML[rows_of(best.ids[mapped], estimate.ids)[0]]
+    places[~mapped] = _places(best.kept(~mapped), graph)
+    return replace(estimate, doubtful=ids, doubtful_places=places)
+
+
 def _against(evidence: Evidence) -> tuple[IntArray, IntArray, IntArray]:
     """The tags (t,), ascending, the frames (t,) that speak for where the map has each, -1 where it has it nowhere, and
     those (t,) for the best other place, 0 without any."""
@@ -178,9 +189,7 @@ def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfra
     at = np.flatnonzero(is_seen & ~evidence.is_mapped)
     if len(at):
         p_ML = se2.transform(X_MA, observation.p_AL[tag[at]])
-        X_MV, in_V = _of_views(graph, evidence.view[at]), np.zeros((len(at), 3))
-        in_V[:, :2] = evidence.p_AL[at]
-        before = se2.compose(X_MV, in_V)[:, :2]
+        before = _places(evidence.kept(at), graph)
         variance = evidence.variance[at] + _variance(observation)[tag[at]] + LEAST_DEVIATION**2
         same[at] = np.square(p_ML - before).sum(axis=1) <= SAME * variance
     return tag, same
@@ -189,6 +198,13 @@ def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfra
 def _of_views(graph: KeyframeGraph, views: IntArray) -> FloatArray:
     """(m, 3) arrival poses of some views (m,)."""
     return se2.compose(graph.X_MN[graph.view_keyframe[views]], graph.X_AV[views])
+
+
+def _places(evidence: Evidence, graph: KeyframeGraph) -> FloatArray:
+    """(h, 2) m in M, of places that the map does not have."""
+    in_V = np.zeros((len(evidence.ids), 3))
+    in_V[:, :2] = evidence.p_AL
+    return se2.compose(_of_views(graph, evidence.view), in_V)[:, :2]
 
 
 def _variance(observation: Observation) -> FloatArray:

@@ -40,6 +40,7 @@ from tfg_drake.slam.doubt import (
     only,
     overturned,
     weighed,
+    with_doubts,
 )
 from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, camera_prior, instant, opened, unknown_way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
@@ -231,7 +232,7 @@ def finished_map(state: EstimatorState) -> EstimatorState:
         _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, wrong[0])
         graph, evidence = taken_back(graph, *wrong), disputed(evidence, np.array(wrong[:1]))
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
-    estimate = replace(estimate, doubtful=doubtful(evidence))
+    estimate = with_doubts(estimate, evidence, graph)
     return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
 
 
@@ -454,7 +455,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         lost=False,
         graph=graph,
         solved=solved,
-        map=replace(estimate, doubtful=doubtful(evidence), frame_worth=state.correlation.frame_worth),
+        map=with_doubts(replace(estimate, frame_worth=state.correlation.frame_worth), evidence, graph),
         localizer=start_localizer(model, estimate),
         evidence=evidence,
         watch=renewed(state.watch, estimate.ids),
