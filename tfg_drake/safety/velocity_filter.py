@@ -142,8 +142,8 @@ def filter_command(
       before the first place in the way that is not known to be free (open_distance). Without a scan younger than
       scan_timeout, and without one younger than a quarter of a second that is believed, there is no forward speed.
       Turning in place and backing away stay allowed.
-    - While the base cannot be as slow as it should, it turns as it is told unless that takes it nearer to a return
-      than stop_distance and than its arc does: then it brakes on that.
+    - While the base is faster than it should be, it brakes. Meanwhile it turns as it is told, unless that would take it
+      nearer to a return than stop_distance, and nearer than its present arc does: then it brakes on that arc.
     """
     if hazards.cliff or hazards.wheel_drop:
         return stopped(state, robot, period)
@@ -210,8 +210,8 @@ def _let_through(
     scan_timeout: float,
     period: float,
 ) -> FloatArray:
-    """filter_command where nothing is pressed. age: of the scan, s; trusted: what it shows, or showed a moment ago, is
-    believed; then the memory of what was seen, and odometry, since s ago."""
+    """filter_command where no bumper is pressed. age: of the scan, s. trusted: it, or one of a moment ago, is believed.
+    corner, seen, met, p_OM, newest: the memory of what was seen. X_OB, V_B: odometry, and since: its age, s."""
     step, turn_step = acceleration * period, turn_acceleration * period
     base_before, turn_before = state[BASE_SPEED], state[TURN_RATE]
     wanted, turn_wanted = command[0], command[1]
