@@ -16,10 +16,8 @@ from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, expe
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
-# Places that are asked: about so many, but one of so many nodes at least. The look that ties two parts of a large map
-# together may be had from a few square metres alone.
+# Places that are asked, about as many at most: tags are seen from so far away that more tell little more.
 PLACES = 100
-NODES_A_PLACE = 20
 # They are screened by so many of the tags in view, and so many of the best judged by all.
 SCREENING_TAGS = 12
 BEST = 10
@@ -39,7 +37,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     if not len(estimate.local):
         return value
     # Mostly the same places at every stage: node ids are given once and for all.
-    asked = np.flatnonzero(roadmap.node_ids(nodes) % min(1 + len(nodes) // PLACES, NODES_A_PLACE) == 0)
+    asked = np.flatnonzero(roadmap.node_ids(nodes) % (1 + len(nodes) // PLACES) == 0)
     nodes = nodes[asked]
     sensor, explorer = parameters.sensor, parameters.explorer
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
