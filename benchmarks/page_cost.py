@@ -1,11 +1,11 @@
-"""What the picture costs the explorer: CPU time of missions with an open page, recorded without one, and not recorded.
+"""What picture and page cost the explorer: CPU time of a mission, and the shares of timeline and server in it.
 
     python benchmarks/page_cost.py
-    python benchmarks/page_cost.py --world floor.vectormap.txt --tag-spacing 1 --max-time 600 --rate 1
+    python benchmarks/page_cost.py --world floor.vectormap.txt --tag-spacing 1 --max-time 600
 
-The same mission three ways, one after the other, --repeat times. A row a way: CPU milliseconds of the mission's program
-a simulated second, least of all repetitions, and the ratio to a mission that is not recorded. What looks at the page
-reads all that the server tells, in a process of its own. Recording is all of it: timeline, ports and map on the disk.
+The same mission twice: nobody looks on, and then a page does: a process that reads all that the server tells. A row a
+mission: CPU milliseconds a simulated second, of them those that write the timeline and those of the server's threads,
+and both together over all the rest. Shares of one run are told, as they hardly depend on what else the machine does.
 """
 
 from __future__ import annotations
@@ -15,29 +15,45 @@ import contextlib
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
+from unittest import mock
+
+from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import explore, viewer_script
 from tfg_drake.diagrams.scenario import ApplyWorldFile, FindScenario, LoadScenario, Scenario
+from tfg_drake.systems.timeline_recorder import TimelineRecorder
 
 READER = "import sys, urllib.request as u; r = u.urlopen(sys.argv[1] + 'timeline?from=0')\nwhile r.read1(): pass"
-WAYS = ("not recorded", "recorded", "with a page")
 
 
-def spent(scenario: Scenario, way: str, max_time: float, rate: float) -> float:
-    """CPU ms a simulated second."""
+def measured(scenario: Scenario, watched: bool, max_time: float, rate: float) -> tuple[float, float, float]:
+    """CPU ms a simulated second: of all, of the timeline, of the server."""
+    timeline, write = 0.0, TimelineRecorder._Write
+
+    def timed(recorder: TimelineRecorder, context: Context) -> EventStatus:
+        nonlocal timeline
+        start = time.thread_time()
+        status = write(recorder, context)
+        timeline += time.thread_time() - start
+        return status
+
     with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory())
-        cockpit = None
-        if way == "with a page":
+        stack.enter_context(mock.patch.object(TimelineRecorder, "_Write", timed))
+        folder, cockpit = Path(stack.enter_context(tempfile.TemporaryDirectory())), None
+        if watched:
             cockpit = stack.enter_context(Cockpit(viewer_script(), "mission", rate=rate))
             reader = subprocess.Popen([sys.executable, "-c", READER, cockpit.address.partition("?")[0]])
             stack.callback(reader.wait)
             stack.callback(reader.terminate)
-        given = {"max_time": max_time, "realtime_rate": rate, "out_dir": Path(folder) / "run"}
-        summary = explore(scenario, cockpit=cockpit, record=way != "not recorded", **given).summary
-    return 1e3 * float(summary["cpu_time_s"] / summary["sim_time_s"])
+        before, own = time.process_time(), time.thread_time()
+        given = {"max_time": max_time, "realtime_rate": rate, "out_dir": folder / "run", "cockpit": cockpit}
+        summary = explore(scenario, **given).summary
+        spent, own = time.process_time() - before, time.thread_time() - own
+    each = 1e3 / summary["sim_time_s"]
+    return each * spent, each * timeline, each * (spent - own)
 
 
 def main() -> None:
@@ -47,20 +63,16 @@ def main() -> None:
     parser.add_argument("--world", type=Path)
     parser.add_argument("--tag-spacing", type=float)
     parser.add_argument("--max-time", type=float, default=300.0, help="simulated s")
-    parser.add_argument("--rate", type=float, default=8.0, help="speed of the clock, times real time; 0 for no limit")
-    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--rate", type=float, default=0.0, help="speed of the clock, times real time; 0 for no limit")
     options = parser.parse_args()
     scenario = LoadScenario(FindScenario(options.scenario))
     if options.world is not None:
         scenario = ApplyWorldFile(scenario, options.world, options.tag_spacing, None)
-    explore(scenario, max_time=40.0, record=False, out_dir=Path(tempfile.mkdtemp()) / "run")  # Kernels are loaded.
-    figures: dict[str, list[float]] = {way: [] for way in WAYS}
-    for _ in range(options.repeat):
-        for way in WAYS:
-            figures[way].append(spent(scenario, way, options.max_time, options.rate))
-            print(f"{way:<14}{figures[way][-1]:8.1f} ms a simulated s", file=sys.stderr, flush=True)
-    for way in WAYS:
-        print(f"{way:<14}{min(figures[way]):8.1f} ms a simulated s{min(figures[way]) / min(figures[WAYS[0]]):7.3f}")
+    print(f"{'':14}{'all, ms/s':>12}{'timeline':>12}{'server':>12}{'over the rest':>15}")
+    for name, watched in (("nobody looks", False), ("with a page", True)):
+        spent, timeline, server = measured(scenario, watched, options.max_time, options.rate)
+        share = (timeline + server) / (spent - timeline - server)
+        print(f"{name:14}{spent:12.1f}{timeline:12.2f}{server:12.2f}{share:15.3f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -29,9 +29,10 @@ from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.ports import declare_message_input, eval_message
 
-# Poses a simulated second, and how many of them to a scan: the page draws what lies between.
+# Poses a simulated second, and how many of them to a scan and to a look at what changes seldom: the page draws what
+# lies between.
 RATE = 8.0
-POSES_A_SCAN = 4
+POSES_A_SCAN, POSES_A_LOOK = 4, 2
 
 _MESSAGES = {
     "map": MapEstimate,
@@ -134,25 +135,8 @@ class TimelineRecorder(LeafSystem):
 
     def _Record(self, context: Context, everything: bool) -> None:
         now = context.get_time()
-        working = self._Get(context, "working_map")
-        is_large = working is not None and not working.is_all
-        for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "mission"):
-            is_due = everything or self._IsDue(name, now)
-            if is_large and name in _WHOLE and not (everything or (is_due and now >= self._whole_due.get(name, now))):
-                continue
-            message = self._Get(context, name)
-            before = self._newest.get(name)
-            if message is None or message is before:
-                continue
-            if isinstance(before, MapEstimate) and before.stage == message.stage == 0:
-                continue  # Until there is a view the map is made anew at every look.
-            if is_due:
-                self._newest[name] = message
-                self._WriteMessage(name, message, now, context)
-        is_new = is_large and working is not self._newest.get("working_map")
-        if is_new and (everything or (self._IsDue("map", now) and self._IsDue("tfg", now))):
-            self._newest["working_map"] = working
-            self._WriteNear(working, now)
+        if everything or self._count % POSES_A_LOOK == 0:
+            self._Look(context, now, everything)
         if self._enabled.HasValue(context):
             enabled = bool(self._enabled.Eval(context)[0] > 0.0)
             if enabled != self._newest.get("enabled"):
@@ -160,6 +144,28 @@ class TimelineRecorder(LeafSystem):
                 self._writer.write("enabled", now, {}, enabled=enabled)
         self._WriteMoving(context, now, scans=everything or self._count % POSES_A_SCAN == 0)
         self._count += 1
+
+    def _Look(self, context: Context, now: float, everything: bool) -> None:
+        """Writes what has changed since the last look; everything: also what has been written too much lately."""
+        working = self._Get(context, "working_map")
+        is_large = working is not None and not working.is_all
+        for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "mission"):
+            is_made = is_large and name in _WHOLE
+            if is_made and not everything and (now < self._whole_due.get(name, now) or not self._IsDue(name, now)):
+                continue
+            message = self._Get(context, name)
+            before = self._newest.get(name)
+            if message is None or message is before:
+                continue
+            if isinstance(before, MapEstimate) and before.stage == message.stage == 0:
+                continue  # Until there is a view the map is made anew at every look.
+            if everything or self._IsDue(name, now):
+                self._newest[name] = message
+                self._WriteMessage(name, message, now, context)
+        is_new = is_large and working is not self._newest.get("working_map")
+        if is_new and (everything or (self._IsDue("map", now) and self._IsDue("tfg", now))):
+            self._newest["working_map"] = working
+            self._WriteNear(working, now)
 
     def _IsDue(self, name: str, now: float) -> bool:
         return all(self._writer.is_due(layer, now) for layer in _LAYERS.get(name, (name,)))

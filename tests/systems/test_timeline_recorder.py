@@ -92,7 +92,7 @@ def test_a_map_is_written_when_it_grows_and_not_while_there_is_no_view(writer, t
         Simulator(builder.Build()).AdvanceTo(1.0)
         return [(record.time, record.told["stage"]) for record in recorded(writer, tmp_path)]
 
-    assert times(make_map(1, 1), make_map(2, 2)) == [(0.0, 1), (0.375, 2)]
+    assert times(make_map(1, 1), make_map(2, 2)) == [(0.0, 1), (0.5, 2)]
     writer.close()
     writer.__init__(tmp_path / FILE_NAME)
     assert times(make_map(0, 0), make_map(0, 0)) == [(0.0, 0)]
@@ -118,11 +118,11 @@ def test_of_a_large_map_what_is_near_is_written_at_every_stage_and_all_of_it_sel
     working = builder.AddSystem(GrowingMap(first, replace(first, reach=9.0)))
     builder.Connect(builder.AddSystem(Whole()).get_output_port(), recorder.GetInputPort("map"))
     builder.Connect(working.get_output_port(), recorder.GetInputPort("working_map"))
-    recorder._whole_due["map"] = 0.5  # It has just been asked for.
-    Simulator(builder.Build()).AdvanceTo(0.45)
+    recorder._whole_due["map"] = 0.75  # It has just been asked for.
+    Simulator(builder.Build()).AdvanceTo(0.6)
     assert asked == []
     maps = [record for record in recorded(writer, tmp_path) if record.layer == "map"]
-    assert [record.time for record in maps] == [0.0, 0.375]
+    assert [record.time for record in maps] == [0.0, 0.5]
     assert [record.arrays["ids"].tolist() for record in maps] == [estimate.ids[:1].tolist(), estimate.ids.tolist()]
 
 

@@ -45,6 +45,7 @@ COARSE = ("scan", "free", "path")
 COMPRESSION = 1
 
 _NUMBERS = {"mm": "<i4", "c2": "<i2", "c4": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}
+_told = json.JSONEncoder(separators=(",", ":")).encode
 _LENGTH = struct.Struct("<I")
 _log = logging.getLogger("tfg_drake.storage.timeline")
 
@@ -71,9 +72,7 @@ def encoded(layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: M
         raw = packed.tobytes()
         entries.append([name, kind, list(array.shape)])
         data.append(raw + bytes(-len(raw) % 4))
-    header = json.dumps(
-        {"t": round(time, 4), "layer": layer, "arrays": entries, **told}, separators=(",", ":")
-    ).encode()
+    header = _told({"t": round(time, 4), "layer": layer, "arrays": entries, **told}).encode()
     header += b" " * (-len(header) % 4)
     return b"".join([_LENGTH.pack(len(header)), header, *data])
 

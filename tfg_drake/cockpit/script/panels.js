@@ -104,7 +104,7 @@ function tellChoice() {
   const world = timeline.at("world", Infinity),
     goal = timeline.at("goal", time),
     rule = goal && goal.told.sent ? "Somebody has sent the robot there." : (RULES[world && world.told.rule] ?? "");
-  const cell = (v) => `<td>${number(v, Math.abs(v) < 99.95 ? 1 : 0)}</td>`;
+  const cell = (v) => `<td>${number(v, Math.abs(v) < 9.95 ? 1 : 0)}</td>`;
   const head = [
     ["goal", ""],
     ["known", "What seeing mapped tags again is worth, nats: exploitation; the pose's price is off it"],
