@@ -233,8 +233,8 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
 def _last(
     now: Situation, any_left: bool, budget: Budget, looked: IntArray, *, everything: bool
 ) -> tuple[int, str, str, IntArray]:
-    """The choice where no candidate is worth going to: the node before a passage that was too narrow, -1 where the
-    mission ends, or from which a doubtful tag is seen best; verdict and reason; and the ids (t,) of nodes from which the
+    """The choice where no candidate is worth going to: the node before a passage that was too narrow, or from which a
+    doubtful tag is seen best, -1 where the mission ends; verdict and reason; and the ids (t,) of nodes from which the
     robot has looked again.
 
     any_left: there are candidates. looked: (s,) node ids so far. everything: as of `choose`.
