@@ -3,9 +3,9 @@
     python benchmarks/results.py
     python benchmarks/results.py --rows house paper_real --seeds 3 --dry
 
-Each mission is a process of its own, and kept in a folder of its own (--out, row, seed): what is there is not run
-again, so that a run that was ended goes on; an empty folder makes all anew. A row that has fewer missions than it
-should says so by its number of seeds. --dry prints the tables and leaves the document alone.
+Each mission is a process of its own, and kept in a folder of its own (--out, row, seed; unless it is given, --out has
+the commit in its name): what is there is not run again, so that a run that was ended goes on. A row that has fewer
+missions than it should says so by its number of seeds. --dry prints the tables and leaves the document alone.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def main() -> None:
     parser.add_argument("--rows", nargs="+", choices=[*MISSIONS, *DEVIATIONS], default=[*MISSIONS, *DEVIATIONS])
     parser.add_argument("--seeds", type=int, help="Of each row, instead of its own number.")
     parser.add_argument("--jobs", type=int, default=2, help="Missions at a time.")
-    parser.add_argument("--out", type=Path, default=Path("runs/results"))
+    parser.add_argument("--out", type=Path, default=Path("runs") / f"results-{version().split(',')[0]}")
     parser.add_argument("--dry", action="store_true", help="Print the tables only.")
     options = parser.parse_args()
 
