@@ -44,8 +44,6 @@ OLDER_DARTS = 300
 FRONTIER_DARTS = 5
 # Gaps between surfaces up to this width get a node in the middle, m.
 PASSAGE_WIDTH = 1.5
-# A node as near as this to the line through a gap is on it, m.
-ON_LINE = 0.02
 # Nothing is nearer to the middle of a gap than this share of its width, rounding and all.
 HALF_GAP = 0.475
 # The least margin of a way that the robot has driven before, m. The way back to where it began needs none: the robot
@@ -281,9 +279,8 @@ def _nearer(x: float, y: float, distance: float, segments: FloatArray, rows: Int
     return len(rows)
 
 
-def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[FloatArray, FloatArray]:
-    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind; and the width of each gap's
-    half, (p,), m.
+def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
+    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind.
 
     A gap joins an end of one of the segments (m, 4) with the nearest point of another, is between narrowest and widest
     (m) wide, and nothing is nearer to its middle than its two sides.
@@ -293,11 +290,10 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[Flo
     ends = ends[np.append(True, (ends[1:] != ends[:-1]).any(axis=1))[: len(ends)]]
     gaps = _gaps(ends, segments, narrowest, widest)
     if not len(gaps):
-        return np.zeros((0, 2)), np.zeros(0)
+        return np.zeros((0, 2))
     middle, across = 0.5 * (gaps[:, :2] + gaps[:, 2:]), gaps[:, 2:] - gaps[:, :2]
-    width = np.hypot(*across.T)
-    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / width[:, None]
-    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2), np.repeat(0.5 * width, 3)
+    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / np.hypot(*across.T)[:, None]
+    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
@@ -327,12 +323,7 @@ def _proposals(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) that each must keep, and
     whether they lie in free space for sure (p,)."""
-    room = radius + NODE_MARGIN
-    gaps, half = passages(tfg.segments, 2 * room, PASSAGE_WIDTH)
-    apart = np.full(len(gaps), PASSAGE_SPACING / density)
-    if density > 1:
-        # No node beside the line through a gap stands for one on it.
-        apart = np.minimum(apart, np.maximum(half - room, ON_LINE))
+    gaps = passages(tfg.segments, 2 * (radius + NODE_MARGIN), PASSAGE_WIDTH)
     normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * density, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
@@ -342,9 +333,9 @@ def _proposals(
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
     groups = [tfg.viewpoints, gaps, fringe, newest, older]
     sizes = [len(group) for group in groups]
-    in_the_open = np.repeat([FRONTIER_SPACING, SPACING, SPACING], sizes[2:]) / density
-    spacing = np.concatenate([np.full(sizes[0], SAME_NODE), apart, in_the_open])
-    return np.concatenate(groups), spacing, np.repeat([False, False, False, True, True], sizes)
+    apart = np.array([PASSAGE_SPACING, FRONTIER_SPACING, SPACING, SPACING]) / density
+    is_free = np.repeat([False, False, False, True, True], sizes)
+    return np.concatenate(groups), np.repeat([SAME_NODE, *apart], sizes), is_free
 
 
 @njit(cache=True)
