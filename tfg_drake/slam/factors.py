@@ -8,35 +8,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import FloatArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of
 from tfg_drake.slam.keyframe_kernels import Keyframes, OnErrors, batch_error
 
 
 @dataclasses.dataclass(frozen=True)
 class Factors:
-    """All keyframes in flat arrays, as the kernels take them: see `Keyframes` and `OnErrors`. on_error: (2n + 3, 2n) of
-    each. tag_error: (2,) standard deviation of the errors."""
+    """All keyframes in flat arrays, as the kernels take them, and what they say of the tags' errors: see `OnErrors`.
+    on_error: (2n + 3, 2n) of each. tag_error: (2,) standard deviation of the errors."""
 
-    offsets: IntArray
-    rows: IntArray
-    p_AL: FloatArray
-    X_AD: FloatArray
-    starts: IntArray
-    information: FloatArray
+    keyframes: Keyframes
     on_error: tuple[FloatArray, ...]
     curvature: FloatArray
     slope: FloatArray
     tag_error: FloatArray
 
     @property
-    def keyframes(self) -> Keyframes:
-        """What was seen."""
-        return Keyframes(self.offsets, self.rows, self.p_AL, self.X_AD, self.starts, self.information)
-
-    @property
     def on_errors(self) -> OnErrors:
-        """What it says of the tags' errors."""
+        """As the kernels take it."""
         return OnErrors(np.concatenate([one.ravel() for one in self.on_error]), self.curvature, self.slope)
 
 
@@ -75,13 +65,16 @@ def factors_of(graph: KeyframeGraph) -> Factors:
     """The factors of a graph of one keyframe or more."""
     counts = np.array([len(one.ids) for one in graph.keyframes])
     ids = np.concatenate([one.ids for one in graph.keyframes])
-    return Factors(
+    keyframes = Keyframes(
         offsets=np.append(0, np.cumsum(counts)),
         rows=rows_of(ids, graph.ids)[0],
         p_AL=np.concatenate([one.p_AL for one in graph.keyframes]),
         X_AD=np.array([one.X_AD for one in graph.keyframes]),
         starts=np.append(0, np.cumsum((2 * counts + 3) ** 2)),
         information=np.concatenate([one.information.ravel() for one in graph.keyframes]),
+    )
+    return Factors(
+        keyframes=keyframes,
         on_error=tuple(one.on_error for one in graph.keyframes),
         curvature=np.concatenate([one.error_curvature.ravel() for one in graph.keyframes]),
         slope=np.concatenate([one.error_slope for one in graph.keyframes]),
@@ -93,20 +86,22 @@ def at_other_yaw(graph: KeyframeGraph, factors: Factors, change: float) -> Facto
     """The factors with the camera's yaw changed, rad."""
     of_tags = np.concatenate([one.on_yaw[:-3].reshape(-1, 2) for one in graph.keyframes])
     of_way = np.array([one.on_yaw[-3:] for one in graph.keyframes])
-    return dataclasses.replace(factors, p_AL=factors.p_AL + change * of_tags, X_AD=factors.X_AD + change * of_way)
+    seen = factors.keyframes
+    at_yaw = seen._replace(p_AL=seen.p_AL + change * of_tags, X_AD=seen.X_AD + change * of_way)
+    return dataclasses.replace(factors, keyframes=at_yaw)
 
 
 def at_errors(factors: Factors, errors: FloatArray) -> Factors:
     """The factors with the tags' errors (n, 2) taken out of what was seen."""
     if not factors.tag_error.any():
         return factors
-    p_AL, X_AD = factors.p_AL.copy(), factors.X_AD.copy()
+    p_AL, X_AD = factors.keyframes.p_AL.copy(), factors.keyframes.X_AD.copy()
     for j, on_error in enumerate(factors.on_error):
-        some = slice(factors.offsets[j], factors.offsets[j + 1])
-        change = on_error @ errors[factors.rows[some]].ravel()
+        some = slice(factors.keyframes.offsets[j], factors.keyframes.offsets[j + 1])
+        change = on_error @ errors[factors.keyframes.rows[some]].ravel()
         p_AL[some] += change[:-3].reshape(-1, 2)
         X_AD[j] += change[-3:]
-    return dataclasses.replace(factors, p_AL=p_AL, X_AD=X_AD)
+    return dataclasses.replace(factors, keyframes=factors.keyframes._replace(p_AL=p_AL, X_AD=X_AD))
 
 
 def squared_error(factors: Factors, values: Values) -> float:
@@ -119,9 +114,9 @@ def error_of_errors(factors: Factors, errors: FloatArray) -> float:
     """What the tags' errors (n, 2) cost by themselves."""
     if not factors.tag_error.any():
         return 0.0
-    each, begin = errors[factors.rows].ravel(), 0
+    each, begin = errors[factors.keyframes.rows].ravel(), 0
     total = float(np.sum((errors / factors.tag_error) ** 2)) + 2.0 * float(factors.slope @ each)
-    for some in np.split(each, 2 * factors.offsets[1:-1]):
+    for some in np.split(each, 2 * factors.keyframes.offsets[1:-1]):
         curvature = factors.curvature[begin : begin + len(some) ** 2].reshape(len(some), len(some))
         total, begin = total + float(some @ curvature @ some), begin + len(some) ** 2
     return total

@@ -97,7 +97,7 @@ class _Batch:
         self.factors, self.parts, self.values = factors, parts, values
         self.seen = at_errors(factors, values.errors).keyframes
         self.gradient, self.error = np.zeros(parts.dissection.size), 0.0
-        self.poses = np.empty((len(factors.X_AD), 6, 6))
+        self.poses = np.empty((len(factors.keyframes.X_AD), 6, 6))
         # A variable that is left out has no unknown, not even after its first.
         self.entry = np.full(len(self.gradient) + 1, -2)
         self.no_prior = np.full(len(parts.error_at), bool(factors.tag_error.any()))
@@ -130,11 +130,13 @@ def _dissected(
     factors: Factors, n: int, leaf: IntArray, local: IntArray | None = None, node: int = 0, *, landmarks: bool = True
 ) -> Parts:
     """The parts of a graph of n landmarks by the leaf of each keyframe (k,), without landmarks if these are known."""
-    k, errors = len(factors.X_AD), 2 if factors.tag_error.any() else 0
+    k, errors = len(factors.keyframes.X_AD), 2 if factors.tag_error.any() else 0
     # Landmarks, their errors, and all nodes but the origin.
     width = np.repeat([2 if landmarks else 0, errors, 3], [n, n, k])
-    seen_by = np.repeat(np.arange(k), np.diff(factors.offsets))
-    variable = np.concatenate([factors.rows, n + factors.rows, 2 * n + np.arange(k), 2 * n + np.arange(k - 1)])
+    seen_by = np.repeat(np.arange(k), np.diff(factors.keyframes.offsets))
+    variable = np.concatenate(
+        [factors.keyframes.rows, n + factors.keyframes.rows, 2 * n + np.arange(k), 2 * n + np.arange(k - 1)]
+    )
     keyframe = np.concatenate([seen_by, seen_by, np.arange(k), np.arange(1, k)])
     kept = np.empty(0, dtype=np.int64)
     if local is not None:

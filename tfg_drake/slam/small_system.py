@@ -108,10 +108,10 @@ def cells_of(graph: KeyframeGraph, factors: Factors, node: int) -> Cells:
         at[group] = first[number] + width * np.arange(len(group))
         of[group] = number
     together = np.zeros((k, len(groups)), dtype=bool)
-    keyframe = np.repeat(np.arange(k), np.diff(factors.offsets))
-    together[keyframe, landmark_cell[factors.rows]] = True
+    keyframe = np.repeat(np.arange(k), np.diff(factors.keyframes.offsets))
+    together[keyframe, landmark_cell[factors.keyframes.rows]] = True
     if has_errors:
-        together[keyframe, error_cell[factors.rows]] = True
+        together[keyframe, error_cell[factors.keyframes.rows]] = True
     together[np.arange(k), node_cell[1:]] = True
     together[np.arange(1, k), node_cell[1:k]] = True
     shared = together.T.astype(np.float32) @ together.astype(np.float32)
@@ -137,7 +137,7 @@ def cells_of(graph: KeyframeGraph, factors: Factors, node: int) -> Cells:
 def _linearised(factors: Factors, cells: Cells, values: Values) -> tuple[FloatArray, FloatArray, float, FloatArray]:
     """Blocks and gradient (u,) at some values, the weighted squared error there, and the blocks of the poses."""
     blocks, gradient = np.zeros(cells.bounds[-1]), np.zeros(len(cells.cell))
-    seen, every = at_errors(factors, values.errors).keyframes, np.arange(len(factors.X_AD))
+    seen, every = at_errors(factors, values.errors).keyframes, np.arange(len(factors.keyframes.X_AD))
     at = Unknowns(cells.landmark_at, cells.node_at, cells.error_at)
     in_cells = InCells(cells.cell, cells.first, cells.size, cells.block_at)
     error, poses = assemble(every, seen, values.X_MN, values.p_ML, at, in_cells, blocks, gradient)
