@@ -260,6 +260,25 @@ def test_the_way_driven_goes_on_from_where_it_ended_though_the_map_has_moved():
     assert label[nearest(state, estimate.X_MA[-1, :2])] != label[last]
 
 
+def test_further_efforts_leave_the_way_driven_where_it_ended():
+    """Though a node that the first effort added is nearer to the view than the one that stands for it."""
+    driven = resample(np.array([[-4.0, 0.0], [3.0, 0.0]]), 0.1)
+    state, estimate, tfg = build(two_rooms(0.8), [(-4, 0, 0), (3, 0, 0)], driven)
+    end = state.way_end
+    here = state.ids == end
+    beside = {name: np.append(getattr(state, name), getattr(state, name)[here]) for name in ("anchor", "sigma")}
+    moved = replace(
+        state,
+        **beside,
+        p_AN=np.vstack([np.where(here[:, None], state.p_AN + 0.01, state.p_AN), state.p_AN[here]]),
+        points=np.vstack([state.points, state.points[here]]),
+        ids=np.append(state.ids, state.next_id),
+        next_id=state.next_id + 1,
+        known_jointly=np.append(state.known_jointly, True),
+    )
+    assert extend(moved, tfg, estimate, PARAMETERS, effort=1).way_end == end
+
+
 def test_a_way_that_the_map_now_finds_too_narrow_is_open_only_to_go_home():
     segments = two_rooms(0.37)
     driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
@@ -459,16 +478,17 @@ def test_to_a_bold_robot_only_what_it_would_touch_is_in_the_way():
 
 def test_passages_are_the_middle_of_narrow_gaps():
     segments = frozen(two_rooms(0.8))
-    found = passages(segments, 0.5, 1.5)
+    found, half = passages(segments, 0.5, 1.5)
+    np.testing.assert_allclose(half[np.hypot(*found.T) < 1e-9], 0.4)
     assert np.hypot(*found.T).min() < 1e-9
     assert np.hypot(*(found - [0.5, 0.0]).T).min() < 1e-9
-    assert len(passages(segments, 0.9, 0.95)) == 0
-    assert len(passages(frozen(np.zeros((0, 4))), 0.5, 1.5)) == 0
+    assert len(passages(segments, 0.9, 0.95)[0]) == 0
+    assert len(passages(frozen(np.zeros((0, 4))), 0.5, 1.5)[0]) == 0
 
 
 def test_a_gap_between_an_end_and_the_side_of_a_wall_is_a_passage_too():
     segments = frozen([[-5.0, 0.0, 5.0, 0.0], [0.0, 0.8, 0.0, 3.0]])
-    found = passages(segments, 0.5, 1.5)
+    found, _ = passages(segments, 0.5, 1.5)
     np.testing.assert_allclose(found, [[0.5, 0.4], [0.0, 0.4], [-0.5, 0.4]], atol=1e-12)
 
 

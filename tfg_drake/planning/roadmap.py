@@ -44,6 +44,8 @@ OLDER_DARTS = 300
 FRONTIER_DARTS = 5
 # Gaps between surfaces up to this width get a node in the middle, m.
 PASSAGE_WIDTH = 1.5
+# A node as near as this to the line through a gap is on it, m.
+ON_LINE = 0.02
 # Nothing is nearer to the middle of a gap than this share of its width, rounding and all.
 HALF_GAP = 0.475
 # The least margin of a way that the robot has driven before, m. The way back to where it began needs none: the robot
@@ -279,8 +281,9 @@ def _nearer(x: float, y: float, distance: float, segments: FloatArray, rows: Int
     return len(rows)
 
 
-def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
-    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind.
+def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[FloatArray, FloatArray]:
+    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind; and the width of each gap's
+    half, (p,), m.
 
     A gap joins an end of one of the segments (m, 4) with the nearest point of another, is between narrowest and widest
     (m) wide, and nothing is nearer to its middle than its two sides.
@@ -290,10 +293,11 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
     ends = ends[np.append(True, (ends[1:] != ends[:-1]).any(axis=1))[: len(ends)]]
     gaps = _gaps(ends, segments, narrowest, widest)
     if not len(gaps):
-        return np.zeros((0, 2))
+        return np.zeros((0, 2)), np.zeros(0)
     middle, across = 0.5 * (gaps[:, :2] + gaps[:, 2:]), gaps[:, 2:] - gaps[:, :2]
-    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / np.hypot(*across.T)[:, None]
-    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
+    width = np.hypot(*across.T)
+    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / width[:, None]
+    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2), np.repeat(0.5 * width, 3)
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
@@ -323,7 +327,12 @@ def _proposals(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) that each must keep, and
     whether they lie in free space for sure (p,)."""
-    gaps = passages(tfg.segments, 2 * (radius + NODE_MARGIN), PASSAGE_WIDTH)
+    room = radius + NODE_MARGIN
+    gaps, half = passages(tfg.segments, 2 * room, PASSAGE_WIDTH)
+    apart = np.full(len(gaps), PASSAGE_SPACING / density)
+    if density > 1:
+        # No node beside the line through a gap stands for one on it.
+        apart = np.minimum(apart, np.maximum(half - room, ON_LINE))
     normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * density, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
@@ -333,9 +342,9 @@ def _proposals(
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
     groups = [tfg.viewpoints, gaps, fringe, newest, older]
     sizes = [len(group) for group in groups]
-    apart = np.array([PASSAGE_SPACING, FRONTIER_SPACING, SPACING, SPACING]) / density
-    is_free = np.repeat([False, False, False, True, True], sizes)
-    return np.concatenate(groups), np.repeat([SAME_NODE, *apart], sizes), is_free
+    in_the_open = np.repeat([FRONTIER_SPACING, SPACING, SPACING], sizes[2:]) / density
+    spacing = np.concatenate([np.full(sizes[0], SAME_NODE), apart, in_the_open])
+    return np.concatenate(groups), spacing, np.repeat([False, False, False, True, True], sizes)
 
 
 @njit(cache=True)
@@ -452,8 +461,7 @@ def extend(
     give the same roadmap.
     """
     views = np.arange(len(estimate.X_MA)) if views is None else views
-    path = np.zeros((0, 2)) if driven is None or estimate.stage == state.stage else driven
-    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, path, effort, reach, sampled)
+    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, effort, reach, sampled)
     first_new = len(state.anchor)
     fresh = len(points) - first_new
     apart = points[first_new:, None] - estimate.X_MA[views, :2]
@@ -499,7 +507,7 @@ def _with_new_nodes(
     tfg: TfgMap,
     estimate: MapEstimate,
     parameters: RoadmapParameters,
-    driven: FloatArray,
+    driven: FloatArray | None,
     effort: int,
     reach: float,
     sampled: bool,
@@ -508,9 +516,13 @@ def _with_new_nodes(
     edges (e, 2), smaller node first, along that way; and the node where it ends. Further arguments as of `extend`."""
     radius = parameters.robot.radius
     nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
-    before = int(np.append(np.flatnonzero(state.ids == state.way_end), -1)[0])
-    travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius, before)
-    nodes = np.vstack([nodes, travelled])
+    way_end = int(np.append(np.flatnonzero(state.ids == state.way_end), -1)[0])
+    chain = np.zeros((0, 2), dtype=np.int64)
+    if estimate.stage > state.stage:
+        # Further efforts at a stage add nothing to the way: the first has.
+        driven = np.zeros((0, 2)) if driven is None else driven
+        travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius, way_end)
+        nodes = np.vstack([nodes, travelled])
     if sampled:
         return nodes, chain, way_end
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
