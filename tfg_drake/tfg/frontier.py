@@ -325,19 +325,6 @@ def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
     return np.asarray(~enter(lines, segments) & _off_surface(points.p, segments))
 
 
-def novel(new: FrontierPoints, old: FrontierPoints, segments: FloatArray) -> BoolArray:
-    """Which new points (f,) none of the old ones stands for: of those that are open none that a surface explains.
-
-    Both and the segments (m, 4) in one frame.
-    """
-    is_novel = far_from(new.p, old.p, SAME_FRONTIER)
-    beside = np.flatnonzero(~is_novel & open_frontiers(new, segments))
-    if len(beside):
-        old = select(old, ~far_from(old.p, new.p[beside], SAME_FRONTIER))
-        is_novel[beside] = far_from(new.p[beside], old.p[open_frontiers(old, segments)], SAME_FRONTIER)
-    return is_novel
-
-
 def _off_surface(p: FloatArray, segments: FloatArray) -> BoolArray:
     """Which points p (f, 2) no surface (m, 4) runs through, (f,)."""
     return np.asarray(clearance(np.hstack([p, p]), segments, SURFACE_DISTANCE) >= SURFACE_DISTANCE)

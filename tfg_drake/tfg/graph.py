@@ -27,6 +27,7 @@ from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     GRAZE,
+    SAME_FRONTIER,
     SIGHTED_LENGTH,
     UNINSPECTED_LIFT,
     UNINSPECTED_SPACING,
@@ -41,7 +42,6 @@ from tfg_drake.tfg.frontier import (
     join,
     most_within,
     no_points,
-    novel,
     open_frontiers,
     place_points,
     points_of,
@@ -266,7 +266,7 @@ class _Newest:
             self.estimate.X_MA,
             open_still,
             lambda points: ~inside_any(points.p, *self.stars.polygons),
-            lambda old, new: novel(new, select(old, ~self._theirs(old)), self.segments),
+            lambda old, new: far_from(new.p, old.p[~self._theirs(old)], SAME_FRONTIER),
         )
 
     def uninspected(self, old: FrontierPoints, components: Components) -> FrontierPoints:
