@@ -202,7 +202,9 @@ def _eliminated(cells: Cells, blocks: FloatArray, gradient: FloatArray, damping:
     if last:
         of_last, vector_of_last = left.hessian(after)
         at = np.concatenate([np.arange(first[i], first[i] + size[i]) for i in last])
-        information[np.ix_(at, at)] += of_last
+        # As a rule all kept cells are touched; to pick them by their numbers takes a quarter of the elimination's time.
+        touched_at = np.ix_(at, at) if len(at) < cells.dense else np.s_[:, :]
+        information[touched_at] += of_last
         vector[at] += vector_of_last
     roots = (conditionals.at(place).R() for place in range(conditionals.size()))
     log_determinant = 2.0 * sum(float(np.sum(np.log(np.abs(np.diag(root))))) for root in roots)
