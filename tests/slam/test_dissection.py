@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from tfg_drake.slam.dissection import dissected, eliminated, leaves, solution
+from tfg_drake.slam.dissection import covariance, dissected, eliminated, leaves, solution
 
 
-def system(seed, keyframes=40, landmarks=60, kept=5, omitted=()):
+def system(seed, keyframes=40, landmarks=60, omitted=(), most=6):
     """A graph on a strip, each keyframe with those of its 2-vectors that are near and a 3-vector of its own; what each
     says of its unknowns; and the whole information, dense."""
     rng = np.random.default_rng(seed)
@@ -18,7 +18,7 @@ def system(seed, keyframes=40, landmarks=60, kept=5, omitted=()):
     variable = np.concatenate([variable, own, after])
     width = np.repeat([2, 3], [landmarks, keyframes])
     width[list(omitted)] = 0
-    dissection = dissected(leaves(points, 6), variable, keyframe, width, rng.permutation(landmarks)[:kept])
+    dissection = dissected(leaves(points, variable, keyframe, most), variable, keyframe, width)
     of_each, whole = [], np.zeros((dissection.size, dissection.size))
     for k in range(keyframes):
         mine = [v for v in variable[keyframe == k] if width[v]]
@@ -37,36 +37,49 @@ def system(seed, keyframes=40, landmarks=60, kept=5, omitted=()):
     return dissection, block, whole
 
 
-@pytest.mark.parametrize(("kept", "omitted"), [(5, ()), (0, ()), (60, ()), (3, (7, 8, 9))])
-def test_is_a_dense_solution(kept, omitted):
-    dissection, block, whole = system(1, kept=kept, omitted=omitted)
-    assert max(len(front.unknowns) for front in dissection.fronts) < 0.8 * len(whole)
-    elimination, size = eliminated(dissection, block), dissection.size - dissection.kept
-    information = np.linalg.inv(np.linalg.inv(whole)[size:, size:])
-    np.testing.assert_allclose(elimination.information, information, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
-    expected = np.linalg.slogdet(whole[:size, :size])[1]
-    assert elimination.log_determinant == pytest.approx(expected, rel=1e-12)
-    vector = np.random.default_rng(2).normal(size=len(whole))
-    root = scipy.linalg.cholesky(elimination.information, lower=True) if kept else elimination.information
-    x = solution(dissection, elimination, root, vector)
+@pytest.mark.parametrize(("omitted", "most"), [((), 6), ((7, 8, 9), 6), ((), 40), ((), 1)])
+def test_is_a_dense_solution(omitted, most):
+    dissection, block, whole = system(1, omitted=omitted, most=most)
+    assert max(len(front.unknowns) for front in dissection.fronts) < 0.8 * len(whole) or most == 40
+    elimination = eliminated(dissection, block)
+    assert elimination.log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], rel=1e-12)
+    rng = np.random.default_rng(2)
+    vector = rng.normal(size=len(whole))
+    x = solution(dissection, elimination, vector)
     np.testing.assert_allclose(x, np.linalg.solve(whole, vector), atol=1e-9 * np.abs(x).max())
+    for count in (0, 1, 30, len(whole)):
+        at = rng.permutation(len(whole))[:count]
+        expected = np.linalg.inv(whole)[np.ix_(at, at)]
+        np.testing.assert_allclose(covariance(dissection, elimination, at), expected, atol=1e-9 * np.abs(x).max())
 
 
 def test_what_no_keyframe_has_needs_damping():
-    dissection = dissected(np.array([0, 1]), np.array([0, 1]), np.array([0, 1]), np.array([2, 2, 2]), np.array([1]))
+    dissection = dissected(np.array([0, 1]), np.array([0, 1]), np.array([0, 1]), np.array([2, 2, 2]))
 
     def block(front):
         return np.diag(np.where(front.unknowns < dissection.at[2], 4.0, 0.0)[: len(front.unknowns)])
 
     with pytest.raises(scipy.linalg.LinAlgError, match="singular"):
         eliminated(dissection, block)
-    assert np.isfinite(eliminated(dissection, block, damping=1.0).information).all()
+    assert np.isfinite(eliminated(dissection, block, damping=1.0).log_determinant)
 
 
 def test_leaves_are_halves_of_halves():
-    points = np.random.default_rng(3).uniform(size=(100, 2)) * [10.0, 1.0]
-    leaf = leaves(points, 13)
+    rng = np.random.default_rng(3)
+    points = rng.uniform(size=(100, 2)) * [10.0, 1.0]
+    keyframe, variable = np.nonzero(np.abs(points[:, None, 0] - rng.uniform(0.0, 10.0, 150)) < 0.5)
+    leaf = leaves(points, variable, keyframe, 20)
     np.testing.assert_array_equal(np.unique(leaf), np.arange(8))
-    assert np.bincount(leaf).max() <= 13
-    assert points[leaf < 4, 0].max() <= points[leaf >= 4, 0].min()
-    np.testing.assert_array_equal(leaves(points[:5], 13), 0)
+    assert np.bincount(leaf).max() <= 20
+    assert np.bincount(leaf // 4).min() >= 40
+    np.testing.assert_array_equal(leaves(points[:5], np.array([0]), np.array([2]), 13), 0)
+
+
+def test_a_part_is_cut_where_its_halves_share_least():
+    points = np.column_stack([np.arange(20.0), np.arange(20.0)])
+    # Each shares a variable with the next, and the ninth does not with the tenth.
+    keyframe, variable = np.repeat(np.arange(20), 2), np.repeat(np.arange(21), 2)[1:-1]
+    keyframe, variable = keyframe[variable != 9], variable[variable != 9]
+    leaf = leaves(points, variable, keyframe, 12)
+    assert set(leaf[:9]) != set(leaf[9:])
+    assert len(set(leaf[:9])) == len(set(leaf[9:])) == 1

@@ -2,12 +2,14 @@
 
 A front is a half at some depth: the unknowns eliminated in it, which no keyframe outside it has, and its boundary,
 which the fronts above eliminate. All fronts are dense, so LAPACK does the work. See George, "Nested dissection of a
-regular finite element mesh" (1973), and Liu, "The multifrontal method for sparse matrix solution" (1992).
+regular finite element mesh" (1973), and Liu, "The multifrontal method for sparse matrix solution" (1992). The work
+grows with the cube of what two halves share, so each part is cut where that is least.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -18,7 +20,10 @@ from scipy.linalg import blas, lapack
 from tfg_drake.messages import FloatArray, IntArray
 
 # Keyframes of a front that has no halves, at most.
-LEAF = 12
+LEAF = 32
+# A part is cut across one of so many directions, so that its smaller half has at least this share of it.
+DIRECTIONS = 8
+LEAST_SHARE = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,51 +47,85 @@ class Front:
 @dataclasses.dataclass(frozen=True)
 class Dissection:
     """Fronts, each after its halves, and where the unknowns are. at: (g,) the first unknown of each of g variables, -1
-    of one left out. size: how many unknowns there are, kept: how many of them, the last, are not eliminated."""
+    of one left out. size: how many unknowns there are."""
 
     fronts: tuple[Front, ...]
     at: IntArray
     size: int
-    kept: int
 
 
 @dataclasses.dataclass(frozen=True)
 class Elimination:
-    """What is left when all but the kept unknowns are eliminated. information: (d, d) of the kept. lower, below: of
-    each front, (own, own) the Cholesky factor and (f - own, own) its rows for the boundary. log_determinant: of the
-    information on the others given the kept."""
+    """The Cholesky factor of the information. lower, below: of each front, (own, own) the factor and (f - own, own) its
+    rows for the boundary. log_determinant: of the information."""
 
-    information: FloatArray
     lower: tuple[FloatArray, ...]
     below: tuple[FloatArray, ...]
     log_determinant: float
 
 
-def leaves(points: FloatArray, most: int = LEAF) -> IntArray:
-    """(k,) the leaf of each of the points (k, 2): halves of halves across their longer side, 2^d leaves of at most so
-    many points, such that leaves 2 i and 2 i + 1 are halves of one part."""
+def leaves(points: FloatArray, variable: IntArray, keyframe: IntArray, most: int = LEAF) -> IntArray:
+    """(k,) the leaf of each of k keyframes: halves of halves, 2^d leaves of at most so many keyframes, such that leaves
+    2 i and 2 i + 1 are halves of one part.
+
+    Args:
+        points: (k, 2) where the keyframes are.
+        variable, keyframe: (e,) the variables that each keyframe has, and which that is.
+    """
+    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    along = points @ np.stack([np.cos(angle), np.sin(angle)])
+    order = np.argsort(variable, kind="stable")
+    parts = [(np.arange(len(points)), variable[order], keyframe[order])]
+    while max(len(part) for part, _, _ in parts) > most:
+        parts = [half for part in parts for half in _halves(along, *part)]
     leaf = np.zeros(len(points), dtype=np.int64)
-    parts = [np.arange(len(points))]
-    while max(len(part) for part in parts) > most:
-        halves = []
-        for part in parts:
-            some = points[part]
-            order = part[np.argsort(some[:, np.argmax(np.ptp(some, axis=0))], kind="stable")]
-            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
-        parts = halves
-    for number, part in enumerate(parts):
+    for number, (part, _, _) in enumerate(parts):
         leaf[part] = number
     return leaf
 
 
-def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: IntArray, kept: IntArray) -> Dissection:
+def _halves(
+    along: FloatArray, part: IntArray, variable: IntArray, keyframe: IntArray
+) -> list[tuple[IntArray, IntArray, IntArray]]:
+    """A part of the keyframes (q,), cut so that the fewest variables are on both sides: each half, with its variables.
+
+    along: (k, d) how far all keyframes are along each direction. variable, keyframe: (e,) as of `leaves`, by ascending
+    variable, those variables only that no keyframe outside the part has.
+    """
+    q, directions = len(part), along.shape[1]
+    order = np.argsort(along[part], axis=0, kind="stable")
+    place = np.empty((len(along), directions), dtype=np.int64)
+    place[part[order], np.arange(directions)] = np.arange(q)[:, None]
+    least = math.ceil(LEAST_SHARE * q)
+    cuts = np.arange(least, max(least, q - least) + 1)
+    begins = np.flatnonzero(np.diff(variable, prepend=-1))
+    first = last = np.empty((0, directions), dtype=np.int64)
+    if len(begins):
+        first, last = (each.reduceat(place[keyframe], begins, axis=0) for each in (np.minimum, np.maximum))
+    # Both sides of a cut have the variables that begin before it, but for those that end before it.
+    begun, ended = (
+        np.bincount((directions * (of + 1) + np.arange(directions)).ravel(), minlength=directions * (q + 1))
+        for of in (first, last)
+    )
+    shared = np.cumsum((begun - ended).reshape(q + 1, directions), axis=0)[cuts]
+    best, direction = np.unravel_index(np.argmin(shared), shared.shape)
+    cut, first, last = cuts[best], first[:, direction], last[:, direction]
+    number = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, len(variable))))
+    before, after = (last < cut)[number], (first >= cut)[number]
+    ordered = part[order[:, direction]]
+    return [
+        (ordered[:cut], variable[before], keyframe[before]),
+        (ordered[cut:], variable[after], keyframe[after]),
+    ]
+
+
+def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: IntArray) -> Dissection:
     """The dissection of a graph.
 
     Args:
         leaf: (k,) of each keyframe, as of `leaves`.
         variable, keyframe: (e,) the variables, from 0 to g - 1, that each keyframe has, and which that is.
         width: (g,) unknowns of each variable, 0 where it is left out.
-        kept: variables that are not eliminated, in their order.
     """
     depth = int(leaf.max(initial=0)).bit_length()
     number = len(width)
@@ -104,12 +143,10 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
     for (level, i), p in place.items():
         table[level, i] = p
     of = table[up, first >> up]
-    of[kept] = len(place) + np.arange(len(kept))
     order = np.argsort(of, kind="stable")
     order = order[width[order] > 0]
     at = np.full(number, -1)
     at[order] = np.cumsum(width[order]) - width[order]
-    size, dense = int(width.sum()), int(width[kept].sum())
 
     by_leaf = np.argsort(leaf[keyframe], kind="stable")
     variable_of = np.split(variable[by_leaf], np.searchsorted(leaf[keyframe][by_leaf], np.arange(1, 2**depth)))
@@ -131,17 +168,15 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
         halves.append(parts)
         mine = np.flatnonzero(of == p)
         own.append(int(width[mine].sum()))
-    root = np.arange(size - dense, size)
     above: list[IntArray] = [np.empty(0, dtype=np.int64)] * len(place)
     for p, parts in enumerate(halves):
         for half in parts:
             above[half] = np.searchsorted(unknowns[p], unknowns[half][own[half] :])
-    above[-1] = np.searchsorted(root, unknowns[-1][own[-1] :])
     fronts = tuple(
         Front(unknowns[p], own[p], halves[p], keyframes_of[i] if level == 0 else np.empty(0, dtype=np.int64), above[p])
         for (level, i), p in place.items()
     )
-    return Dissection(fronts, at, size, dense)
+    return Dissection(fronts, at, int(width.sum()))
 
 
 def _in_order(level: int, i: int) -> list[tuple[int, int]]:
@@ -152,7 +187,7 @@ def _in_order(level: int, i: int) -> list[tuple[int, int]]:
 
 
 def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], damping: float = 0.0) -> Elimination:
-    """The system with all but the kept unknowns eliminated.
+    """The system eliminated.
 
     block: the information (f, f) that the keyframes of a leaf have on its unknowns. damping: added to each unknown's.
     Raises numpy.linalg.LinAlgError where it is singular.
@@ -182,29 +217,51 @@ def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], dam
         lower.append(root)
         below.append(rest)
         log_determinant += 2.0 * float(np.sum(np.log(np.diag(root))))
-    information = np.zeros((dissection.kept, dissection.kept))
-    extend_add(information, left[len(dissection.fronts) - 1].T, dissection.fronts[-1].above)
-    information[np.arange(dissection.kept), np.arange(dissection.kept)] += damping
-    information = np.triu(information) + np.triu(information, 1).T
-    return Elimination(information, tuple(lower), tuple(below), log_determinant)
+    return Elimination(tuple(lower), tuple(below), log_determinant)
 
 
-def solution(dissection: Dissection, elimination: Elimination, root: FloatArray, vector: FloatArray) -> FloatArray:
-    """(u,) what times the information is the vector (u,). root: (d, d) lower Cholesky factor of that on the kept."""
+def solution(dissection: Dissection, elimination: Elimination, vector: FloatArray) -> FloatArray:
+    """(u,) what times the information is the vector (u,)."""
     x = vector.copy()
     for front, lower, below in zip(dissection.fronts, elimination.lower, elimination.below, strict=True):
         if front.own:
             x[front.eliminated] = lapack.dtrtrs(lower, x[front.eliminated], lower=1)[0]
             x[front.unknowns[front.own :]] -= below @ x[front.eliminated]
-    if dissection.kept:
-        last = slice(dissection.size - dissection.kept, dissection.size)
-        x[last] = scipy.linalg.cho_solve((root, True), x[last], check_finite=False)
     for p in range(len(dissection.fronts) - 1, -1, -1):
         front = dissection.fronts[p]
         if front.own:
             known = elimination.below[p].T @ x[front.unknowns[front.own :]]
             x[front.eliminated] = lapack.dtrtrs(elimination.lower[p], x[front.eliminated] - known, lower=1, trans=1)[0]
     return x
+
+
+def covariance(dissection: Dissection, elimination: Elimination, at: IntArray) -> FloatArray:
+    """(c, c) the joint covariance of some unknowns (c,): the product with itself of what the Cholesky factor makes of
+    their columns of the identity. These are zero but in the fronts where the unknowns are eliminated, and above."""
+    order = np.argsort(at, kind="stable")
+    columns, joint = at[order], np.zeros((len(at), len(at)))
+    left: dict[int, FloatArray] = {}
+    done = 0
+    for p, (front, lower, below) in enumerate(
+        zip(dissection.fronts, elimination.lower, elimination.below, strict=True)
+    ):
+        # The columns of the unknowns eliminated below a front, half by half, and those of its own follow each other.
+        halves = [(dissection.fronts[half].above, left.pop(half)) for half in front.halves]
+        first, last = np.searchsorted(columns, [done, done + front.own])
+        begin = first - sum(part.shape[1] for _, part in halves)
+        right, column = np.zeros((len(front.unknowns), last - begin), order="F"), 0
+        for above, part in halves:
+            right[above, column : column + part.shape[1]] = part
+            column += part.shape[1]
+        right[columns[first:last] - done, np.arange(first, last) - begin] = 1.0
+        left[p] = right[front.own :]
+        if front.own and last > begin:
+            root_part = blas.dtrsm(1.0, lower, right[: front.own], lower=1)
+            joint[begin:last, begin:last] += root_part.T @ root_part
+            left[p] = left[p] - below @ root_part
+        done += front.own
+    back = np.argsort(order, kind="stable")
+    return np.asarray(joint[np.ix_(back, back)])
 
 
 @njit(cache=True)

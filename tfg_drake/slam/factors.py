@@ -8,26 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of
 from tfg_drake.slam.keyframe_kernels import Keyframes, OnErrors, batch_error
 
 
 @dataclasses.dataclass(frozen=True)
 class Factors:
-    """All keyframes in flat arrays, as the kernels take them, and what they say of the tags' errors: see `OnErrors`.
-    on_error: (2n + 3, 2n) of each. tag_error: (2,) standard deviation of the errors."""
+    """All keyframes in flat arrays, as the kernels take them, and what they say of the tags' errors. tag_error: (2,)
+    standard deviation of these."""
 
     keyframes: Keyframes
-    on_error: tuple[FloatArray, ...]
-    curvature: FloatArray
-    slope: FloatArray
+    on_errors: OnErrors
     tag_error: FloatArray
-
-    @property
-    def on_errors(self) -> OnErrors:
-        """As the kernels take it."""
-        return OnErrors(np.concatenate([one.ravel() for one in self.on_error]), self.curvature, self.slope)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,11 +33,11 @@ class Values:
 
 
 class Solved(NamedTuple):
-    """The step (u,) of Gauss and Newton, the lower Cholesky factor (d, d) of the information on the kept unknowns, and
-    log det of that on the others given these."""
+    """The step (u,) of Gauss and Newton, the joint covariance (c, c) of unknowns (c,), those that are kept of a small
+    system, and log det of the information on all."""
 
     step: FloatArray
-    root: FloatArray
+    covariance: Callable[[IntArray], FloatArray]
     log_determinant: float
 
 
@@ -75,9 +68,11 @@ def factors_of(graph: KeyframeGraph) -> Factors:
     )
     return Factors(
         keyframes=keyframes,
-        on_error=tuple(one.on_error for one in graph.keyframes),
-        curvature=np.concatenate([one.error_curvature.ravel() for one in graph.keyframes]),
-        slope=np.concatenate([one.error_slope for one in graph.keyframes]),
+        on_errors=OnErrors(
+            on_error=np.concatenate([one.on_error.ravel() for one in graph.keyframes]),
+            curvature=np.concatenate([one.error_curvature.ravel() for one in graph.keyframes]),
+            slope=np.concatenate([one.error_slope for one in graph.keyframes]),
+        ),
         tag_error=graph.tag_error,
     )
 
@@ -95,12 +90,15 @@ def at_errors(factors: Factors, errors: FloatArray) -> Factors:
     """The factors with the tags' errors (n, 2) taken out of what was seen."""
     if not factors.tag_error.any():
         return factors
-    p_AL, X_AD = factors.keyframes.p_AL.copy(), factors.keyframes.X_AD.copy()
-    for j, on_error in enumerate(factors.on_error):
+    p_AL, X_AD, begin = factors.keyframes.p_AL.copy(), factors.keyframes.X_AD.copy(), 0
+    for j in range(len(X_AD)):
         some = slice(factors.keyframes.offsets[j], factors.keyframes.offsets[j + 1])
-        change = on_error @ errors[factors.keyframes.rows[some]].ravel()
+        each = errors[factors.keyframes.rows[some]].ravel()
+        end = begin + (len(each) + 3) * len(each)
+        change = factors.on_errors.on_error[begin:end].reshape(len(each) + 3, len(each)) @ each
         p_AL[some] += change[:-3].reshape(-1, 2)
         X_AD[j] += change[-3:]
+        begin = end
     return dataclasses.replace(factors, keyframes=factors.keyframes._replace(p_AL=p_AL, X_AD=X_AD))
 
 
@@ -115,8 +113,8 @@ def error_of_errors(factors: Factors, errors: FloatArray) -> float:
     if not factors.tag_error.any():
         return 0.0
     each, begin = errors[factors.keyframes.rows].ravel(), 0
-    total = float(np.sum((errors / factors.tag_error) ** 2)) + 2.0 * float(factors.slope @ each)
+    total = float(np.sum((errors / factors.tag_error) ** 2)) + 2.0 * float(factors.on_errors.slope @ each)
     for some in np.split(each, 2 * factors.keyframes.offsets[1:-1]):
-        curvature = factors.curvature[begin : begin + len(some) ** 2].reshape(len(some), len(some))
+        curvature = factors.on_errors.curvature[begin : begin + len(some) ** 2].reshape(len(some), len(some))
         total, begin = total + float(some @ curvature @ some), begin + len(some) ** 2
     return total

@@ -1,18 +1,19 @@
-"""The linear system of a large keyframe graph: eliminated by nested dissection, some landmarks and a pose kept or none.
+"""The linear system of a large keyframe graph: eliminated by nested dissection.
 
-Steps are found with nothing kept, which takes two thirds of the time, and one elimination serves them as long as values
-do not move far. So the whole is eliminated twice a solve, and the values are exact: each gradient is taken anew.
+One elimination serves the steps as long as values do not move far, and the values are exact: each gradient is taken
+anew. Another, where the values have come to rest, tells the joint covariance of what is asked for.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import scipy.linalg
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.dissection import Dissection, Front, dissected, eliminated, leaves, solution
+from tfg_drake.slam.dissection import Dissection, Front, covariance, dissected, eliminated, leaves, solution
 from tfg_drake.slam.factors import Factors, Linear, Solved, Values, at_errors, error_of_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.keyframe_kernels import InCells, Unknowns, assemble, assemble_tag_errors, batch_gradient
@@ -35,11 +36,6 @@ class Parts:
 
     keeps_for = KEPT_FOR
 
-    @property
-    def kept_from(self) -> int:
-        """The first unknown that is kept."""
-        return self.dissection.size - self.dissection.kept
-
     def linearised(self, factors: Factors, values: Values) -> Linear:
         """The system at some values, eliminated. Where some part of the map hangs on nothing that a double can tell,
         all is held by as little as it takes."""
@@ -48,9 +44,6 @@ class Parts:
             batch = _Batch(factors, self, values)
             try:
                 elimination = eliminated(self.dissection, batch.block, damping)
-                root = elimination.information
-                if len(root):
-                    root = scipy.linalg.cholesky(root, lower=True, check_finite=False)
                 break
             except scipy.linalg.LinAlgError:
                 if damping > MOST_DAMPING:
@@ -58,8 +51,8 @@ class Parts:
                 damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
 
         def solved(gradient: FloatArray) -> Solved:
-            step = solution(self.dissection, elimination, root, -gradient)
-            return Solved(step, root, elimination.log_determinant)
+            step = solution(self.dissection, elimination, -gradient)
+            return Solved(step, partial(covariance, self.dissection, elimination), elimination.log_determinant)
 
         def log_determinant_of_rest() -> float:
             rest = _dissected(factors, len(self.landmark_at), self.leaf, landmarks=False)
@@ -79,14 +72,14 @@ class Parts:
         error += error_of_errors(factors, values.errors)
         return dataclasses.replace(linear, gradient=gradient, error=error)
 
-    def keeping(self, factors: Factors, local: IntArray, node: int) -> Parts:
-        """The same parts of the graph where landmarks in rows local (m,) and a node are kept."""
-        return _dissected(factors, len(self.landmark_at), self.leaf, local, node)
-
 
 def parts_of(graph: KeyframeGraph, factors: Factors) -> Parts:
-    """The parts of a graph, nothing kept."""
-    return _dissected(factors, len(graph.ids), leaves(graph.X_MN[:-1, :2]))
+    """The parts of a graph."""
+    n = len(graph.ids)
+    variable, keyframe = _variables(factors, n)
+    # A landmark's error is in the keyframes that the landmark is in.
+    once = (variable < n) | (variable >= 2 * n)
+    return _dissected(factors, n, leaves(graph.X_MN[:-1, :2], variable[once], keyframe[once]))
 
 
 class _Batch:
@@ -126,21 +119,18 @@ class _Batch:
         return blocks.reshape(f, f)
 
 
-def _dissected(
-    factors: Factors, n: int, leaf: IntArray, local: IntArray | None = None, node: int = 0, *, landmarks: bool = True
-) -> Parts:
+def _variables(factors: Factors, n: int) -> tuple[IntArray, IntArray]:
+    """Which variables each keyframe has, and which that is: n landmarks, their errors, and all nodes but the origin."""
+    k = len(factors.keyframes.X_AD)
+    seen_by, rows = np.repeat(np.arange(k), np.diff(factors.keyframes.offsets)), factors.keyframes.rows
+    variable = np.concatenate([rows, n + rows, 2 * n + np.arange(k), 2 * n + np.arange(k - 1)])
+    return variable, np.concatenate([seen_by, seen_by, np.arange(k), np.arange(1, k)])
+
+
+def _dissected(factors: Factors, n: int, leaf: IntArray, *, landmarks: bool = True) -> Parts:
     """The parts of a graph of n landmarks by the leaf of each keyframe (k,), without landmarks if these are known."""
-    k, errors = len(factors.keyframes.X_AD), 2 if factors.tag_error.any() else 0
-    # Landmarks, their errors, and all nodes but the origin.
-    width = np.repeat([2 if landmarks else 0, errors, 3], [n, n, k])
-    seen_by = np.repeat(np.arange(k), np.diff(factors.keyframes.offsets))
-    variable = np.concatenate(
-        [factors.keyframes.rows, n + factors.keyframes.rows, 2 * n + np.arange(k), 2 * n + np.arange(k - 1)]
-    )
-    keyframe = np.concatenate([seen_by, seen_by, np.arange(k), np.arange(1, k)])
-    kept = np.empty(0, dtype=np.int64)
-    if local is not None:
-        kept = np.concatenate([local, [2 * n + node - 1], n + local if errors else kept])
-    dissection = dissected(leaf, variable, keyframe, width, kept)
+    errors = 2 if factors.tag_error.any() else 0
+    width = np.repeat([2 if landmarks else 0, errors, 3], [n, n, len(leaf)])
+    dissection = dissected(leaf, *_variables(factors, n), width)
     landmark_at, error_at, node_at = np.split(dissection.at, [n, 2 * n])
     return Parts(landmark_at, np.append(-1, node_at), error_at, leaf, dissection)

@@ -1,8 +1,8 @@
 """Values and joint covariance of the whole keyframe graph: maximum a posteriori (the paper's sec. III), to rounding.
 
-Where all landmarks are to be known jointly GTSAM eliminates the poses (`small_system`). Of a large map only those
-nearest to a place are, and the rest is eliminated by nested dissection (`large_system`). Either way what is left is
-dense, and its inverse is the joint covariance.
+Where all landmarks are to be known jointly GTSAM eliminates the poses (`small_system`); what is left is dense, and its
+inverse is the joint covariance. A large map, of which only those nearest to a place are, is eliminated by nested
+dissection (`large_system`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.linalg
 
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, replace
 from tfg_drake.slam.factors import Factors, Linear, Solved, Values, at_other_yaw, factors_of, squared_error
@@ -64,18 +63,10 @@ def solve(
         local = np.union1d(local, others[np.linspace(0, len(others) - 1, min(spread, len(others))).astype(np.int64)])
     local = local if also is None else np.union1d(local, also)
     values = Values(graph.X_MN.copy(), graph.p_ML.copy(), np.zeros(graph.p_ML.shape))
-    system: Cells | Parts
-    if len(local) == len(graph.ids) <= JOINT:
-        system = cells_of(graph, factors, node)
-        values, linear, solved = _converged(factors, system, values)
-    else:
-        system = parts_of(graph, factors)
-        values, _, _ = _converged(factors, system, values)
-        system = system.keeping(factors, local, node)
-        linear = system.linearised(factors, values)
-        solved = linear.solved(linear.gradient)
-        values, _ = _lowered(factors, system, linear, values, solved.step)
-    covariance, of_errors = _covariance(system, solved.root, local, node)
+    is_small = len(local) == len(graph.ids) <= JOINT
+    system = cells_of(graph, factors, node) if is_small else parts_of(graph, factors)
+    values, linear, solved = _converged(factors, system, values)
+    covariance, of_errors = _covariance(system, solved, local, node)
     tag_error = graph.tag_error
     if tag_error.any():
         tag_error = learnt(tag_error, values.errors[local], of_errors)
@@ -93,7 +84,7 @@ def solve(
     log_of_rest = log_of_chain + float(np.linalg.slogdet(pose_information)[1])
     if factors.tag_error.any():
         log_of_rest = linear.log_determinant_of_rest()
-    log_information = solved.log_determinant + 2.0 * float(np.sum(np.log(np.diag(solved.root)))) - log_of_rest
+    log_information = solved.log_determinant - log_of_rest
     entropy = 0.5 * (2 * len(p_ML) * math.log(2.0 * math.pi * math.e) - log_information) if len(p_ML) else 0.0
     graph = replace(
         graph,
@@ -110,10 +101,10 @@ def solve(
 
 
 def _converged(factors: Factors, system: Cells | Parts, values: Values) -> tuple[Values, Linear, Solved]:
-    """Values at the maximum a posteriori, the last system and its solution."""
+    """Values at the maximum a posteriori, the system linearised where the last step began, and its solution."""
     moved_since = math.inf
-    for _ in range(MOST_STEPS):
-        anew = moved_since >= system.keeps_for
+    for number in range(MOST_STEPS):
+        anew = moved_since >= system.keeps_for or number == MOST_STEPS - 1
         if anew:
             linear, moved_since = system.linearised(factors, values), 0.0
         else:
@@ -127,7 +118,9 @@ def _converged(factors: Factors, system: Cells | Parts, values: Values) -> tuple
             continue
         values, moved_since = moved, moved_since + (length if share == 1.0 else math.inf)
         if length < SMALL_STEP:
-            break
+            if anew:
+                break
+            moved_since = math.inf
     return values, linear, solved
 
 
@@ -220,13 +213,11 @@ def _joint_at(cells: Cells | Parts, local: IntArray, node: int) -> IntArray:
     return np.append((cells.landmark_at[local][:, None] + [0, 1]).ravel(), cells.node_at[node] + np.arange(3))
 
 
-def _covariance(cells: Cells | Parts, root: FloatArray, local: IntArray, node: int) -> tuple[FloatArray, FloatArray]:
+def _covariance(cells: Cells | Parts, solved: Solved, local: IntArray, node: int) -> tuple[FloatArray, FloatArray]:
     """(2m + 3, 2m + 3) covariance of the landmarks in rows local (m,) and of a node's pose, and (m, 2) the variances of
     the errors of those, zero where they have none."""
-    lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
-    at = _joint_at(cells, local, node) - cells.kept_from
-    whole = np.tril(lower) + np.tril(lower, -1).T
-    of_errors = np.zeros((len(local), 2))
-    if np.any(cells.error_at >= 0):
-        of_errors = np.diag(lower)[cells.error_at[local][:, None] + [0, 1] - cells.kept_from]
-    return np.asarray(whole[np.ix_(at, at)]), of_errors
+    at = _joint_at(cells, local, node)
+    if not np.any(cells.error_at >= 0):
+        return solved.covariance(at), np.zeros((len(local), 2))
+    covariance = solved.covariance(np.append(at, cells.error_at[local][:, None] + [0, 1]))
+    return covariance[: len(at), : len(at)].copy(), np.diag(covariance)[len(at) :].reshape(-1, 2)
