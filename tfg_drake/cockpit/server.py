@@ -25,7 +25,7 @@ from typing import Any, Protocol
 from tfg_drake.cockpit.page import served_page
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.manual_drive import BACK, FORWARD, HALT, LEFT, LOOK, RIGHT, stick
-from tfg_drake.mission.operation import Request
+from tfg_drake.mission.operation import Command, Request
 
 # Where the server looks for a free port first.
 PORT = 7000
@@ -42,7 +42,7 @@ STICK_HELD = 0.6
 NOWHERE = math.nan, math.nan
 
 # What a page may ask of an operator. Of a simulation it holds the clock instead of pausing the mission.
-_OPERATOR: tuple[Request, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
+_OPERATOR: tuple[Command, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
 _log = logging.getLogger("tfg_drake.cockpit")
 
 
@@ -112,10 +112,9 @@ class Cockpit:
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._asked: list[Request] = []
-        self._goals: list[tuple[float, float]] = []
         self._keys: list[str] = []
         self._stick_until = math.inf
-        self._streams, self._pushed = 0, 0
+        self._streams = 0
         self._stepping, self._stage, self._from = False, 0, 0
         self.token = secrets.token_urlsafe(16)
         self._names = {LOCAL, host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
@@ -152,18 +151,6 @@ class Cockpit:
         """What an operator was asked for since the last call."""
         with self._lock:
             taken, self._asked = self._asked, []
-        return taken
-
-    def pushes(self) -> int:
-        """How many pushes of a simulated robot were asked for since the last call."""
-        with self._lock:
-            taken, self._pushed = self._pushed, 0
-        return taken
-
-    def goals(self) -> Sequence[tuple[float, float]]:
-        """The places (x, y), m in M, that the robot was sent to since the last call."""
-        with self._lock:
-            taken, self._goals = self._goals, []
         return taken
 
     def keys(self) -> Sequence[str]:
@@ -226,13 +213,11 @@ class Cockpit:
                 self._keys.append(stick(*place))
                 self._stick_until = time.monotonic() + STICK_HELD if any(place) else math.inf
         elif what == "goal" and self.sends and math.isfinite(math.hypot(*place)):
-            with self._lock:
-                self._goals.append(place)
+            self._ask(place)
             if clock is not None:
                 clock.go()  # Nobody drives while it stands.
         elif what == "push" and clock is not None:
-            with self._lock:
-                self._pushed += 1
+            self._ask("push")
         elif what in _OPERATOR:
             self._stepping = False
             self._ask(next(request for request in _OPERATOR if request == what))
