@@ -80,8 +80,7 @@ class Disturbed:
     def error_among_tags(self) -> float:
         """As seen from the mapped tags in view: nan with fewer than three."""
         estimate, X_WB = self.port("map"), self.pose()
-        ids = self.world.tag_ids[visible_tags(self.world, X_WB, self.scenario.tags)]
-        ids, row, _ = np.intersect1d(estimate.ids, ids, return_indices=True)
+        ids, row, _ = np.intersect1d(estimate.ids, self.in_view(X_WB), return_indices=True)
         if len(ids) < 3:
             return np.nan
         p_WT = self.world.p_WT[np.searchsorted(self.world.tag_ids, ids)]
@@ -89,8 +88,13 @@ class Disturbed:
         return float(np.hypot(*(compose(X_WM, self.port("pose").X_MB)[:2] - X_WB[:2])))
 
     def mapped_in_view(self, X_WB: np.ndarray) -> int:
-        return len(np.intersect1d(self.world.tag_ids[visible_tags(self.world, X_WB, self.scenario.tags)],
-                                  self.port("map").ids))  # fmt: skip
+        return len(np.intersect1d(self.in_view(X_WB), self.port("map").ids))
+
+    def in_view(self, X_WB: np.ndarray) -> np.ndarray:
+        """Ids of the tags that the camera sees from a pose."""
+        world, camera = self.world, self.scenario.tags
+        reach = camera.range, camera.field_of_view, camera.max_incidence
+        return world.tag_ids[visible_tags(world.p_WT, world.tag_facing, world.walls, X_WB, *reach)]
 
     def map_rmse(self) -> float:
         estimate = self.port("map")

@@ -53,9 +53,10 @@ def mission(world: str, kind: str, seed: int) -> dict[str, Any]:
         after = filter_command(state, stamp, command, hazards, seen, watch, *rest)
         if after[SPEED] < filter_command(state, stamp, command, hazards, seen, trusting, *rest)[SPEED] - SLOWER:
             robot, safety = scenario.robot, scenario.safety
-            way = float(command[0]), float(command[1]), robot.radius, safety.side_margin
+            curvature = float(command[1] / command[0])
+            way = seen.angles, seen.ranges, np.zeros(3), curvature, robot.radius, safety.side_margin, np.inf
             told = command[0] > SLOWER and after[SPEED] == 0.0
-            (stops if told and free_distance(seen, np.zeros(3), *way) > NEAR else slowed).append(stamp)
+            (stops if told and free_distance(*way) > NEAR else slowed).append(stamp)
         return after
 
     if kind == "20 % lost":

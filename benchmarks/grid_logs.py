@@ -17,15 +17,13 @@ import time
 from pathlib import Path
 
 import numpy as np
-from breezyslam import load_breezyslam
-from carmen import load_carmen
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scan_logs import ScanLog, load_breezyslam, load_carmen
 from threadpoolctl import threadpool_limits
 
 from tfg_drake.comparison.metrics import align
 from tfg_drake.config import GridConfig, OdometryConfig
-from tfg_drake.datasets.recording import ScanLog
 from tfg_drake.geometry import se2
 from tfg_drake.grid import gmapping
 from tfg_drake.messages import FloatArray, GridMap

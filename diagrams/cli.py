@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +22,13 @@ import typer
 from tfg_drake import __version__, kernels
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
-from tfg_drake.diagrams.commands.command_line import BadInput, compile_kernels, wait_for_enter, wait_for_kernels
+from tfg_drake.diagrams.commands.command_line import (
+    BadInput,
+    compiling_beside,
+    complaining,
+    wait_for_enter,
+    wait_for_kernels,
+)
 from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.kobuki import kobuki_app
 from tfg_drake.diagrams.commands.map import map_app
@@ -157,17 +163,13 @@ def explore(
         # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
         compilation = None
         if need == kernels.MISSION and not headless:
-            compilation = compile_kernels(need, kernels.BESIDE)
-            stack.enter_context(contextlib.closing(compilation) if compilation else contextlib.nullcontext())
+            compilation = stack.enter_context(compiling_beside(need))
         elif need == kernels.MISSION or _places_tags(world, tag_spacing, start):
             wait_for_kernels(show, _interrupted, need)
         loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
         if robot != "sim" and replayed is None:
             explore_command.link(loaded.hardware, robot, links)
-        if out is not None:
-            read = [Path(file) for file in (scenario, world) if file is not None and Path(file).is_file()]
-            explore_command.check_kept(out, replayed, read)
-            _make_writable(out)
+        _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
         cockpit = None
         if not headless:
             from tfg_drake.diagrams.commands.page import open_page
@@ -180,9 +182,7 @@ def explore(
             explore_command.wait_for_beginning(compilation, show, _interrupted)
         explorer = _find_method(method, loaded)
         if explorer.needs_keys:
-            if robot != "sim":
-                _bad_input(f"--method {method}: is for a simulated robot; leave --robot out")
-            explorer = stack.enter_context(explore_command.keys_of_driver(explorer, cockpit))
+            explorer = stack.enter_context(explore_command.keys_of_driver(explorer, robot, cockpit))
             realtime_rate = realtime_rate or 1.0
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
@@ -194,7 +194,7 @@ def explore(
         stack.enter_context(explore_command.remarks_on_screen())
         opened = explore_command.open_robot(robot, loaded, explorer, _interrupted, _interrupt)
         driven, loaded = stack.enter_context(opened)
-        try:
+        with complaining(out):
             result = run.explore(
                 loaded,
                 method=explorer,
@@ -209,8 +209,6 @@ def explore(
                 interrupted=_interrupted,
                 kernels=compilation,
             )
-        except OSError as error:
-            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
         stack.close()
         _tell(result)
         if cockpit is not None and sys.stdin.isatty() and sys.stdout.isatty():
@@ -302,7 +300,7 @@ def compare(
         from tfg_drake.diagrams.missions.sweep import SweepError, Task, parse_methods
 
         name = explore_command.run_name(scenario, world)
-        try:
+        with complaining(out, SweepError):
             place = _parse_start(start)
             of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
             sources = parse_methods(methods, of_seed[0])
@@ -318,22 +316,23 @@ def compare(
             wait_for_kernels(show, _interrupted)
             given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", methods)]
             given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
-            words = [str(word) for option, value in given if value is not None for word in (option, value)]
-            command = shlex.join(["tfg-drake", "compare", scenario, *words])
+            command = _command_line(["compare", scenario], given)
             with run_folder.claimed(folder):
                 runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted, show)
                 show("drawing and writing the comparison")
                 comparison_report.write_comparison(runs, tasks, folder, command)
-        except SweepError as error:
-            _bad_input(str(error))
-        except OSError as error:
-            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
     for line in compare_command.closing_lines(runs, names):
         print(line)
     print(f"report: {folder / 'report.html'}")
     if _interrupted.is_set():
         raise typer.Exit(EXIT_CODES["interrupted"])
     raise typer.Exit(EXIT_CODES["fault"] if any(not run.counts for run in runs) else 0)
+
+
+def _command_line(words: list[str], options: list[tuple[str, Any]]) -> str:
+    """What a shell takes to run a command once more, with those of its options that have a value."""
+    given = [str(word) for option, value in options if value is not None for word in (option, value)]
+    return shlex.join(["tfg-drake", *words, *given])
 
 
 @app.command()
@@ -356,9 +355,7 @@ def fork(
     if goal is not None and candidate is not None:
         _bad_input("--goal and --candidate exclude each other; name one of them")
     place = _parse_place(goal)
-    if out is not None:
-        explore_command.check_kept(out)
-        _make_writable(out)
+    _make_ready(out)
     with Screen() as show:
         show("loading")
         wait_for_kernels(show, _interrupted)
@@ -369,7 +366,7 @@ def fork(
         from tfg_drake.diagrams.missions.run import explore as explore_mission
         from tfg_drake.storage.run import RunError
 
-        try:
+        with complaining(out, forks.ForkError, RunError):
             before, loaded = forks.forkable(run, stage)
             if out is not None and out.resolve() == run.resolve():
                 _bad_input(f"--out {out}: holds the run that is forked; name another folder")
@@ -392,10 +389,6 @@ def fork(
                     shutil.rmtree(result.folder)  # Nothing of it is of use.
                 raise change.failure
             forks.check_same(before, result.stages, stage)
-        except (forks.ForkError, RunError) as error:
-            _bad_input(str(error))
-        except OSError as error:
-            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
     for line in fork_command.aligned(fork_command.candidate_rows(change.candidates)):
         print(line)
     print()
@@ -440,9 +433,7 @@ def slam(
     if robot is not None and is_video:
         _bad_input(f"--robot {robot}: is for MR.CLAM; a video has one camera")
     _check_positive("--tag-size", tag_size, "m")
-    if out is not None:
-        explore_command.check_kept(out)
-        _make_writable(out)
+    _make_ready(out)
     with Screen() as show:
         show("loading")
         if dataset.exists():
@@ -453,19 +444,16 @@ def slam(
         from tfg_drake.diagrams.commands import slam as slam_command
 
         progress = slam_command.Progress(show, _interrupted)
-        try:
+        with complaining(out, DatasetError):
             load: Callable[[Path], Any]
             if calibration is not None and tag_size is not None:
                 load = video_loader(calibration, tag_size, mount, odometry, progress.say)
             else:
                 load = functools.partial(load_dataset, robot=robot)
-            result = slam_command.run_slam(dataset, out, progress, load)
-        except DatasetError as error:
-            _bad_input(str(error))
-        except slam_command.Interrupted:
-            raise typer.Exit(EXIT_CODES["interrupted"]) from None
-        except OSError as error:
-            _bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
+            try:
+                result = slam_command.run_slam(dataset, out, progress, load)
+            except slam_command.Interrupted:
+                raise typer.Exit(EXIT_CODES["interrupted"]) from None
     for name, value in [*slam_command.table_rows(result.summary), ("files", str(result.folder))]:
         print(f"{name:<14}{value}")
     if as_json:
@@ -489,15 +477,10 @@ def figures(
             show(f"the mission to draw: stage {stage}, {time:.0f} s")
             return _interrupted.is_set()
 
-        try:
-            with run_folder.claimed(out):
-                files = write_figures(out, on_stage)
-                if not _interrupted.is_set():
-                    files.append(write_tables(out, _interrupted, show))
-        except SweepError as error:
-            _bad_input(str(error))
-        except OSError as error:
-            _bad_input(f"{error.filename or out}: cannot be written: {error.strerror or error}")
+        with complaining(out, SweepError), run_folder.claimed(out):
+            files = write_figures(out, on_stage)
+            if not _interrupted.is_set():
+                files.append(write_tables(out, _interrupted, show))
     for file in files:
         print(file)
     if _interrupted.is_set():
@@ -571,6 +554,14 @@ def _check_spacing(tag_spacing: float | None) -> None:
     _check_positive("--tag-spacing", tag_spacing, "m")
     if tag_spacing is not None and tag_spacing < LEAST_SPACING:
         _bad_input(f"--tag-spacing {tag_spacing:g}: must be {LEAST_SPACING:g} m at least; tags are no smaller")
+
+
+def _make_ready(out: Path | None, replayed: Path | None = None, read: Sequence[Path] = ()) -> None:
+    """Makes the folder of a run, if one is named; what is read may lie in it. Raises BadInput as `check_kept` does, and
+    where it cannot be written."""
+    if out is not None:
+        explore_command.check_kept(out, replayed, [file for file in read if file.is_file()])
+        _make_writable(out)
 
 
 def _make_writable(folder: Path) -> None:

@@ -108,12 +108,8 @@ def MakeTurtlebotStation(
     _AddSensorNoise(builder, scenario, tag_sensor, scanner)
 
     walking = _AddPeople(builder, scenario, world, plant, eyes) if reality.people else None
-    changing = None
-    if reality.changes:
-        changing = builder.AddNamedSystem("world", ChangingWorld(world, reality.changes, scenario.robot.radius))
-        builder.Connect(plant.GetOutputPort("pose"), changing.GetInputPort("pose"))
-        for system in (plant, *eyes, *([walking] if walking is not None else [])):
-            builder.Connect(changing.GetOutputPort("world"), system.GetInputPort("world"))
+    seeing = (plant, *eyes, *([walking] if walking is not None else []))
+    changing = _AddChanges(builder, scenario, world, plant, seeing) if reality.changes else None
     if meshcat is not None:
         _AddPicture(builder, meshcat, scenario, world, plant, walking)
 
@@ -128,14 +124,7 @@ def MakeTurtlebotStation(
     builder.ExportOutput(tag_sensor.GetOutputPort("detections"), "tags.detections")
     builder.ExportOutput(scanner.GetOutputPort("ranges"), "scan.ranges")
 
-    # The truth, for metrics and pictures. A simulation knows it, a robot does not: never wire it into an explorer.
-    for name in ("pose", "contacts", "clearance", "contacts_received"):
-        builder.ExportOutput(plant.GetOutputPort(name), f"truth.{name}")
-    if walking is not None:
-        builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")
-    if changing is not None:
-        builder.ExportOutput(changing.GetOutputPort("world"), "truth.world")
-
+    _ExportTruth(builder, plant, walking, changing)
     station = builder.Build()
     station.set_name("station")
     return station
@@ -166,6 +155,30 @@ def _AddPeople(
     for system in (plant, *eyes):
         builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
     return walking
+
+
+def _AddChanges(
+    builder: DiagramBuilder, scenario: Scenario, world: World, plant: System, seeing: Sequence[System]
+) -> ChangingWorld:
+    """The world where things change, for all who meet or see it."""
+    changes, radius = scenario.reality.changes, scenario.robot.radius
+    changing = builder.AddNamedSystem("world", ChangingWorld(world, changes, radius))
+    builder.Connect(plant.GetOutputPort("pose"), changing.GetInputPort("pose"))
+    for system in seeing:
+        builder.Connect(changing.GetOutputPort("world"), system.GetInputPort("world"))
+    return changing
+
+
+def _ExportTruth(
+    builder: DiagramBuilder, plant: System, walking: PeopleWalking | None, changing: ChangingWorld | None
+) -> None:
+    """The truth, for metrics and pictures. A simulation knows it, a robot does not: never wire it into an explorer."""
+    for name in ("pose", "contacts", "clearance", "contacts_received"):
+        builder.ExportOutput(plant.GetOutputPort(name), f"truth.{name}")
+    if walking is not None:
+        builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")
+    if changing is not None:
+        builder.ExportOutput(changing.GetOutputPort("world"), "truth.world")
 
 
 def _AddPicture(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from tfg_drake.hardware.device import BaseState, Device
 from tfg_drake.hardware.remarks import Spells, battery, begun
-from tfg_drake.mission.operation import Request
+from tfg_drake.mission.operation import Command
 
 # By the name of the remark that is told with it.
-REQUESTS: dict[str, Request] = {"battery low": "recall", "battery dangerous": "end"}
+REQUESTS: dict[str, Command] = {"battery low": "recall", "battery dangerous": "end"}
 
 
 class BatteryWatch:
@@ -18,7 +18,7 @@ class BatteryWatch:
         self._base = base
         self._spells: Spells = {}
 
-    def requests(self) -> list[Request]:
+    def requests(self) -> list[Command]:
         """What is asked for since the last call."""
         state = self._base.newest(BaseState)
         if state is None:

@@ -15,11 +15,11 @@ import weakref
 from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
-from tfg_drake.mission.operation import Request
+from tfg_drake.mission.operation import Command
 
 T = TypeVar("T", bound=str)
 
-KEYS: Mapping[str, Request] = {"e": "enable", " ": "stop", "s": "stop", "p": "pause", "q": "end"}
+KEYS: Mapping[str, Command] = {"e": "enable", " ": "stop", "s": "stop", "p": "pause", "q": "end"}
 HELP = "keys: e enable the wheels, space (or s) emergency stop, p pause or resume, q end"
 
 

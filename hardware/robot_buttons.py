@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from tfg_drake.hardware.device import BaseState, Device
-from tfg_drake.mission.operation import Request
+from tfg_drake.mission.operation import Command
 
 # Of a Kobuki B0, B1 and B2, by their bits.
-BUTTONS: dict[int, Request] = {1: "stop", 2: "pause", 4: "enable"}
+BUTTONS: dict[int, Command] = {1: "stop", 2: "pause", 4: "enable"}
 
 
 class RobotButtons:
@@ -18,7 +18,7 @@ class RobotButtons:
         self._base = base
         self._pressed = 0
 
-    def requests(self) -> list[Request]:
+    def requests(self) -> list[Command]:
         """What was asked for since the last call."""
         requests = []
         for state in self._base.take(BaseState, math.inf):

@@ -8,12 +8,24 @@ from collections.abc import Callable, Sequence
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
+from tfg_drake.messages import message, replace
 from tfg_drake.mission.operation import Operation, Request, requested
-from tfg_drake.systems.ports import set_state_message, state_message
+from tfg_drake.planning.requested_goal import RequestedGoal, goal_asked_for
+from tfg_drake.simulation.disturbance import Pushes, with_push
+from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
 
 PERIOD = 1.0 / 16.0
 
 _log = logging.getLogger("tfg_drake.operator")
+
+
+@message
+class _Asked:
+    """What has been asked for so far."""
+
+    operation: Operation
+    goal: RequestedGoal = RequestedGoal()
+    pushes: Pushes = Pushes()
 
 
 class Operator(LeafSystem):
@@ -27,11 +39,15 @@ class Operator(LeafSystem):
         - pause
         - stop
         - recall
+        - requested_goal
+        - pushes
 
-    All are vectors of size 1. enable: for the base; 0 while it must stand, otherwise a number that is another one each
-    time it is enabled. pause, stop, recall: for the mission, 1 or 0.
+    The first four are vectors of size 1. enable: for the base; 0 while it must stand, otherwise a number that is
+    another one each time it is enabled. pause, stop, recall: for the mission, 1 or 0. requested_goal: where the robot
+    is sent, a RequestedGoal message. pushes: what moves a simulated robot besides its wheels, a Pushes message.
 
-    The requests come from outside the context: a run in which there were any repeats only with the same ones.
+    The requests come from outside the context: a run in which there were any repeats only with the same ones, as a
+    replay has the places to which the robot was sent.
     """
 
     def __init__(
@@ -42,7 +58,7 @@ class Operator(LeafSystem):
         super().__init__()
         self._sources, self._recalls, self._enabled = tuple(sources), recalls, enabled
         beginning = requested(Operation(), "enable") if enabled else Operation()
-        self._state = self.DeclareAbstractState(AbstractValue.Make(beginning))
+        self._state = self.DeclareAbstractState(AbstractValue.Make(_Asked(beginning)))
         depends = {self.abstract_state_ticket(self._state)}
         for name, calc in (
             ("enable", lambda operation: operation.enabling),
@@ -51,27 +67,43 @@ class Operator(LeafSystem):
             ("recall", lambda operation: operation.recalled),
         ):
             self.DeclareVectorOutputPort(name, 1, self._Calc(calc), depends)
+        declare_message_output(self, "requested_goal", lambda context: self._State(context).goal, depends)
+        declare_message_output(self, "pushes", lambda context: self._State(context).pushes, depends)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Calc(self, calc: Callable[[Operation], float]) -> Callable[[Context, BasicVector], None]:
-        return lambda context, output: output.SetAtIndex(0, float(calc(state_message(context, self._state, Operation))))
+        return lambda context, output: output.SetAtIndex(0, float(calc(self._State(context).operation)))
+
+    def _State(self, context: Context) -> _Asked:
+        return state_message(context, self._state, _Asked)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        before = after = state_message(context, self._state, Operation)
         requests = [request for source in self._sources for request in source()]
-        if context.get_time() < 0.5 * PERIOD:
+        begins = context.get_time() < 0.5 * PERIOD
+        if begins and not self._enabled:
+            _log.info("nothing moves before it is enabled")
+        if not requests:
+            return EventStatus.DidNothing()
+        before = after = self._State(context)
+        # It holds from the next instant on, which all who listen still have before them.
+        then = context.get_time() + PERIOD
+        places = [request for request in requests if isinstance(request, tuple)]
+        if places:
+            after = replace(after, goal=goal_asked_for(after.goal, places, then))
+        if "push" in requests:  # However often that was asked for at once, it is one.
+            after = replace(after, pushes=with_push(after.pushes, then))
+        commands = [request for request in requests if not isinstance(request, tuple) and request != "push"]
+        if begins:
             # What was asked for before the mission began was not meant for it, unless it was to stop.
-            requests = [request for request in requests if request in ("stop", "end")]
-            if not self._enabled:
-                _log.info("nothing moves before it is enabled")
+            commands = [command for command in commands if command in ("stop", "end")]
         if not self._recalls:
-            requests = ["end" if request == "recall" else request for request in requests]
-        if "stop" in requests or "end" in requests:
+            commands = ["end" if command == "recall" else command for command in commands]
+        if "stop" in commands or "end" in commands:
             # Nobody knows in which order they came: who asked for a stop gets it.
-            requests = [request for request in requests if request != "enable"]
-        for request in requests:
-            _log.info("%.2f s: %s", context.get_time(), request)
-            after = requested(after, request)
+            commands = [command for command in commands if command != "enable"]
+        for command in commands:
+            _log.info("%.2f s: %s", context.get_time(), command)
+            after = replace(after, operation=requested(after.operation, command))
         if after is before:
             return EventStatus.DidNothing()
         set_state_message(state, self._state, after)

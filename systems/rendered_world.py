@@ -50,7 +50,7 @@ _LAMP_HEADINGS, _LAMP_HEIGHT = np.radians([20.0, 140.0, 260.0]), math.radians(20
 _TALL, _CLOTHES, _SKY = 1.7, 85.0, 225.0
 
 
-def AddScene(scene: SceneGraph, world: World, config: SceneConfig | None = None) -> SourceId:
+def AddScene(scene: SceneGraph, world: World, config: SceneConfig) -> SourceId:
     """Puts a world into a SceneGraph, with a renderer of its own; returns the source that holds it.
 
     Raises WorldError where it cannot be drawn.
@@ -121,19 +121,12 @@ def PlanarPose(X_WB: NDArray[np.float64]) -> RigidTransform:
 class WorldView:
     """Pictures of a world, one by one, for what is no diagram: a stream, a figure, a test."""
 
-    def __init__(
-        self,
-        world: World,
-        mount: CameraMount,
-        info: CameraInfo,
-        config: SceneConfig | None = None,
-        depths: tuple[float, float] = (0.1, 10.0),
-    ):
-        """mount: of the camera on the body. depths: m, as MakeCameras has them. Raises WorldError."""
+    def __init__(self, world: World, mount: CameraMount, info: CameraInfo):
+        """mount: of the camera on the body. Raises WorldError."""
         self._scene = SceneGraph()
-        AddScene(self._scene, world, config)
+        AddScene(self._scene, world, SceneConfig())
         self._context = self._scene.CreateDefaultContext()
-        self._colour, self._depth = MakeCameras(info, *depths)
+        self._colour, self._depth = MakeCameras(info, least_depth=0.1, most_depth=10.0)
         self._X_BC = MountPose(mount)
         self.calibration: CameraCalibration = calibration_of(info)
 

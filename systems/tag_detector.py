@@ -12,7 +12,6 @@ from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.same_view import Views, no_views, weighed
 from tfg_drake.vision.sighting import Sighting, TagNoise, TagSizes, nothing_sighted, sighted
-from tfg_drake.vision.tag_detector import DetectorConfig
 from tfg_drake.vision.tag_detector import TagDetector as Detector
 
 
@@ -39,16 +38,14 @@ class TagDetector(LeafSystem):
         sizes: TagSizes,
         mount: CameraMount,
         rate: float = 8.0,
-        detector: DetectorConfig | None = None,
         noise: TagNoise | None = None,
-        least_margin: float = 30.0,
         least_side: float = 0.0,
     ):
-        """rate: frames a second, Hz. Else see tfg_drake.vision.sighting.sighted. Raises ValueError where the detector's
-        configuration is none."""
+        """rate: frames a second, Hz. Else see tfg_drake.vision.sighting.sighted."""
         super().__init__()
-        self._detector = Detector(detector)
-        self._sheet = (calibration, sizes, mount, noise, least_margin, least_side)
+        self._detector = Detector()
+        self._sheet = (calibration, sizes, mount, noise)
+        self._least_side = least_side
         self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageRgba8U()))
         self._state = self.DeclareAbstractState(AbstractValue.Make(nothing_sighted()))
         self._views = self.DeclareAbstractState(AbstractValue.Make(no_views()))
@@ -63,7 +60,7 @@ class TagDetector(LeafSystem):
     @metered("tag_detector")
     def _Detect(self, context: Context, state: State) -> None:
         tags = self._detector.detect(self._image.Eval(context).data)
-        sighting = sighted(tags, context.get_time(), *self._sheet)
+        sighting = sighted(tags, context.get_time(), *self._sheet, least_side=self._least_side)
         detections, views = weighed(sighting.detections, tags, state_message(context, self._views, Views))
         set_state_message(state, self._state, Sighting(detections, sighting.remarks))
         set_state_message(state, self._views, views)

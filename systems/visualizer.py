@@ -175,25 +175,6 @@ class TfgVisualizer(LeafSystem):
         self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
         self._picture.attempt(self._Begin, None)
 
-    @staticmethod
-    def AddToBuilder(
-        builder: DiagramBuilder,
-        station: System,
-        explorer: System,
-        meshcat: Meshcat | Picture,
-        world: World | None,
-        radius: float,
-        title: str = "mission",
-    ) -> TfgVisualizer:
-        """Adds a visualizer of a mission, connected to its station and explorer by port name; see __init__.
-
-        Where the world is not known, the map frame stands for it.
-        """
-        X_WM = world.start if world is not None else np.zeros(3)
-        visualizer = TfgVisualizer(meshcat, world, X_WM, radius, title)
-        visualizer.Connect(builder, station, explorer)
-        return visualizer
-
     def Connect(self, builder: DiagramBuilder, station: System, explorer: System) -> None:
         """Adds it to a builder and connects it to a mission's station and explorer, by port name."""
         builder.AddNamedSystem("visualizer", self)

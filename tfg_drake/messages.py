@@ -174,10 +174,9 @@ class MapEstimate:
     each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
     views. observation: the newest view's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
     objective). doubtful: (d,) ids, ascending, of tags that were seen but are not known to be at any one place, whether
-    they are landmarks or not. doubtful_places: (d, 2) where each of these
-    was seen most, in M, m. frame_worth: information of one frame in a long sequence, as a share of an
-    independent one's; below 1 where the noise is correlated in time. tag_error: (2,) standard deviation of the tags'
-    constant errors of range, m, and bearing, rad.
+    they are landmarks or not. doubtful_places: (d, 2) where each of these was seen most, in M, m. frame_worth:
+    information of one frame in a long sequence, as a share of an independent one's; below 1 where the noise is
+    correlated in time. tag_error: (2,) standard deviation of the tags' constant errors of range, m, and bearing, rad.
     """
 
     stage: int

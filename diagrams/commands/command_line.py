@@ -8,7 +8,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import NoReturn
 
 from tfg_drake import kernels
@@ -21,6 +22,18 @@ class BadInput(Exception):
 def bad_input(message: str) -> NoReturn:
     """Ends a command: the message goes to standard error, the exit code is 2."""
     raise BadInput(message)
+
+
+@contextlib.contextmanager
+def complaining(out: Path | None, *errors: type[Exception]) -> Iterator[None]:
+    """While a run is made whose files go to a folder, None for one in `runs`. Raises BadInput for these errors, which
+    say in one line what is wrong, and where a file cannot be written."""
+    try:
+        yield
+    except errors as error:
+        bad_input(str(error))
+    except OSError as error:
+        bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
 
 
 def wait_for_enter() -> None:
@@ -50,6 +63,14 @@ def compile_kernels(need: int, most: float) -> kernels.Compilation | None:
     except OSError as error:
         given = "NUMBA_CACHE_DIR=" if os.environ.get("NUMBA_CACHE_DIR") else ""
         bad_input(f"{given}{error.filename}: cannot be written; name a folder that can be in NUMBA_CACHE_DIR")
+
+
+@contextlib.contextmanager
+def compiling_beside(need: int) -> Iterator[kernels.Compilation | None]:
+    """Those who compile the kernels while the command goes on, see `compile_kernels`; closed at the end."""
+    compilation = compile_kernels(need, kernels.BESIDE)
+    with contextlib.closing(compilation) if compilation is not None else contextlib.nullcontext():
+        yield compilation
 
 
 def wait_for_kernels(show: Callable[[str], object], interrupted: threading.Event, need: int = kernels.OTHER) -> None:

@@ -154,8 +154,11 @@ def open_robot(
 
 
 @contextlib.contextmanager
-def keys_of_driver(method: Method, cockpit: Cockpit | None) -> Iterator[Method]:
-    """The method manual with the keys of standard input and, if there is one, of the page."""
+def keys_of_driver(method: Method, robot: str, cockpit: Cockpit | None) -> Iterator[Method]:
+    """The method manual with the keys of standard input and, if there is one, of the page. Raises BadInput unless the
+    robot is simulated."""
+    if robot != "sim":
+        bad_input(f"--method {method.name}: is for a simulated robot; leave --robot out")
     import dataclasses
 
     from tfg_drake.diagrams.manual_explorer import MakeManualExplorer

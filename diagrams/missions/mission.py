@@ -30,7 +30,7 @@ from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.pose_prediction import pose_at
-from tfg_drake.storage.port_recording import PortWriter
+from tfg_drake.storage.port_recording import GOAL, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.cpu_meter import CpuMeter
 from tfg_drake.world.changing import world_at
@@ -301,8 +301,6 @@ class Mission:
             self._writer,
             self._timeline,
             (self._cockpit.requests,) if self._cockpit is not None else (),
-            self._cockpit.pushes if self._cockpit is not None else None,
-            self._cockpit.goals if self._cockpit is not None else None,
         )
         self._simulator = Simulator(diagram)
         if monitor is not None:
@@ -313,7 +311,8 @@ class Mission:
         if self._timeline is not None:
             self._recorder = diagram.GetSubsystemByName("timeline_recorder")
         if self._cockpit is not None:
-            self._cockpit.sends = diagram.HasSubsystemNamed("goal_requester")
+            recorded = diagram.GetSubsystemByName("station").HasOutputPort(GOAL)
+            self._cockpit.sends = self._explorer.HasInputPort("requested_goal") and not recorded
         self.meter.attach(self._explorer)
         self._context = self._simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self.scenario.seed))

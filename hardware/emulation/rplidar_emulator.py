@@ -41,17 +41,16 @@ class RplidarEmulator(EmulatedDevice):
         X_BS: FloatArray | None = None,
         noise: float = 0.0,
         model: int = 1,
-        seed: int = 0,
     ) -> None:
         """walls: (n, 4) in W, m. pose: the robot's true X_WB (3,) now. X_BS: (3,) where the scanner sits. noise:
-        standard deviation of a range, m. seed: of noise and lost bytes."""
+        standard deviation of a range, m."""
         self._walls, self._pose = walls, pose
         self._X_BS = np.zeros(3) if X_BS is None else X_BS
         self._config = ScanConfig(range=12.0, least_range=0.15, noise=noise)
         self.model = model
         self.stuck, self.scanning, self.lost, self.duty = False, False, 0.0, 0
         self.health = "good"
-        self._noise, self._chance = np.random.default_rng(seed), random.Random(seed)
+        self._noise, self._chance = np.random.default_rng(0), random.Random(0)
         self._heard = bytearray()
         # Rays so far.
         self._rays = 0

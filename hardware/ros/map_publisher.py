@@ -57,13 +57,11 @@ class MapPublisher(LeafSystem):
     exactly what was published. Stamps of what has none are those of the pose.
     """
 
-    def __init__(
-        self, device: PublishingDevice, frames: Frames, clock: HostClock, cell: float = map_messages.CELL
-    ) -> None:
-        """clock: the station's. cell: side of a cell of /map, m; a grid that is kept as one keeps its own."""
+    def __init__(self, device: PublishingDevice, frames: Frames, clock: HostClock) -> None:
+        """clock: the station's."""
         super().__init__()
         self.set_name("map_publisher")
-        self._device, self._frames, self._clock, self._cell = device, frames, clock, cell
+        self._device, self._frames, self._clock = device, frames, clock
         self._inputs = {name: declare_message_input(self, name) for name in ("pose", "odometry", *_KINDS)}
         self._published = self.DeclareAbstractState(AbstractValue.Make(object()))
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Publish)
@@ -108,7 +106,7 @@ class MapPublisher(LeafSystem):
         changed = {name for name, message in now.items() if message is not before[name]}
         frames, publish = self._frames, self._device.publish
         if "tfg" in changed:
-            publish("map", map_messages.tfg_grid(now["tfg"], stamp, frames, self._cell))
+            publish("map", map_messages.tfg_grid(now["tfg"], stamp, frames))
         # A grid changes with every scan: once a stage is enough.
         if "grid" in changed and (before["grid"] is None or before["grid"].stage != now["grid"].stage):
             publish("map", map_messages.grid_of_cells(now["grid"], stamp, frames))

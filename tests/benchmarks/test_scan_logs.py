@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.breezyslam import METRES_PER_COUNT, SCANNER_AHEAD, load_breezyslam
-from benchmarks.carmen import load_carmen
+from benchmarks.scan_logs import METRES_PER_COUNT, SCANNER_AHEAD, load_breezyslam, load_carmen
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError
 

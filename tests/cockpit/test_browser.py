@@ -414,7 +414,7 @@ def test_a_mission_under_way(driver, live):
     assert live.asked() == ["recall"]
     if simulated:
         page.click("request-push")
-        live.until(live.cockpit.pushes)
+        assert live.asked() == ["push"]
         page.click("request-hold")
         page.until("return element('clock').dataset.held === 'true'")
         assert live.cockpit.clock.held
@@ -468,10 +468,10 @@ def test_the_robot_is_sent_and_driven(driver, tmp_path):
             ActionChains(driver).move_to_element_with_offset(scene, round(x), round(y)).click().perform()
 
         click()
-        assert list(live.cockpit.goals()) == []  # Who has not asked for it only looks.
+        assert list(live.cockpit.requests()) == []  # Who has not asked for it only looks.
         page.click("send")
         click()
-        (place,) = live.until(lambda: list(live.cockpit.goals()))
+        (place,) = live.asked()
         np.testing.assert_allclose(place, [2.0, -1.0], atol=0.05)  # A pixel is a centimetre or two.
         assert page("return asked.children.length") == 1
         live.drive(3.0, 2)

@@ -96,7 +96,7 @@ def test_a_stick_is_a_share_of_the_robots_most():
 
 def test_the_robot_drives_by_itself_where_its_driver_sends_it(tmp_path, monkeypatch):
     asked = iter([()] * 160 + [[(3.0, 1.0)]])
-    monkeypatch.setattr(Cockpit, "goals", lambda _: next(asked, ()))
+    monkeypatch.setattr(Cockpit, "requests", lambda _: next(asked, ()))
     with Cockpit("", "room", rate=0.0) as cockpit:
         result = run.explore(room(), method=FindMethod("manual"), out_dir=tmp_path, max_time=30.0, cockpit=cockpit)
     # It has looked round there, on the planner's path, and then waits for its driver.

@@ -32,7 +32,6 @@ def test_the_frontier_of_a_room_with_a_door():
     (frontier,) = find_frontiers(grid, classify(grid), np.array([0.15, 0.15]), 0.0)
     assert frontier.cells.tolist() == [[2, 5]]
     assert frontier.length == 0.1 * len(frontier.cells)
-    np.testing.assert_allclose(frontier.centroid, center_of(grid, frontier.cells).mean(axis=0))
 
 
 def test_what_the_wave_does_not_reach_and_what_is_short_are_none():

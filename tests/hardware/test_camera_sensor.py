@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from tests.cameras import pinhole
 from tests.vision.rendering import cv2, render
 from tfg_drake.config import RobotCameraConfig
 from tfg_drake.hardware import camera_sensor, frame_reader
@@ -15,7 +16,7 @@ from tfg_drake.hardware.emulation.mjpeg_stream import MjpegStream
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.sensor_source import open_sources
 from tfg_drake.messages import TagDetections
-from tfg_drake.vision.calibration import pinhole, save_calibration
+from tfg_drake.vision.calibration import save_calibration
 
 CAMERA = pinhole(320, 240, 260.0)
 

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from tests.cameras import pinhole
 from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
 from tfg_drake.hardware import robot_devices
 from tfg_drake.hardware.cameras_source import CamerasSource
@@ -13,7 +14,7 @@ from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.sensor_source import SourceSpec
 from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.hardware.watchdog import Limits
-from tfg_drake.vision.calibration import pinhole, save_calibration
+from tfg_drake.vision.calibration import save_calibration
 
 TAGS, SCAN = "ros2:/detections", "ros2:/scan"
 

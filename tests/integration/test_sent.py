@@ -17,7 +17,7 @@ PLACE, SENT = (3.0, -2.0), 45 * 16
 @pytest.mark.slow
 def test_the_robot_goes_where_it_is_sent_and_a_replay_is_equal_to_the_bit(tmp_path, monkeypatch):
     asked = iter([()] * SENT + [[PLACE]])
-    monkeypatch.setattr(Cockpit, "goals", lambda _: next(asked, ()))
+    monkeypatch.setattr(Cockpit, "requests", lambda _: next(asked, ()))
     scenario = LoadScenario("house")
     with Cockpit("", "house", rate=0.0) as cockpit:
         run = explore(scenario, out_dir=tmp_path / "run", max_time=80.0, cockpit=cockpit)

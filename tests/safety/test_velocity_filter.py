@@ -89,18 +89,22 @@ def test_a_bumper_that_stays_pressed_keeps_the_base_backing():
     assert run([0.5, 0.0], 5.0, Hazards(0.0, 2, 0, 0))[:2].tolist() == [-0.1, 0.0]
 
 
+def free(scan, X_SB, curvature):
+    return free_distance(scan.angles, scan.ranges, X_SB, curvature, 0.18, 0.03, np.inf)
+
+
 def test_free_distance_ahead_and_on_an_arc():
     wall = scan_of([[2.0, -5, 2, 5]])
-    assert free_distance(wall, np.zeros(3), 0.5, 0.0, 0.18, 0.03) == pytest.approx(2.0 - 0.18, abs=1e-3)
+    assert free(wall, np.zeros(3), 0.0) == pytest.approx(2.0 - 0.18, abs=1e-3)
     # From 0.3 m further on, the same wall.
-    assert free_distance(wall, np.array([0.3, 0, 0]), 0.5, 0.0, 0.18, 0.03) == pytest.approx(1.7 - 0.18, abs=1e-3)
+    assert free(wall, np.array([0.3, 0, 0]), 0.0) == pytest.approx(1.7 - 0.18, abs=1e-3)
     # A left turn of radius 1 meets a single return when the disc round the arc's end touches it.
     post = LaserScan(0.0, np.array([np.arctan2(0.5, 1.0)]), np.array([np.hypot(0.5, 1.0)]), 10.0, 0.0)
-    distance = free_distance(post, np.zeros(3), 0.4, 0.4, 0.18, 0.03)
+    distance = free(post, np.zeros(3), 1.0)
     end = drive.advance(np.zeros(3), 1.0, 1.0, distance)
     assert np.hypot(1.0 - end[0], 0.5 - end[1]) == pytest.approx(0.18, abs=1e-9)
-    assert free_distance(post, np.zeros(3), 0.4, -0.4, 0.18, 0.03) == np.inf
-    assert free_distance(post, np.zeros(3), 0.4, 0.0, 0.18, 0.03) == np.inf
+    assert free(post, np.zeros(3), -1.0) == np.inf
+    assert free(post, np.zeros(3), 0.0) == np.inf
 
 
 def test_an_obstacle_ahead_stops_forward_motion_only():

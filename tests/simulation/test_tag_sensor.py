@@ -85,7 +85,8 @@ def test_visible_tags_agree_with_shapely():
             clear = not lines.intersects(shapely.LineString([X_WB[:2], short]))
             if distance <= 10 and abs(bearing) <= 0.5 * CONFIG.field_of_view and incidence <= CONFIG.max_incidence:
                 expected += [i] if clear else []
-        assert visible_tags(world, X_WB, CONFIG).tolist() == expected
+        arguments = world.p_WT, world.tag_facing, world.walls, X_WB, 10.0, CONFIG.field_of_view, CONFIG.max_incidence
+        assert visible_tags(*arguments).tolist() == expected
 
 
 def test_noise_has_the_stated_spread():

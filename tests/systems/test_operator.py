@@ -53,6 +53,17 @@ def test_a_recall_is_for_the_mission_and_ends_one_that_does_not_know_it():
     assert run.after("recall") == [0, 0, 1]
 
 
+def test_places_and_pushes_hold_from_the_next_instant_on():
+    run = Run(enabled=True)
+    run.after()
+    assert run.after((1.0, 2.0), "push", (3.0, 4.0), "pause", "push") == [1, 1, 0]
+    goal = run.operator.GetOutputPort("requested_goal").Eval(run.context)
+    assert (goal.count, goal.p_MG.tolist()) == (2, [3.0, 4.0])
+    # However often it was asked for at once, it is one push; 0.25 s + 1/16 s, the next instant after the request.
+    (push,) = run.operator.GetOutputPort("pushes").Eval(run.context).pushes
+    assert push.time == 0.3125
+
+
 def test_what_was_asked_for_before_the_mission_began_does_not_count():
     assert Run().after("enable", "pause") == [0, 0, 0]
     assert Run().after("end") == [0, 0, 1]

@@ -7,7 +7,6 @@ import pytest
 
 pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
 
-from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.se2 import between
 from tfg_drake.simulation.tag_sensor import visible_tags
 from tfg_drake.systems.rendered_world import MakeCameraInfo, WorldView
@@ -42,8 +41,7 @@ def test_tags_in_view_are_seen_where_they_are(view, X_WB):
     assert image.shape == (480, 640)
     assert image.dtype == np.uint8
     seen = sighted(TagDetector().detect(image), 0.0, view.calibration, TagSizes(0.16), MOUNT).detections
-    sensor = TagSensorConfig(range=3.3, field_of_view=math.radians(60.0), max_incidence=math.radians(60.0))
-    rows = visible_tags(WORLD, X_WB, sensor)
+    rows = visible_tags(WORLD.p_WT, WORLD.tag_facing, WORLD.walls, X_WB, 3.3, math.radians(60.0), math.radians(60.0))
     assert len(rows)
     assert set(WORLD.tag_ids[rows]) <= set(seen.ids)
     rows = np.searchsorted(WORLD.tag_ids, seen.ids)

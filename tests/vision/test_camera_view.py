@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tfg_drake.vision.calibration import pinhole
+from tests.cameras import pinhole
 from tfg_drake.vision.camera_view import CameraView, camera_view, joint_view
 
 NARROW = CameraView(1.0, 3.3)

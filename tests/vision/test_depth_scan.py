@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.vision.calibration import pinhole
+from tests.cameras import pinhole
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
 from tfg_drake.vision.mount import CameraMount
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+from tests.cameras import pinhole
 from tests.vision.rendering import corners_of, projected, render
 from tfg_drake.datasets import tagslam
 from tfg_drake.messages import replace
-from tfg_drake.vision.calibration import pinhole
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagNoise, TagSizes, nothing_sighted, sighted
 from tfg_drake.vision.tag_detector import TagDetector, TagsInImage

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.cameras import pinhole
 from tests.vision.rendering import corners_of, cv2, projected, render
-from tfg_drake.vision.calibration import pinhole
 from tfg_drake.vision.tag_corners import refined
 
 CAMERA = pinhole(640, 480, 520.0)

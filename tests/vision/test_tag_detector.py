@@ -5,8 +5,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tests.cameras import pinhole
 from tests.vision.rendering import corners_of, cv2, projected, render
-from tfg_drake.vision.calibration import pinhole
 from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
 
 CAMERA = pinhole(640, 480, 520.0)

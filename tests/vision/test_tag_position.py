@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.cameras import pinhole
 from tests.vision.rendering import corners_of, projected
-from tfg_drake.vision.calibration import CameraCalibration, pinhole
+from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.lens import on_pixels, undistorted
 from tfg_drake.vision.tag_position import tag_positions
 

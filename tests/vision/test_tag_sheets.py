@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.cameras import pinhole
 from tests.vision.rendering import cv2
 from tfg_drake.vision.annotated import annotated
-from tfg_drake.vision.calibration import pinhole
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagSizes, sighted
 from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector

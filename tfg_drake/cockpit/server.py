@@ -25,7 +25,7 @@ from typing import Any, Protocol
 from tfg_drake.cockpit.page import served_page
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.manual_drive import BACK, FORWARD, HALT, LEFT, LOOK, RIGHT, stick
-from tfg_drake.mission.operation import Request
+from tfg_drake.mission.operation import Command, Request
 
 # Where the server looks for a free port first.
 PORT = 7000
@@ -42,7 +42,7 @@ STICK_HELD = 0.6
 NOWHERE = math.nan, math.nan
 
 # What a page may ask of an operator. Of a simulation it holds the clock instead of pausing the mission.
-_OPERATOR: tuple[Request, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
+_OPERATOR: tuple[Command, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
 _log = logging.getLogger("tfg_drake.cockpit")
 
 
@@ -112,14 +112,13 @@ class Cockpit:
         self._closed = threading.Event()
         self._lock = threading.Lock()
         self._asked: list[Request] = []
-        self._goals: list[tuple[float, float]] = []
         self._keys: list[str] = []
         self._stick_until = math.inf
-        self._streams, self._pushed = 0, 0
+        self._streams = 0
         self._stepping, self._stage, self._from = False, 0, 0
         self.token = secrets.token_urlsafe(16)
         self._names = {LOCAL, host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
-        self._server = _listen(self._handler(), host, port)
+        self._server = _listen(self, host, port)
         shown = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
         shown = f"[{shown}]" if ":" in shown else shown
         secret = f"#token={self.token}" if controls or forks is not None else ""
@@ -152,18 +151,6 @@ class Cockpit:
         """What an operator was asked for since the last call."""
         with self._lock:
             taken, self._asked = self._asked, []
-        return taken
-
-    def pushes(self) -> int:
-        """How many pushes of a simulated robot were asked for since the last call."""
-        with self._lock:
-            taken, self._pushed = self._pushed, 0
-        return taken
-
-    def goals(self) -> Sequence[tuple[float, float]]:
-        """The places (x, y), m in M, that the robot was sent to since the last call."""
-        with self._lock:
-            taken, self._goals = self._goals, []
         return taken
 
     def keys(self) -> Sequence[str]:
@@ -226,13 +213,11 @@ class Cockpit:
                 self._keys.append(stick(*place))
                 self._stick_until = time.monotonic() + STICK_HELD if any(place) else math.inf
         elif what == "goal" and self.sends and math.isfinite(math.hypot(*place)):
-            with self._lock:
-                self._goals.append(place)
+            self._ask(place)
             if clock is not None:
                 clock.go()  # Nobody drives while it stands.
         elif what == "push" and clock is not None:
-            with self._lock:
-                self._pushed += 1
+            self._ask("push")
         elif what in _OPERATOR:
             self._stepping = False
             self._ask(next(request for request in _OPERATOR if request == what))
@@ -253,92 +238,6 @@ class Cockpit:
         if self.clock is not None:
             state |= {"held": self.clock.held, "rate": self.clock.rate}
         return state
-
-    # HTTP
-
-    def _handler(cockpit) -> type[BaseHTTPRequestHandler]:
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                """The page, its viewer, the timeline as it grows, or what is going on."""
-                path, _, query = self.path.partition("?")
-                if not self._is_ours():
-                    return
-                if path == "/":
-                    self._answer(200, "text/html; charset=utf-8", cockpit._page)
-                elif path == "/viewer.js":
-                    self._answer(200, "text/javascript; charset=utf-8", cockpit._viewer)
-                elif path == "/state":
-                    self._answer(200, "application/json", json.dumps(cockpit._state()).encode())
-                elif path == "/timeline":
-                    self._stream(query, lambda: cockpit._timeline, lambda: cockpit._ended)
-                elif path == "/fork" and (forks := cockpit._forks) is not None:
-                    self._stream(query, lambda: _existing(forks.timeline), lambda: not forks.is_running)
-                else:
-                    self._answer(404, "text/plain", b"There is nothing here.\n")
-
-            def do_POST(self) -> None:
-                """A request of a page."""
-                length = self.headers.get("Content-Length", "")
-                if self.path != "/request" or not length.isdecimal() or int(length) > LONGEST:
-                    self._answer(404, "text/plain", b"There is nothing here.\n")
-                    return
-                try:
-                    asked = json.loads(self.rfile.read(int(length)))
-                    what, rate = str(asked["request"]), float(asked.get("rate", math.nan))
-                    key, stage = str(asked.get("key", "")), int(asked.get("stage", 0))
-                    place = float(asked.get("x", math.nan)), float(asked.get("y", math.nan))
-                except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
-                    self._answer(400, "text/plain", b"That is no request.\n")
-                    return
-                if what != "stop":
-                    if not self._is_ours():
-                        return
-                    given = self.headers.get("X-Token", "")
-                    if not secrets.compare_digest(given.encode(), cockpit.token.encode()):
-                        refusal = (
-                            b"Only who has the whole address that was printed may ask for that; STOP needs none.\n"
-                        )
-                        self._answer(403, "text/plain", refusal)
-                        return
-                if cockpit.take(what, rate, place, key, stage):
-                    self._answer(200, "application/json", json.dumps(cockpit._state()).encode())
-                else:
-                    self._answer(400, "text/plain", b"That cannot be asked for here.\n")
-
-            def _is_ours(self) -> bool:
-                """Whether it is asked for by a name of this machine, and by no page of another; else that is told."""
-                host = self.headers.get("Host", "")
-                origin = self.headers.get("Origin")
-                if cockpit._is_name(host) and origin in (None, f"http://{host}"):
-                    return True
-                self._answer(403, "text/plain", b"Open the address that was printed.\n")
-                return False
-
-            def _answer(self, code: int, kind: str, body: bytes) -> None:
-                with contextlib.suppress(ConnectionError):
-                    self.send_response(code)
-                    self.send_header("Content-Type", kind)
-                    self.send_header("Content-Length", str(len(body)))
-                    self.send_header("Cache-Control", "no-store")
-                    self.send_header("X-Content-Type-Options", "nosniff")
-                    self.send_header("X-Frame-Options", "DENY")  # No other page may put ours under its own.
-                    self.end_headers()
-                    self.wfile.write(body)
-
-            def _stream(self, query: str, timeline: Callable[[], Path | None], ended: Callable[[], bool]) -> None:
-                start = query.removeprefix("from=")
-                with cockpit._counted(), contextlib.suppress(ConnectionError):
-                    self.send_response(200)
-                    self.send_header("Content-Type", "application/octet-stream")
-                    self.send_header("Cache-Control", "no-store")
-                    self.end_headers()
-                    first = int(start) if start.isdecimal() else 0
-                    cockpit._send(self.connection, self.wfile.write, first, timeline, ended)
-
-            def log_message(self, format: str, *args: Any) -> None:
-                """Says nothing."""
-
-        return Handler
 
     @contextlib.contextmanager
     def _counted(self) -> Any:
@@ -399,9 +298,101 @@ def _is_closed(connection: socket.socket, wait: float) -> bool:
         return True
 
 
+class _Handler(BaseHTTPRequestHandler):
+    """Answers what a page asks over HTTP."""
+
+    server: _Server
+
+    @property
+    def cockpit(self) -> Cockpit:
+        return self.server.cockpit
+
+    def do_GET(self) -> None:
+        """The page, its viewer, the timeline as it grows, or what is going on."""
+        path, _, query = self.path.partition("?")
+        if not self._is_ours():
+            return
+        if path == "/":
+            self._answer(200, "text/html; charset=utf-8", self.cockpit._page)
+        elif path == "/viewer.js":
+            self._answer(200, "text/javascript; charset=utf-8", self.cockpit._viewer)
+        elif path == "/state":
+            self._answer(200, "application/json", json.dumps(self.cockpit._state()).encode())
+        elif path == "/timeline":
+            self._stream(query, lambda: self.cockpit._timeline, lambda: self.cockpit._ended)
+        elif path == "/fork" and (forks := self.cockpit._forks) is not None:
+            self._stream(query, lambda: _existing(forks.timeline), lambda: not forks.is_running)
+        else:
+            self._answer(404, "text/plain", b"There is nothing here.\n")
+
+    def do_POST(self) -> None:
+        """A request of a page."""
+        length = self.headers.get("Content-Length", "")
+        if self.path != "/request" or not length.isdecimal() or int(length) > LONGEST:
+            self._answer(404, "text/plain", b"There is nothing here.\n")
+            return
+        try:
+            asked = json.loads(self.rfile.read(int(length)))
+            what, rate = str(asked["request"]), float(asked.get("rate", math.nan))
+            key, stage = str(asked.get("key", "")), int(asked.get("stage", 0))
+            place = float(asked.get("x", math.nan)), float(asked.get("y", math.nan))
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
+            self._answer(400, "text/plain", b"That is no request.\n")
+            return
+        if what != "stop":
+            if not self._is_ours():
+                return
+            given = self.headers.get("X-Token", "")
+            if not secrets.compare_digest(given.encode(), self.cockpit.token.encode()):
+                refusal = b"Only who has the whole address that was printed may ask for that; STOP needs none.\n"
+                self._answer(403, "text/plain", refusal)
+                return
+        if self.cockpit.take(what, rate, place, key, stage):
+            self._answer(200, "application/json", json.dumps(self.cockpit._state()).encode())
+        else:
+            self._answer(400, "text/plain", b"That cannot be asked for here.\n")
+
+    def _is_ours(self) -> bool:
+        """Whether it is asked for by a name of this machine, and by no page of another; else that is told."""
+        host = self.headers.get("Host", "")
+        origin = self.headers.get("Origin")
+        if self.cockpit._is_name(host) and origin in (None, f"http://{host}"):
+            return True
+        self._answer(403, "text/plain", b"Open the address that was printed.\n")
+        return False
+
+    def _answer(self, code: int, kind: str, body: bytes) -> None:
+        with contextlib.suppress(ConnectionError):
+            self.send_response(code)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.send_header("X-Frame-Options", "DENY")  # No other page may put ours under its own.
+            self.end_headers()
+            self.wfile.write(body)
+
+    def _stream(self, query: str, timeline: Callable[[], Path | None], ended: Callable[[], bool]) -> None:
+        start = query.removeprefix("from=")
+        with self.cockpit._counted(), contextlib.suppress(ConnectionError):
+            self.send_response(200)
+            self.send_header("Content-Type", "application/octet-stream")
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            first = int(start) if start.isdecimal() else 0
+            self.cockpit._send(self.connection, self.wfile.write, first, timeline, ended)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Says nothing."""
+
+
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
+
+    def __init__(self, address: tuple[str, int], cockpit: Cockpit) -> None:
+        self.cockpit = cockpit
+        super().__init__(address, _Handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A page that goes away in the middle is no error; anything else is told to the log."""
@@ -412,13 +403,13 @@ class _ServerOf6(_Server):
     address_family = socket.AF_INET6
 
 
-def _listen(handler: type[BaseHTTPRequestHandler], host: str, port: int | None) -> ThreadingHTTPServer:
+def _listen(cockpit: Cockpit, host: str, port: int | None) -> _Server:
     """Raises OSError where nobody can listen there."""
     address = "127.0.0.1" if host == LOCAL else host
     server = _ServerOf6 if ":" in address else _Server
     if port is not None:
-        return server((address, port), handler)
+        return server((address, port), cockpit)
     for free in range(PORT, PORT + 100):
         with contextlib.suppress(OSError):
-            return server((address, free), handler)
-    return server((address, 0), handler)
+            return server((address, free), cockpit)
+    return server((address, 0), cockpit)

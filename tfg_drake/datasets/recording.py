@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
+from tfg_drake.messages import FloatArray, IntArray, Odometry, TagDetections, message
 
 
 class DatasetError(Exception):
@@ -44,22 +44,6 @@ class Recording:
     truth: GroundTruth | None
     notes: tuple[str, ...] = ()
     piece_time: float = math.inf
-
-
-@message
-class ScanLog:
-    """One robot's run with a laser scanner, the body's origin at the scanner.
-
-    name. odometry, scans: each in the order of their stamps. model: what a filter believes of the odometry. truth: the
-    best known poses at the scans' stamps, None where nothing is known. notes: as in Recording.
-    """
-
-    name: str
-    odometry: tuple[Odometry, ...]
-    scans: tuple[LaserScan, ...]
-    model: OdometryConfig
-    truth: GroundTruth | None
-    notes: tuple[str, ...] = ()
 
 
 def make_frames(

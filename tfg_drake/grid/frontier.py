@@ -28,12 +28,10 @@ CellArray = NDArray[np.uint8]
 
 @dataclasses.dataclass(frozen=True)
 class Frontier:
-    """One frontier. cells: (n, 2) rows and columns of its free cells. length: m, a cell's side each. centroid: (2,)
-    the mean of its cells' centres, m in M."""
+    """One frontier. cells: (n, 2) rows and columns of its free cells. length: m, a cell's side each."""
 
     cells: IntArray
     length: float
-    centroid: FloatArray
 
 
 def classify(grid: GridMap) -> CellArray:
@@ -105,5 +103,5 @@ def find_frontiers(grid: GridMap, cells: CellArray, p_MB: FloatArray, least_leng
     of = label[edge]
     order = np.argsort(of, kind="stable")
     groups = np.split(where[order], np.flatnonzero(np.diff(of[order])) + 1)
-    frontiers = [Frontier(g, len(g) * grid.resolution, center_of(grid, g).mean(axis=0)) for g in groups if len(g)]
+    frontiers = [Frontier(g, len(g) * grid.resolution) for g in groups if len(g)]
     return [frontier for frontier in frontiers if frontier.length >= least_length]

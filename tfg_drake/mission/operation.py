@@ -6,10 +6,12 @@ from typing import Literal
 
 from tfg_drake.messages import message, replace
 
-# enable: let the base move, also after a stop. stop: the emergency stop. pause: pause the mission, or resume it.
-# hold: pause it. resume: go on with it. recall: explore no more, and come home where the mission is to end there.
-# end: end the mission.
-Request = Literal["enable", "stop", "pause", "hold", "resume", "recall", "end"]
+# What base and mission are told. enable: let the base move, also after a stop. stop: the emergency stop. pause: pause
+# the mission, or resume it. hold: pause it. resume: go on with it. recall: explore no more, and come home where the
+# mission is to end there. end: end the mission.
+Command = Literal["enable", "stop", "pause", "hold", "resume", "recall", "end"]
+# What an operator may ask for. push: push the robot, a simulated one. (x, y): drive to that place, m in M.
+Request = Command | Literal["push"] | tuple[float, float]
 
 
 @message
@@ -27,7 +29,7 @@ class Operation:
     ended: bool = False
 
 
-def requested(operation: Operation, request: Request) -> Operation:
+def requested(operation: Operation, request: Command) -> Operation:
     """What is wanted after a request. An end stops the base too; nothing undoes it, nor a recall."""
     if operation.ended:
         return operation

@@ -74,13 +74,7 @@ def choose(
     again at tags that are doubtful (`tfg_drake.planning.doubtful_tags`).
     """
     if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
-        reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
-        node, verdict, looked = -1, "stuck", previous.looked_again
-        if parameters.explorer.return_home:
-            node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
-        name, p_MG = _named(roadmap, node)
-        ended = replace(empty_choice(), stage=estimate.stage, node=name, p_MG=p_MG)
-        return replace(ended, verdict=verdict, reason=reason, looked_again=looked)
+        return _nothing_to_map(estimate, roadmap, previous, parameters.explorer)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
     if estimate.stage <= more_first_turns(estimate.frame_worth, explorer) and not recalled:
@@ -108,12 +102,9 @@ def choose(
         value[candidates.node_ids == previous.node] = 1.0
     best = pick(value, open_to, candidates.time)
     if explorer.goal == "tour" and best >= 0 and not estimate.is_joint:
-        # Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour,
-        # must not turn the robot round before it is done with what is nearer.
-        before = np.flatnonzero((candidates.node_ids == previous.node) & open_to & candidates.sees_enough)
-        if len(before) and candidates.time[before[0]] < candidates.time[best]:
-            best = int(before[0])
-            look = candidates.open_ahead[best] > 0.0
+        nearer = _nearer_before(best, candidates, open_to, previous)
+        if nearer >= 0:
+            best, look = nearer, candidates.open_ahead[nearer] > 0.0
     looked = previous.looked_again
     # Of a large map it is not asked again where all that draws the robot is nats.
     explored = math.inf if open_left or estimate.is_joint else previous.explored
@@ -154,6 +145,29 @@ def choose(
         looked_again=looked,
         explored=explored,
     )
+
+
+def _nothing_to_map(
+    estimate: MapEstimate, roadmap: Roadmap, previous: GoalChoice, explorer: ExplorerConfig
+) -> GoalChoice:
+    """The end of a mission that has seen nothing."""
+    reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
+    node, verdict, looked = -1, "stuck", previous.looked_again
+    if explorer.return_home:
+        node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
+    name, p_MG = _named(roadmap, node)
+    ended = replace(empty_choice(), stage=estimate.stage, node=name, p_MG=p_MG)
+    return replace(ended, verdict=verdict, reason=reason, looked_again=looked)
+
+
+def _nearer_before(best: int, candidates: Candidates, open_to: BoolArray, previous: GoalChoice) -> int:
+    """The candidate that was the goal before, where it is nearer than the best and still open; -1 otherwise.
+
+    Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour, must
+    not turn the robot round before it is done with what is nearer.
+    """
+    before = np.flatnonzero((candidates.node_ids == previous.node) & open_to & candidates.sees_enough)
+    return int(before[0]) if len(before) and candidates.time[before[0]] < candidates.time[best] else -1
 
 
 def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:

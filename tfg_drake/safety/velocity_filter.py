@@ -25,7 +25,7 @@ _DOUBTED = 0.25
 
 
 @njit(cache=True)
-def _free_distance(
+def free_distance(
     angles: FloatArray,
     ranges: FloatArray,
     X_SB: FloatArray,
@@ -34,6 +34,13 @@ def _free_distance(
     margin: float,
     reach: float,
 ) -> float:
+    """How far (m) the base can drive along an arc of some curvature (1/m) until its outline meets a scan return; inf if
+    none.
+
+    angles, ranges: (n,) of the scan, rad and m. X_SB: (3,) the body's pose now in the frame S the scan was taken in.
+    Only returns ahead and inside the corridor swept by a disc of radius + margin (m) count, so neither a wall alongside
+    nor a door's jambs do; those farther than reach (m) make no difference.
+    """
     cosine, sine = math.cos(X_SB[2]), math.sin(X_SB[2])
     # On its way the base's centre gets no nearer to what it touches than this.
     farthest = reach + radius + margin + math.hypot(X_SB[0], X_SB[1])
@@ -45,19 +52,6 @@ def _free_distance(
             x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
             least = min(least, touch_distance(x, y, curvature, radius, radius + margin))
     return least
-
-
-def free_distance(
-    scan: LaserScan, X_SB: FloatArray, speed: float, turn_rate: float, radius: float, margin: float
-) -> float:
-    """How far (m) the base can drive along the arc of a velocity until its outline meets a scan return; inf if none.
-
-    X_SB: (3,) the body's pose now in the frame S the scan was taken in. speed > 0 (m/s), turn_rate (rad/s). Only
-    returns ahead and inside the corridor swept by a disc of radius + margin (m) count, so neither a wall alongside nor
-    a door's jambs do.
-    """
-    distance: float = _free_distance(scan.angles, scan.ranges, X_SB, turn_rate / speed, radius, margin, math.inf)
-    return distance
 
 
 @njit(cache=True)
@@ -229,7 +223,7 @@ def _let_through(
             # Where it has more room than to stop in, it makes no difference how much.
             curvature = turn_rate / speed
             reach = stop_distance + speed * 2.0 * period + 0.5 * speed * speed / acceleration
-            clear = _free_distance(angles, ranges, X_SB, curvature, radius, side_margin, reach + CELL)
+            clear = free_distance(angles, ranges, X_SB, curvature, radius, side_margin, reach + CELL)
             X_OB = advance(X_OB, V_B[0], V_B[1], since)
             known = open_distance_among(corner, seen, met, p_OM, X_OB, curvature, radius, reach, newest)
             room = min(clear - stop_distance, known - stop_distance)

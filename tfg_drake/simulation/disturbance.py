@@ -36,9 +36,9 @@ class Pushes:
     pushes: tuple[DisturbanceConfig, ...] = ()
 
 
-def with_push(before: Pushes, _count: int, time: float) -> Pushes:
+def with_push(before: Pushes, time: float) -> Pushes:
     """With one push more: somebody pushes the base half a metre to its left and turns it by 30 degrees, from a time on,
-    s. However often that was asked for at once, it is one."""
+    s."""
     _log.info("%.2f s: push", time)
     return Pushes((*before.pushes, DisturbanceConfig(time=time, duration=0.5, left=0.5, turn=math.pi / 6.0)))
 

@@ -50,20 +50,8 @@ def _in_view(
     return rows[:count]
 
 
-def visible_tags(world: World, X_WB: FloatArray, config: TagSensorConfig) -> IntArray:
-    """Rows (k,) of world.tag_ids that the sensor at X_WB (3,) has in view.
-
-    In view means within range and field of view, seen at no more than max_incidence from the tag's normal, and with no
-    wall in between.
-    """
-    visible: IntArray = _visible(
-        world.p_WT, world.tag_facing, world.walls, X_WB, config.range, config.field_of_view, config.max_incidence
-    )
-    return visible
-
-
 @njit(cache=True)
-def _visible(
+def visible_tags(
     p_WT: FloatArray,
     facing: FloatArray,
     walls: FloatArray,
@@ -72,6 +60,11 @@ def _visible(
     field_of_view: float,
     max_incidence: float,
 ) -> IntArray:
+    """Rows (k,) of the tags that the sensor at X_WB (3,) has in view.
+
+    In view means within range (m) and field of view (rad), seen at no more than max_incidence (rad) from the tag's
+    normal, and with no wall in between. p_WT: (n, 2) m, facing: (n,) rad, of all tags. walls: (w, 4) m.
+    """
     rows = _in_view(p_WT, facing, X_WB, range_max, field_of_view, max_incidence)
     return rows[line_of_sight(walls, X_WB[:2], p_WT[rows], _ON_SURFACE)]
 
@@ -97,7 +90,7 @@ def _sighted(
 
     threshold: a tag is shown where its third number of normal (n, NOISE_PER_TAG) is less than this.
     """
-    rows = _visible(p_WT, facing, walls, X_WB, range_max, field_of_view, max_incidence)
+    rows = visible_tags(p_WT, facing, walls, X_WB, range_max, field_of_view, max_incidence)
     shown = 0
     for row in rows:
         if normal[row, 2] < threshold:

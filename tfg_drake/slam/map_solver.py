@@ -36,27 +36,23 @@ def solve(
     stamp: float,
     observation: Observation,
     *,
-    place: FloatArray | None = None,
     node: int = -1,
     also: IntArray | None = None,
     joint: int = JOINT,
     spread: int = 0,
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """The graph at its maximum a posteriori values, and the map with the joint Gaussian round a place.
+    """The graph at its maximum a posteriori values, and the map with the joint Gaussian round a node.
 
     Args:
         graph: k keyframes, at least one.
         stamp: s, observation: the newest view's, with its trajectory; both go into the MapEstimate.
-        place: (2,), m in M, where the nearest landmarks are known jointly; where the node is by default.
         node: whose pose X_MD is, from 1 to k; the newest by default.
-        also: (r,) rows of landmarks that are to be among them however far away.
-        joint: how many landmarks are known jointly. spread: and how many of the others.
+        also: (r,) rows of landmarks that are to be known jointly however far away.
+        joint: how many landmarks next to the node are known jointly. spread: and how many of the others.
     """
     factors = factors_of(graph)
     node = len(graph.keyframes) if node < 0 else node
-    if place is None:
-        place = graph.X_MN[node, :2]
-    by_distance = np.argsort(np.hypot(*(graph.p_ML - place).T), kind="stable")
+    by_distance = np.argsort(np.hypot(*(graph.p_ML - graph.X_MN[node, :2]).T), kind="stable")
     local = np.sort(by_distance[:joint])
     if spread:
         others = np.sort(by_distance[joint:])

@@ -54,12 +54,6 @@ class CameraCalibration:
         return float(0.5 * (self.matrix[0, 0] + self.matrix[1, 1]))
 
 
-def pinhole(width: int, height: int, focal: float) -> CameraCalibration:
-    """The calibration of an ideal camera with its axis through the middle of the image; focal: pixels."""
-    matrix = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-    return CameraCalibration(width, height, matrix, "plumb_bob", np.zeros(0))
-
-
 def load_calibration(path: Path) -> CameraCalibration:
     """The calibration in a file; raises CalibrationError."""
     try:
@@ -84,7 +78,7 @@ def load_calibration(path: Path) -> CameraCalibration:
         raise CalibrationError(f"{path}: {error}") from None
 
 
-def save_calibration(path: Path, calibration: CameraCalibration, name: str = "camera") -> None:
+def save_calibration(path: Path, calibration: CameraCalibration) -> None:
     """Writes ROS's camera_info YAML; raises OSError."""
 
     def matrix(rows: FloatArray) -> str:
@@ -96,7 +90,7 @@ def save_calibration(path: Path, calibration: CameraCalibration, name: str = "ca
         coefficients = np.zeros(5)
     model = "rational_polynomial" if calibration.model == "plumb_bob" and len(coefficients) > 5 else calibration.model
     text = (
-        f"image_width: {calibration.width}\nimage_height: {calibration.height}\ncamera_name: {name}\n"
+        f"image_width: {calibration.width}\nimage_height: {calibration.height}\ncamera_name: camera\n"
         f"camera_matrix:{matrix(calibration.matrix)}distortion_model: {model}\n"
         f"distortion_coefficients:{matrix(coefficients[None])}rectification_matrix:{matrix(np.eye(3))}"
         f"projection_matrix:{matrix(np.column_stack([calibration.matrix, np.zeros(3)]))}"

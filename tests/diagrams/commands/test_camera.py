@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.cameras import pinhole
 from tests.vision.rendering import cv2, render
 from tests.vision.test_chessboard import board_image, poses
-from tfg_drake.vision.calibration import load_calibration, pinhole, save_calibration
+from tfg_drake.vision.calibration import load_calibration, save_calibration
 
 CAMERA = pinhole(640, 480, 520.0)
 KEYS = ["stamp", "ids", "range", "bearing", "sigma_range", "sigma_bearing"]

@@ -253,7 +253,7 @@ class Restless:
     def __init__(self):
         self.clock, self.watched, self.followed, self.word, self.stages = self.Clock(), True, [], "", []
         self.follow, self.at_stage, self.requests = self.followed.append, self.stages.append, lambda: []
-        self.pushes, self.goals, self.sends = lambda: 0, lambda: [], False
+        self.sends = False
 
 
 def test_who_only_looks_on_and_holds_the_clock_changes_nothing(finished, tmp_path, monkeypatch):

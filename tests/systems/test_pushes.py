@@ -8,8 +8,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
-from tfg_drake.simulation.disturbance import Pushes, with_push
-from tfg_drake.systems.requester import Requester
+from tfg_drake.systems.operator import Operator
 
 
 def drive(asked):
@@ -20,8 +19,8 @@ def drive(asked):
     velocity = builder.AddSystem(ConstantVectorSource([0.1, 0.0]))
     builder.Connect(velocity.get_output_port(), station.GetInputPort("base.velocity_commanded"))
     if asked is not None:
-        pusher = builder.AddNamedSystem("pusher", Requester("pushes", Pushes(), asked, with_push))
-        builder.Connect(pusher.get_output_port(), station.GetInputPort("truth.pushes"))
+        operator = builder.AddNamedSystem("operator", Operator([asked], enabled=True))
+        builder.Connect(operator.GetOutputPort("pushes"), station.GetInputPort("truth.pushes"))
     diagram = builder.Build()
     simulator = Simulator(diagram)
     diagram.SetRandomContext(simulator.get_mutable_context(), RandomGenerator(0))
@@ -35,8 +34,8 @@ def drive(asked):
 
 
 def test_a_push_moves_the_base_half_a_metre_and_thirty_degrees():
-    asked = iter([0] * 16 + [1] + [0] * 100)  # at 1 s
-    poses, odometry = drive(lambda: next(asked))
+    asked = iter([[]] * 16 + [["push"]])  # at 1 s
+    poses, odometry = drive(lambda: next(asked, []))
     alone, felt = drive(None)
     np.testing.assert_array_equal(poses[:4], alone[:4])
     moved = poses[7] - alone[7]
@@ -48,5 +47,5 @@ def test_a_push_moves_the_base_half_a_metre_and_thirty_degrees():
 
 
 def test_nobody_who_pushes_changes_nothing():
-    for one, other in zip(drive(lambda: 0), drive(None), strict=True):
+    for one, other in zip(drive(list), drive(None), strict=True):
         np.testing.assert_array_equal(one, other)
