@@ -72,7 +72,6 @@ class PurePursuitFollower(LeafSystem):
             stamp=x[STAMP],
             path_id=int(x[PATH]),
             arrived=bool(x[FINISHED]),
-            turned=x[TURNED],
             turn_done=x[LEGS] == 2.0 and x[STAMP] - x[TURN_SINCE] >= LOOK_TIME,
             stalled=x[STAMP] - x[OBEYED] > PATIENCE,
             left=x[LEFT],

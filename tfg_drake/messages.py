@@ -433,14 +433,13 @@ class MissionStatus:
 class FollowerStatus:
     """What the follower has done. stamp: s. path_id: the path it follows. arrived: it is at that path's end.
 
-    turned: rad turned in the running observation. turn_done: that turn is complete. stalled: it has been told to move
-    for some time and has not: something holds it up. left: m of the path ahead.
+    turn_done: the turn of the running observation is complete. stalled: it has been told to move for some time and has
+    not: something holds it up. left: m of the path ahead.
     """
 
     stamp: float
     path_id: int
     arrived: bool
-    turned: float
     turn_done: bool
     stalled: bool = False
     left: float = 0.0

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.commands.command_line import bad_input, writing
 
 if TYPE_CHECKING:
     from tfg_drake.datasets.recording import Recording
@@ -130,11 +130,10 @@ def calibrate(
     views, size = _views(source, columns, rows)
     try:
         result = calibrated(views, columns, rows, square, size)
-        save_calibration(out, result.calibration)
     except ValueError as error:
         bad_input(f"{source}: {error}")
-    except OSError as error:
-        bad_input(f"--out {out}: cannot be written: {error.strerror or error}")
+    with writing(f"--out {out}"):
+        save_calibration(out, result.calibration)
     matrix = result.calibration.matrix
     print(f"{'views':<14}{result.views}")
     print(f"{'error':<14}{result.error:.2f} pixels")
@@ -259,9 +258,7 @@ def _write(picture: Image, path: Path) -> None:
     from tfg_drake.storage.files import write_atomic
 
     buffer = io.BytesIO()
-    try:
+    with writing(f"--out {path}"):
         path.parent.mkdir(parents=True, exist_ok=True)
         PIL.Image.fromarray(picture).save(buffer, "JPEG" if path.suffix.lower() in (".jpg", ".jpeg") else "PNG")
         write_atomic(path, buffer.getvalue(), durable=False)
-    except OSError as error:
-        bad_input(f"--out {path}: cannot be written: {error.strerror or error}")

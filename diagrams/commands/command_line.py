@@ -36,6 +36,15 @@ def complaining(out: Path | None, *errors: type[Exception]) -> Iterator[None]:
         bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
 
 
+@contextlib.contextmanager
+def writing(named: object) -> Iterator[None]:
+    """While a file is written, which the command line names like this. Raises BadInput where it cannot be."""
+    try:
+        yield
+    except OSError as error:
+        bad_input(f"{named}: cannot be written: {(error.strerror or str(error)).lower()}")
+
+
 def wait_for_enter() -> None:
     """Until the user presses Enter or Ctrl-C; without a keyboard, until Ctrl-C."""
     signal.signal(signal.SIGINT, signal.default_int_handler)

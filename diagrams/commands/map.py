@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, wait_for_kernels
+from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, wait_for_kernels, writing
 from tfg_drake.diagrams.commands.screen import Screen
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def export(
     if suffix not in SUFFIXES:
         bad_input(f"{out}: unknown format; name a file that ends in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     saved = _load(map_file)
-    try:
+    with writing(out):
         if suffix == ".g2o":
             write_atomic(out, g2o_text(saved))
         elif suffix == ".csv":
@@ -76,8 +76,6 @@ def export(
         else:
             rows = dict(map_rows(saved, map_file.stat().st_size))
             draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{rows['deviation']}", saved)
-    except OSError as error:
-        bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
 
 
 def _load(path: Path) -> SavedMap:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_kernels
+from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_kernels, writing
 from tfg_drake.diagrams.commands.screen import Screen
 
 if TYPE_CHECKING:
@@ -43,11 +43,10 @@ def print_tags(
     except tag_sheets.SheetError as error:
         bad_input(f"--ids {error}")
     try:
-        pages = tag_sheets.print_tags(numbers, size, out)
+        with writing(f"--out {out}"):
+            pages = tag_sheets.print_tags(numbers, size, out)
     except tag_sheets.SheetError as error:
         bad_input(f"--size {error}")
-    except OSError as error:
-        bad_input(f"--out {out}: cannot be written: {error.strerror or error}")
     print(
         f"{len(numbers)} tags of {1000.0 * size:g} mm on {pages} pages: {out}; print at 100 %, not fitted to the page"
     )
@@ -87,10 +86,8 @@ def advise(
         advice = _advice(run or world, scenario, count, floor, lambda n: show(f"{n} of {count} tags"))
     hanging = {tag.id for tag in scenario.world.tags}
     ids = [i for i in range(len(hanging) + len(advice.facing)) if i not in hanging][: len(advice.facing)]
-    try:
+    with writing(f"--out {out}"):
         write_atomic(out, _world_yaml(scenario, ids, advice))
-    except OSError as error:
-        bad_input(f"--out {out}: cannot be written: {error.strerror or error}")
     mean, worst = advice.deviation.mean(axis=1), advice.deviation.max(axis=1)
     print("  id     x m     y m  faces deg   position known to, m: mean   worst")
     print(f"{len(hanging):>4} tags that hang{'':>31}{mean[0]:>9.3f}{worst[0]:>8.3f}")

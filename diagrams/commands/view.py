@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tfg_drake.cockpit.browser import BrowserMissing, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
-from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter
+from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, writing
 from tfg_drake.diagrams.commands.page import open_page
 from tfg_drake.diagrams.commands.page_forks import PageForks, can_fork
 from tfg_drake.diagrams.commands.screen import Screen
@@ -38,14 +38,13 @@ def export_run(run: Path, out: Path) -> None:
         bad_input(f"{out}: unknown format; name a file that ends in .html, .gif or .mp4")
     timeline = _timeline(run)
     try:
-        if suffix in _FILMS:
-            _film(timeline, out, run.resolve().name)
-        else:
-            export_page(timeline, out, run.resolve().name, viewer_script())
+        with writing(out):
+            if suffix in _FILMS:
+                _film(timeline, out, run.resolve().name)
+            else:
+                export_page(timeline, out, run.resolve().name, viewer_script())
     except (TimelineError, BrowserMissing) as error:
         bad_input(str(error))
-    except OSError as error:
-        bad_input(f"{out}: cannot be written: {(error.strerror or str(error)).lower()}")
 
 
 def _film(timeline: Path, out: Path, title: str) -> None:

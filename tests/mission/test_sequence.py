@@ -28,7 +28,7 @@ def goal(stage: int, verdict: str = "goal", node: int | None = None, latest_arri
 def inputs(time: float, **changes) -> MissionInputs:
     base = MissionInputs(
         time=time,
-        follower=FollowerStatus(time, 0, False, 0.0, False),
+        follower=FollowerStatus(time, 0, False, False),
         goal=goal(0),
         path=Path(0, 0, np.zeros((0, 2))),
         path_status=PathStatus(0, True),
@@ -38,7 +38,7 @@ def inputs(time: float, **changes) -> MissionInputs:
 
 
 def following(time: float = 10.0):
-    status = step(initial_status(), inputs(time - 3, follower=FollowerStatus(time - 3, 0, False, 6.3, True)))
+    status = step(initial_status(), inputs(time - 3, follower=FollowerStatus(time - 3, 0, False, True)))
     status = step(status, inputs(time - 2, mapped_stage=1))
     status = step(status, inputs(time - 1, goal=goal(1)))
     return step(status, inputs(time, path=Path(7, 1, np.ones((5, 2)))))
@@ -48,7 +48,7 @@ def test_one_stage_runs_through_every_phase():
     status = initial_status()
     assert status.phase == "observe"
     assert step(status, inputs(1.0)) is status
-    status = step(status, inputs(7.0, follower=FollowerStatus(7.0, 0, False, 6.3, True)))
+    status = step(status, inputs(7.0, follower=FollowerStatus(7.0, 0, False, True)))
     assert (status.phase, status.stage) == ("map", 0)
     assert step(status, inputs(7.1, mapped_stage=0)) is status
     status = step(status, inputs(7.2, mapped_stage=1))
@@ -58,14 +58,14 @@ def test_one_stage_runs_through_every_phase():
     assert status.phase == "plan"
     status = step(status, inputs(7.5, path=Path(1, 1, np.ones((5, 2)))))
     assert (status.phase, status.path_id) == ("follow", 1)
-    assert step(status, inputs(9.0, follower=FollowerStatus(9.0, 0, True, 0.0, False))) is status
-    status = step(status, inputs(9.5, follower=FollowerStatus(9.5, 1, True, 0.0, False)))
+    assert step(status, inputs(9.0, follower=FollowerStatus(9.0, 0, True, False))) is status
+    status = step(status, inputs(9.5, follower=FollowerStatus(9.5, 1, True, False)))
     assert (status.phase, status.stage, status.since) == ("observe", 1, 9.5)
 
 
 def test_a_turn_reported_done_before_the_phase_settled_is_the_last_one_and_ignored():
     status = dataclasses.replace(initial_status(), since=5.0)
-    assert step(status, inputs(5.1, follower=FollowerStatus(5.1, 0, False, 6.3, True))) is status
+    assert step(status, inputs(5.1, follower=FollowerStatus(5.1, 0, False, True))) is status
 
 
 @pytest.mark.parametrize("verdict", ["complete", "stuck"])
@@ -106,7 +106,7 @@ def test_a_bumper_hit_asks_for_a_new_path_once_the_reflex_is_over():
 
 def test_a_robot_that_is_held_up_gets_a_new_path():
     status = following(10.0)
-    held = FollowerStatus(14.0, status.path_id, False, 0.0, False, stalled=True)
+    held = FollowerStatus(14.0, status.path_id, False, False, stalled=True)
     planned = step(status, inputs(14.0, follower=held))
     assert (planned.phase, planned.replans) == ("plan", 1)
     # Nothing is in the way, and it does not move: what it has not seen it looks at. Something is: there are other ways.
@@ -147,7 +147,7 @@ def test_a_robot_that_must_come_home_ends_its_mission_there():
     home = goal(1, "budget", node=5)
     status = dataclasses.replace(following(), since=10.0)
     assert step(status, inputs(12.0, goal=home)) is status
-    arrived = inputs(15.0, goal=home, follower=FollowerStatus(15.0, 7, True, 0.0, False))
+    arrived = inputs(15.0, goal=home, follower=FollowerStatus(15.0, 7, True, False))
     status = step(status, arrived)
     assert (status.phase, status.outcome) == ("done", "budget")
     assert status.reason == "because. The robot is where it began."
@@ -182,7 +182,7 @@ def test_a_goal_to_which_no_path_leads_is_chosen_anew():
 
 
 def driving(time: float, left: float = 5.0, path_id: int = 7) -> FollowerStatus:
-    return FollowerStatus(time, path_id, False, 0.0, False, left=left)
+    return FollowerStatus(time, path_id, False, False, left=left)
 
 
 def test_on_its_way_the_robot_glances_maps_and_chooses_anew_without_a_stop():
@@ -265,7 +265,7 @@ def test_two_goals_do_not_send_the_robot_to_and_fro_for_ever():
         assert status.phase == "follow"
     assert glance == MAX_CHANGES
     observing = dataclasses.replace(status, phase="observe", since=time)
-    done = FollowerStatus(time + 5.0, 7, True, 7.0, True)
+    done = FollowerStatus(time + 5.0, 7, True, True)
     assert step(observing, inputs(time + 5.0, follower=done)).changes == 0
 
 
@@ -273,5 +273,5 @@ def test_where_it_is_to_look_again_the_robot_turns_where_it_stands():
     status = dataclasses.replace(initial_status(), phase="choose", stage=1)
     status = step(status, inputs(50.0, goal=goal(1, "look")))
     assert (status.phase, status.stage, status.since) == ("observe", 1, 50.0)
-    status = step(status, inputs(58.0, follower=FollowerStatus(58.0, 0, False, 4.6, True)))
+    status = step(status, inputs(58.0, follower=FollowerStatus(58.0, 0, False, True)))
     assert (status.phase, step(status, inputs(58.1, mapped_stage=2)).stage) == ("map", 2)

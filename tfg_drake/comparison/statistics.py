@@ -33,22 +33,20 @@ class Interval:
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Some runs' figure: how many (n), its mean with the interval of that mean, standard deviation (of the sample, nan
-    for one run), least and greatest."""
+    """Some runs' figure: how many (n), its mean with the interval of that mean, and its standard deviation (of the
+    sample, nan for one run)."""
 
     n: int
     mean: Interval
     std: float
-    least: float
-    greatest: float
 
 
 def spread(sample: FloatArray) -> Spread:
     """The spread of a sample (n,), all nan for none."""
     if not len(sample):
-        return Spread(0, Interval(math.nan, math.nan, math.nan), math.nan, math.nan, math.nan)
+        return Spread(0, Interval(math.nan, math.nan, math.nan), math.nan)
     std = float(sample.std(ddof=1)) if len(sample) > 1 else math.nan
-    return Spread(len(sample), _interval(_mean, sample), std, float(sample.min()), float(sample.max()))
+    return Spread(len(sample), _interval(_mean, sample), std)
 
 
 def difference(first: FloatArray, other: FloatArray) -> Interval:
