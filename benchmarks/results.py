@@ -21,7 +21,7 @@ import numpy as np
 import reality
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "results.md"
-# The rows of either table: scenario and number of seeds, which together take 54 CPU-minutes. Those of the second are its rows in a world that is as it is.
+# The rows of either table: scenario and number of seeds. All missions together take 54 CPU-minutes.
 MISSIONS = {"paper": 20, "corridor": 6, "house": 10, "paper_real": 10, "house_real": 30}
 DEVIATIONS = [row for row in reality.ROWS if row != reality.BELIEVED]
 SEEDS = 6
