@@ -165,20 +165,6 @@ def test_a_gross_error_is_ignored():
     np.testing.assert_allclose(spoilt.filter.covariance, clean.filter.covariance, atol=1e-14)
 
 
-def test_tags_that_may_each_be_right_but_not_all_together_are_ignored():
-    estimate, points, X_MB = make_map(5, 3, sigma=0.01)
-    localizer = start_localizer(MODEL, estimate)
-    frame = sight(np.arange(5), points, X_MB, 0.0)
-    nearer = dataclasses.replace(frame, range=frame.range - 4.2 * frame.sigma_range)
-    for tags, ignored in ((np.arange(5), 5), (np.arange(1), 0)):
-        some = dataclasses.replace(
-            nearer, ids=tags, range=nearer.range[tags], bearing=nearer.bearing[tags],
-            sigma_range=nearer.sigma_range[tags], sigma_bearing=nearer.sigma_bearing[tags],
-        )  # fmt: skip
-        _, *counts = step_localizer(localizer, MODEL, np.zeros(3), 0.0, some)
-        assert counts == [len(tags), ignored]
-
-
 def test_consistent_over_many_sightings_of_the_same_map(nees):
     values = []
     for seed in range(30):

@@ -23,8 +23,6 @@ POSE = 3
 CORE = 6
 # Mahalanobis gate of one sighting (2 degrees of freedom): 1 in 270 000 good ones fails it.
 GATE = 25.0
-# The standard normal deviate that is exceeded as rarely.
-GATE_NORMAL = 4.48
 # What `_index` says of a tag that is neither local (row, >= 0) nor considered (-1 - row).
 NEW = np.iinfo(np.int64).max
 
@@ -311,8 +309,7 @@ def _correct(
 ) -> BoolArray:
     """Correct mean, P and W in place by one frame; which sightings were inside their gate.
 
-    None is where all together lie outside theirs. All tags are linearised at the same state: gain S^-1 H (P, P_xy),
-    landmarks left as they are.
+    All tags are linearised at the same state: gain S^-1 H (P, P_xy), landmarks left as they are.
     """
     accepted, known = np.zeros(len(index), dtype=np.bool_), np.empty(len(index), dtype=np.int64)
     # Of each known tag: where its position begins in the state, or in the columns of W, and in those of `shared`.
@@ -390,7 +387,6 @@ def _correct(
                     Y[f, k] = 0.0
                 S[f, f] = 1.0
     # S = G G^T, Y = G^-1 (H P, ...), so that P - Y^T Y is symmetric and the gain is Y^T G^-1.
-    squared = 0.0
     for a in range(2 * m):
         for b in range(a + 1):
             value = S[a, b]
@@ -402,12 +398,6 @@ def _correct(
                 Y[a, q] -= S[a, b] * Y[b, q]
         for q in range(Y.shape[1]):
             Y[a, q] /= S[a, a]
-        squared += Y[a, -1] ** 2
-    if squared > _gate(2 * int(np.sum(accepted))):
-        # Each may pass by itself, yet all together they say that the robot is elsewhere.
-        accepted[:] = False
-        return accepted
-    for a in range(2 * m):
         for q in range(size):
             mean[q] += Y[a, -1] * Y[a, q]
             for k in range(size):
@@ -416,14 +406,6 @@ def _correct(
                 W[q, k] -= Y[a, q] * Y[a, size + k]
     mean[2] = wrap(mean[2])
     return accepted
-
-
-@njit(cache=True)
-def _gate(freedom: int) -> float:
-    """The squared deviation that as few good frames with so many degrees of freedom exceed as sightings do GATE
-    (Wilson and Hilferty's approximation)."""
-    share = 2.0 / (9.0 * max(freedom, 2))
-    return freedom * (1.0 - share + GATE_NORMAL * math.sqrt(share)) ** 3
 
 
 @njit(cache=True)
