@@ -101,6 +101,21 @@ def test_what_a_small_map_found_far_away_rests_where_it_lies(simulate) -> None:
             assert np.hypot(*away.T).max(initial=0.0) < 11.0
 
 
+def test_unseen_faces_stay_at_their_surface_when_the_heading_of_the_view_that_found_them_is_corrected(simulate) -> None:
+    world = simulate(WALLS)
+    toured(world)
+    before = world.estimate.X_MA
+    after = before.copy()
+    after[-1, 2] += 0.006
+    points = join(world.graph.unseen_backs, world.graph.open_ends)
+    places = place_points(points, before).p
+    _, nearest = cKDTree(before[:, :2]).query(places)
+    elsewhere = nearest != len(TOUR) - 1
+    near = np.hypot(*(places - before[-1, :2]).T) < 10.0
+    assert (elsewhere & near).sum() > 5
+    np.testing.assert_allclose(place_points(points, after).p[elsewhere], places[elsewhere], atol=1e-3)
+
+
 def test_what_is_worked_on_is_the_map_as_far_as_a_stage_needs_it(simulate) -> None:
     world = simulate(WALLS)
     graphs = take_up(world, toured(world), FAR_END, no_sightings(), False)

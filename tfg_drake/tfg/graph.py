@@ -307,10 +307,16 @@ class _Newest:
     def found_here(
         self, then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]
     ) -> FrontierPoints:
-        """The points found now among those that `which` selects; of the others those found then."""
+        """The points found now among those that `which` selects; of the others those found then.
+
+        Those of a large map are not found anew at every stage: each is kept in the frame of the view nearest to it. In
+        the newest view's it would leave its surface when that view's heading is corrected later.
+        """
         if math.isinf(self.reach) and self.estimate.is_joint:
             return now
-        return join(select(then, ~which(then)), select(now, which(now)))
+        # Not a weakly tied one's, which says nothing of the robot's surroundings.
+        firm = np.flatnonzero(~self.weak)
+        return join(select(then, ~which(then)), anchored(select(now, which(now)), self.estimate.X_MA, firm))
 
     @property
     def _view(self) -> int:
@@ -523,6 +529,18 @@ def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
     _, label = connected_components(neighbours, directed=False)
     length = np.bincount(label, points.length)
     return select(points, length[label] >= 2.0 * (robot.radius + NODE_MARGIN))
+
+
+def anchored(points: FrontierPoints, X_MA: FloatArray, views: IntArray | None = None) -> FrontierPoints:
+    """The points, each in the frame of the view nearest to it; X_MA: (k, 3). views: (v,) to choose from, else all."""
+    if not len(points.p):
+        return points
+    views = np.arange(len(X_MA)) if views is None else views
+    placed = place_points(points, X_MA)
+    _, nearest = cKDTree(X_MA[views, :2]).query(placed.p)
+    view = views[nearest]
+    d, theta = placed.p - X_MA[view, :2], X_MA[view, 2]
+    return replace(points, view=view, p=turned(d, -theta), normal=turned(placed.normal, -theta))
 
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:

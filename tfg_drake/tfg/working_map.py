@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.turned import turned
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, WorkingMap, replace
+from tfg_drake.messages import BoolArray, IntArray, MapEstimate, WorkingMap, replace
 from tfg_drake.tfg import graph as tfg_graph
-from tfg_drake.tfg.frontier import FrontierPoints, join, place_points, select
-from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, empty_graph, empty_map
+from tfg_drake.tfg.frontier import join, select
+from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, anchored, empty_graph, empty_map
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import taken
 from tfg_drake.tfg.submaps import Submaps, extended, rearranged, to_activate, undivided, whole
@@ -133,16 +131,6 @@ def estimate_near(graphs: Submaps[TfgGraph], estimate: MapEstimate, reach: float
     keep = np.hypot(*(estimate.p_ML - estimate.X_MA[-1, :2]).T) <= reach
     keep[np.searchsorted(estimate.ids, ids[ids >= 0])] = True
     return of_landmarks(estimate, keep)
-
-
-def anchored(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
-    """The points, each in the frame of the view nearest to it; X_MA: (k, 3)."""
-    if not len(points.p):
-        return points
-    placed = place_points(points, X_MA)
-    _, view = cKDTree(X_MA[:, :2]).query(placed.p)
-    d, theta = placed.p - X_MA[view, :2], X_MA[view, 2]
-    return replace(points, view=np.asarray(view), p=turned(d, -theta), normal=turned(placed.normal, -theta))
 
 
 def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
