@@ -169,3 +169,12 @@ def test_where_there_is_no_room_for_anybody_is_told():
     world = World(cell, WORLD.tag_ids, WORLD.p_WT, WORLD.tag_facing, np.array([0.25, 0.25, 0.0]))
     with pytest.raises(WorldError, match=r"reality\.people: nowhere in this world is there room"):
         ground(world, ROBOT_RADIUS)
+
+
+def test_who_is_between_a_corner_and_the_robot_gets_out():
+    corner = np.array([[0.0, 0, 4, 0], [4, 0, 4, 2], [4, 2, 2, 2], [2, 2, 2, 3], [2, 3, 0, 3], [0, 3, 0, 0]])
+    room = ground(World(corner, WORLD.tag_ids, WORLD.p_WT, WORLD.tag_facing, WORLD.start), ROBOT_RADIUS)
+    robot = np.array([2.31, 1.394, 0.0, 0.0, 0.0])
+    start = np.array([1.914, 1.724])
+    later = go_on(one(start, robot[:2]), room, robot, 30, mind=0.0)
+    assert np.hypot(*(later.p_WP[0] - start)) > 0.5

@@ -241,10 +241,12 @@ def way_between(ground: Ground, p_WP: FloatArray, place: float, p_WB: FloatArray
     robot = np.append(p_WB, p_WB)[None]
     # Straight from each to the farthest that can be gone to straight; to the next it always can.
     kept, i, need = [], 0, RADIUS + MARGIN - SLACK
+    # Who stands nearer to a wall than that may leave it straight, too.
+    least = min(need, float(clearance(np.append(p_WP, p_WP)[None], ground.walls, need)[0]) - 1e-9)
     while i < len(points) - 1:
         lines = np.hstack([np.broadcast_to(points[i], (len(points) - i - 1, 2)), points[i + 1 :]])
         open_ = np.flatnonzero(
-            (clearance(lines, ground.walls, need) >= need) & (clearance(lines, robot, apart) >= apart)
+            (clearance(lines, ground.walls, need) >= (need if i else least)) & (clearance(lines, robot, apart) >= apart)
         )
         i += 1 + (int(open_[-1]) if len(open_) else 0)
         kept.append(points[i])
