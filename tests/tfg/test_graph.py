@@ -563,6 +563,19 @@ def test_what_is_seen_twice_is_mapped_once(two_rooms) -> None:
     assert max(totals) < 1.1 * totals[0]
 
 
+def test_of_two_views_of_a_wall_without_tags_the_nearer_stands(simulate) -> None:
+    far, near = np.array([0.0, 0.0, 0.0]), np.array([0.3, 1.5, 0.0])
+    for order in ((far, near), (near, far)):
+        world = simulate([[-1.5, 3.0, 1.5, 3.0]])
+        world.tags = dataclasses.replace(world.tags, range=0.0)
+        for X_WA in order:
+            # From far it seems to be 6 cm nearer than it is.
+            y = 2.94 if X_WA is far else 3.0
+            world.walls = np.array([[-1.5, y, 1.5, y]])
+            segments = world.observe(X_WA).segments
+        np.testing.assert_allclose(segments[:, 1::2], 3.0, atol=0.04)
+
+
 def test_what_is_left_of_a_broken_edge_moves_with_the_landmark_beside_it(simulate) -> None:
     world = simulate([[-3.0, 2.0, 3.0, 2.0]], spacing=3.0)
     world.observe(np.array([0.0, 0.0, 0.0]))

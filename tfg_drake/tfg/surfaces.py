@@ -208,6 +208,7 @@ def add_observation(
     others = np.flatnonzero(surfaces.kind != EDGE).tolist()
     kept = _trim(draft, ends + others, edge_segments, EDGE_COVERS, panorama, estimate)
     new = _trim(draft, [draft.add(piece) for piece in pieces], edge_segments, EDGE_COVERS)
+    kept = _farther_left(draft, kept, new)
     new = _trim(draft, new, _segments(draft, kept), SURFACE_COVERS)
     merged = draft.surfaces(kept_edges + kept + new)
     observed = np.isin(tags.ids, estimate.observation.ids)
@@ -400,6 +401,20 @@ def _trim(
         for r in range(runs[i], runs[i + 1]):
             trimmed.append(draft.add(piece._replace(polyline=sub_polyline(piece.polyline, begin[r], end[r]))))
     return trimmed
+
+
+def _farther_left(draft: _Draft, rows: list[int], new: list[int]) -> list[int]:
+    """The rows of these pieces without what new ones show that were seen from nearer: a wall seen from far may lie some
+    centimetres off, and close a passage."""
+    if not rows or not new:
+        return rows
+    points, normals, owner, _, _ = sample(*draft.packed(rows), SPACING)
+    seen_again = owner[covered(points, normals, _segments(draft, new), np.full(len(points), SURFACE_COVERS))]
+    left = []
+    for i, row in enumerate(rows):
+        nearer = [n for n in new if draft[n].range < draft[row].range] if i in seen_again else []
+        left += _trim(draft, [row], _segments(draft, nearer), SURFACE_COVERS) if nearer else [row]
+    return left
 
 
 def _refuted(
