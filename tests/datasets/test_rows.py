@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.breezyslam import RAYS, load_breezyslam
-from benchmarks.carmen import load_carmen
+from benchmarks.scan_logs import RAYS, load_breezyslam, load_carmen
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.g2o import read_g2o
 from tfg_drake.datasets.recording import DatasetError

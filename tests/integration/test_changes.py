@@ -22,8 +22,8 @@ def chair(x, y, side=0.45):
     return np.hstack([corners, np.roll(corners, -1, axis=0)]).tolist()
 
 
-@pytest.mark.parametrize(("seed", "looks_again"), [(0, True), (1, False)])
-def test_a_chair_and_a_tag_are_moved_and_another_falls_off(tmp_path, seed, looks_again):
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_chair_and_a_tag_are_moved_and_another_falls_off(tmp_path, seed):
     scenario = ApplyWorldFile(LoadScenario(data=ROOMS), tag_spacing=1.0)
     scenario.seed = seed
     scenario.explorer.return_home = True
@@ -43,4 +43,4 @@ def test_a_chair_and_a_tag_are_moved_and_another_falls_off(tmp_path, seed, looks
     saved = load_map(tmp_path / "map.npz")
     assert summary["landmark_error_max_m"] < 0.1
     assert first.id in saved.ids
-    assert summary["landmarks_doubtful"] == ([other.id] if looks_again else [])
+    assert summary["landmarks_doubtful"] == [other.id]
