@@ -24,7 +24,7 @@ FIRST_DAMPING = 1e-9
 LITTLE_DAMPING = 1e-6
 LARGEST_DAMPING = 1e9
 # SuperLU for symmetric positive matrices whose factor is sparse all over.
-_SYMMETRIC = {"diag_pivot_thresh": 0.0, "panel_size": 1, "options": {"SymmetricMode": True}}
+SYMMETRIC = {"diag_pivot_thresh": 0.0, "panel_size": 1, "options": {"SymmetricMode": True}}
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def _elimination_order(rows: Sequence[Rows], held: IntArray, blocks: IntArray) -
     ties = [blocks[one.columns] for one in rows]
     incidence = _matrix([(np.ones((len(at), 1, at.shape[1])), at) for at in ties], count)
     pattern = incidence.T @ incidence + sparse.eye_array(count)
-    position = splu(pattern.tocsc(), permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c
+    position = splu(pattern.tocsc(), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c
     unknowns = np.flatnonzero(free)
     return unknowns[np.argsort(position[blocks[unknowns]], kind="stable")]
 
@@ -131,7 +131,7 @@ def _step(hessian: sparse.csc_array, gradient: FloatArray, damping: float) -> Fl
     """The damped Gauss-Newton step, nan where the damped Hessian is singular."""
     damped = hessian + sparse.diags_array(damping * hessian.diagonal(), format="csc")
     try:
-        factors = splu(damped, permc_spec="NATURAL", **_SYMMETRIC)
+        factors = splu(damped, permc_spec="NATURAL", **SYMMETRIC)
     except RuntimeError:
         return np.full(len(gradient), np.nan)
     return np.asarray(factors.solve(-gradient))

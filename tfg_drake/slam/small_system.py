@@ -12,11 +12,14 @@ from functools import partial
 import gtsam
 import numpy as np
 import scipy.linalg
+import scipy.sparse
+from scipy.sparse.linalg import splu
 
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.factors import Factors, Linear, Solved, Values, at_errors, error_of_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.keyframe_kernels import InCells, Unknowns, assemble, assemble_tag_errors
+from tfg_drake.slam.least_squares import SYMMETRIC
 
 # Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
 # time. The first holds what hangs on nothing by 100 m, or rad.
@@ -234,17 +237,24 @@ def _covariance(root: FloatArray, at: IntArray) -> FloatArray:
 
 def _log_determinant_of_rest(cells: Cells, blocks: FloatArray) -> float:
     """Of the information on all unknowns but the landmarks, given these."""
-    landmarks = np.unique(cells.cell[cells.landmark_at])
-    size, system = cells.size.tolist(), gtsam.GaussianFactorGraph()
+    in_rest = np.ones(len(cells.size), dtype=np.bool_)
+    in_rest[cells.cell[cells.landmark_at]] = False
+    size, first = cells.size, np.cumsum(cells.size * in_rest) - cells.size * in_rest
+    rows, columns, entries = [], [], []
     for (i, j), start, end in zip(cells.pairs.tolist(), cells.bounds[:-1], cells.bounds[1:], strict=True):
-        if i in landmarks or j in landmarks:
+        if not (in_rest[i] and in_rest[j]):
             continue
-        block, g_i, g_j = blocks[start:end].reshape(size[i], size[j]), np.zeros(size[i]), np.zeros(size[j])
-        if i == j:
-            system.push_back(gtsam.HessianFactor(i, block, g_i, 0.0))
-        else:
-            own = np.zeros((size[i], size[i])), np.zeros((size[j], size[j]))
-            system.push_back(gtsam.HessianFactor(i, j, own[0], block, g_i, own[1], g_j, 0.0))
-    conditionals = system.eliminateSequential()
-    roots = (conditionals.at(place).R() for place in range(conditionals.size()))
-    return 2.0 * sum(float(np.sum(np.log(np.abs(np.diag(root))))) for root in roots)
+        block = blocks[start:end].reshape(size[i], size[j])
+        row, column = np.indices(block.shape)
+        # Of a block on the diagonal the upper half counts.
+        upper = column >= row if i == j else np.ones(block.shape, dtype=np.bool_)
+        rows.append(first[i] + row[upper])
+        columns.append(first[j] + column[upper])
+        entries.append(block[upper])
+    row, column, entry = (np.concatenate(parts) for parts in (rows, columns, entries))
+    off = row != column
+    both = np.append(entry, entry[off]), (np.append(row, column[off]), np.append(column, row[off]))
+    # GTSAM refuses what a robot that was kidnapped is all but untied by as indeterminate.
+    matrix = scipy.sparse.csc_matrix(both, shape=(int(size[in_rest].sum()),) * 2)
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
+    return float(np.sum(np.log(np.abs(factor.U.diagonal()))))
