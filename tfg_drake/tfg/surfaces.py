@@ -409,7 +409,8 @@ def _farther_left(draft: _Draft, rows: list[int], new: list[int]) -> list[int]:
     if not rows or not new:
         return rows
     points, normals, owner, _, _ = sample(*draft.packed(rows), SPACING)
-    seen_again = owner[covered(points, normals, _segments(draft, new), np.full(len(points), SURFACE_COVERS))]
+    again = covered(points, normals, _segments(draft, new), np.full(len(points), SURFACE_COVERS))
+    seen_again = set(owner[again].tolist())
     left = []
     for i, row in enumerate(rows):
         nearer = [n for n in new if draft[n].range < draft[row].range] if i in seen_again else []
