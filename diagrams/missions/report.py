@@ -43,6 +43,9 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
         known = KnownWorld(world, mission.scenario, None if true_poses is None else true_poses[1][-1])
         reachable = known.reachable
         summary |= known.map_figures(mission, estimate, tfg)
+        unreachable = ", ".join(map(str, world.tag_ids[~reachable].tolist()))
+        if unreachable and mission.outcome in ("complete", "stuck"):
+            summary["reason"] += f" The robot cannot reach any place that shows these tags: {unreachable}."
         if true_poses is not None:
             summary |= known.way_figures(mission, stamps, X_WB, *true_poses)
     if mission.truth is not None:

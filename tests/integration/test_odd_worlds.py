@@ -2,12 +2,15 @@
 
 import gzip
 import json
+import re
 
 import pytest
 
 from tests.diagrams.rooms import QUICK_LOOK
 
 BOX = "[[-0.5, -0.5, 0.5, -0.5], [0.5, -0.5, 0.5, 0.5], [0.5, 0.5, -0.5, 0.5], [-0.5, 0.5, -0.5, -0.5]]"
+WIDE = [[-4, -4, 8, -4], [8, -4, 8, 4], [8, 4, -4, 4], [-4, 4, -4, -4]]
+TAG, FAR = "{id: 1, position: [2, 3.99], facing: -1.57}", "{id: 2, position: [7.99, -3], facing: 3.14}"
 ROOM = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]"
 
 
@@ -36,14 +39,34 @@ def scenario(tmp_path):
 
 
 @pytest.mark.parametrize("spacing", [None, 0.5])
-def test_a_robot_boxed_in_says_so(tool, scenario, spacing):
+def test_a_closet_round_the_robot_is_explored(tool, scenario, spacing):
     tags = ["--tag-spacing", spacing] if spacing else []
     code, out, err, summary = tool(scenario(f"start: [0, 0, 0], walls: {BOX}"), *tags)
-    assert (code, err, summary["outcome"]) == (1, "", "stuck")
-    assert summary["reason"] == "The robot cannot reach any other place."
+    assert (code, err, summary["outcome"]) == (0, "", "complete")
+    assert summary["reason"] == "No frontier is left and no place promises more than 20 nats."
     assert summary["landmarks_mapped"] == summary["landmarks_reachable"] == (8 if spacing else 0)
     assert summary["contacts"] == 0
-    assert "outcome     stuck: The robot cannot reach any other place." in out
+    assert "outcome     complete: No frontier is left" in out
+
+
+def test_a_robot_among_posts_that_it_does_not_fit_between_says_so(tool, scenario):
+    posts = [(x, y) for x in (-0.5, 0.0, 0.5) for y in (-0.5, 0.0, 0.5) if (x, y) != (0.0, 0.0)]
+    walls = [[x - 0.05, y, x + 0.05, y] for x, y in posts] + [[x, y - 0.05, x, y + 0.05] for x, y in posts]
+    code, _, err, summary = tool(scenario(f"start: [0, 0, 0], walls: {walls + WIDE}, tags: [{TAG}]"))
+    assert (code, err, summary["outcome"]) == (1, "", "stuck")
+    assert re.match(r"The robot cannot reach any other place\. Frontier is left: [\d.]+ m where", summary["reason"])
+
+
+@pytest.mark.parametrize(("time", "outcome"), [(9.0, "stuck"), (80.0, "complete")])
+def test_what_lies_behind_a_door_that_shut_is_named(tool, scenario, time, outcome):
+    """While the robot has only looked through it, or when all is mapped."""
+    change = f"reality: {{changes: [{{time: {time}, walls: [[4, 1.5, 4, 2.7]]}}]}}\n"
+    walls = [*WIDE, [4, -4, 4, 1.5], [4, 2.7, 4, 4]]
+    code, _, err, summary = tool(scenario(f"start: [2, 2, 0], walls: {walls}, tags: [{TAG}, {FAR}]", change))
+    assert (code, err, summary["outcome"]) == (1 if outcome == "stuck" else 0, "", outcome)
+    assert ("m behind a door that shut" in summary["reason"]) == (outcome == "stuck")
+    told = " The robot cannot reach any place that shows these tags: 2."
+    assert summary["reason"].endswith(told) == (outcome == "stuck")
 
 
 def test_where_there_is_no_room_for_people_it_is_said(tool, scenario):

@@ -95,7 +95,7 @@ def test_goals_that_cannot_be_reached_end_the_mission_stuck():
     status = dataclasses.replace(following(), phase="plan", failures=MAX_FAILURES - 1)
     status = step(status, inputs(30.0, path=Path(status.path_id + 1, 1, np.zeros((0, 2)))))
     assert (status.phase, status.outcome) == ("done", "stuck")
-    assert status.reason == f"{MAX_FAILURES} goals in a row could not be reached"
+    assert status.reason == f"{MAX_FAILURES} goals in a row could not be reached."
 
 
 def test_a_bumper_hit_asks_for_a_new_path_once_the_reflex_is_over():

@@ -3,9 +3,7 @@ import numpy as np
 from tfg_drake.config import ExplorerConfig
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.goal_choice import _homewards, more_first_turns, pick, preferred
-from tfg_drake.planning.mission_end import given_up_open, why_end
 from tfg_drake.slam import keyframe_graph
-from tfg_drake.tfg.graph import empty_map
 
 
 def best(value, worth, time=None):
@@ -37,39 +35,6 @@ def test_a_place_that_the_rule_does_not_want_is_picked_only_where_no_other_is_le
     assert best([-5, -np.inf], [0, 1]) == 1
 
 
-def end(candidates=True, narrow=0.0, given_up=0.0, frontier=0.0, cut_off=False):
-    return why_end(candidates, narrow, given_up, frontier, cut_off, 20.0)
-
-
-def test_nothing_left_is_complete():
-    assert end() == ("complete", "No frontier is left and no place promises more than 20 nats.")
-
-
-def test_a_frontier_behind_a_passage_too_narrow_for_the_uncertainty_is_stuck():
-    assert end(frontier=3.25, narrow=19.0)[0] == "complete"
-    reason = "30.2 nats lie behind a passage too narrow for the uncertainty of the map."
-    assert end(frontier=3.25, narrow=30.25) == ("stuck", reason)
-
-
-def test_an_open_frontier_that_was_given_up_is_stuck():
-    assert end(given_up=0.8) == ("stuck", "0.8 m of open frontier were tried again and again in vain.")
-
-
-def test_a_frontier_where_the_robot_does_not_fit_is_named_and_closed():
-    reason = "No frontier is left but 3.2 m out of reach or not worth it, and no place promises more than 20 nats."
-    assert end(frontier=3.25) == ("complete", reason)
-
-
-def test_a_robot_cut_off_from_its_start_is_stuck_while_there_is_a_frontier():
-    reason = "The robot cannot get back to where it began, and 3.2 m of frontier are left."
-    assert end(frontier=3.25, cut_off=True) == ("stuck", reason)
-    assert end(cut_off=True)[0] == "complete"
-
-
-def test_nowhere_to_go_is_stuck():
-    assert end(candidates=False) == ("stuck", "The robot cannot reach any other place.")
-
-
 def homewards(reachable, entry, looked=()):
     """What ends a complete mission at home, (0, 0), for a robot 2 m away on a line of nodes a metre apart."""
     points, reachable = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array(reachable, dtype=bool)
@@ -90,38 +55,6 @@ def test_where_the_way_home_is_too_narrow_the_robot_looks_at_it_once_more_and_is
     stuck = "Done. But the robot cannot get back to where it began."
     assert homewards([0, 1, 1], [1, 1, 2], [7]) == (-1, "stuck", stuck, [7])
     assert homewards([0, 1, 1], [-1, 1, 2]) == (-1, "stuck", stuck, [])
-
-
-NEED = 0.23
-
-
-def given_up_behind(width: float, *walls: tuple[float, float, float, float]) -> float:
-    """What counts of a frontier 0.35 m behind a gap so wide (m) in the line y = 0, tried in vain from its foot."""
-    half = 0.5 * width
-    tfg = replace(
-        empty_map(),
-        segments=np.array([[-3.0, 0.0, -half, 0.0], [half, 0.0, 3.0, 0.0], *walls]),
-        given_up=np.array([[0.0, 0.35]]),
-        given_up_length=np.array([0.6]),
-        given_up_normal=np.array([[0.0, -1.0]]),
-    )
-    both = np.array([True, True])
-    places = np.array([[0.2, -0.8], [2.0, -0.8]])
-    roadmap = Roadmap(1, places, np.zeros((0, 2), dtype=np.int64), both, both, np.arange(2), np.zeros(2), np.zeros(2))
-    return given_up_open(tfg, roadmap, NEED)
-
-
-def test_a_frontier_given_up_counts_where_the_robot_fits_through():
-    assert given_up_behind(1.0) == 0.6
-    assert given_up_behind(0.4) == 0.0
-
-
-def test_a_frontier_given_up_inside_a_hollow_obstacle_does_not_count():
-    assert given_up_behind(1.0, (-0.5, 0.5, 0.5, 0.5)) == 0.0
-
-
-def test_a_frontier_given_up_behind_a_wall_does_not_count():
-    assert given_up_behind(1.0, (-3.0, -0.4, 3.0, -0.4)) == 0.0
 
 
 def test_the_first_look_has_more_turns_the_less_a_frame_tells_up_to_twice_as_many():

@@ -293,6 +293,20 @@ def test_a_way_that_the_map_now_finds_too_narrow_is_open_only_to_go_home():
     assert -1.2 < state.points[entry, 0] < 0.3
 
 
+def test_a_door_that_shut_is_open_until_the_robot_has_tried_in_vain():
+    driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
+    state, estimate, tfg = build(two_rooms(0.9), [(-4, 0.1, 0), (3, 0, 0)], driven)
+    estimate, tfg = known(two_rooms(0.9), [(-4, 0.1, 0), (3, 0, 0), (2, 0, 0)])
+    shut = replace(tfg, segments=np.vstack([tfg.segments, [[0.0, -0.45, 0.0, 0.45]]]))
+    far = nearest(state, (-4, 0.1))
+    reached, open_once = {}, {}
+    for in_vain in (False, True):
+        after = extend(state, shut, estimate, PARAMETERS, in_vain=in_vain)
+        message = roadmap_message(after, routes(after, shut, estimate.X_MD, ROBOT, PLANNER), ROBOT, PLANNER)
+        reached[in_vain], open_once[in_vain] = bool(message.reachable[far]), bool(message.once_open[far])
+    assert (reached, open_once) == ({False: True, True: False}, {False: True, True: True})
+
+
 def test_of_two_tight_doors_driven_through_the_wider_stays_open():
     doors = np.array([[0.0, -2.0, 0.0, -1.21], [0.0, -0.79, 0.0, 0.78], [0.0, 1.22, 0.0, 2.0]])
     walls = two_rooms()

@@ -189,7 +189,7 @@ def _overdue(status: MissionStatus, inputs: MissionInputs) -> bool:
 def _give_up_goal(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     """Look round where the robot stands: the new view shows what is in the way."""
     if status.failures + 1 >= MAX_FAILURES:
-        return _end(status, inputs, "stuck", f"{MAX_FAILURES} goals in a row could not be reached")
+        return _end(status, inputs, "stuck", f"{MAX_FAILURES} goals in a row could not be reached.")
     return _begin(status, inputs, "observe", failures=status.failures + 1)
 
 

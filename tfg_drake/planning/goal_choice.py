@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
@@ -24,7 +23,7 @@ from tfg_drake.planning.candidates import (
 from tfg_drake.planning.doubtful_tags import best_views
 from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, tour
-from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, given_up_open, why_end
+from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given_up_open, why_end
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
 
@@ -271,13 +270,11 @@ def _last(
         if nearest >= 0:
             reason = f"Tag {estimate.doubtful[tags[nearest]]} is doubtful: it looks at it once more."
             return int(at[nearest]), "goal", reason, looked
-    _, home = cKDTree(roadmap.points).query(estimate.X_MA[0, :2])
     verdict, reason = why_end(
         any_left,
         float(narrow.gain.max(initial=0.0)),
         given_up_open(now.tfg, roadmap, now.parameters.robot.radius + NODE_MARGIN),
-        float(now.tfg.frontier_length.sum()),
-        bool(roadmap.entry[home] < 0),
+        frontier_left(now.tfg, roadmap, now.parameters.sensor),
         stop_gain,
     )
     return -1, verdict, reason, looked

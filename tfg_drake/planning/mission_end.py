@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import Roadmap, TfgMap
+from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # The robot could drive straight up to the edge of a frontier from a place this near, m.
 AT_HAND = 1.0
 # Less live frontier than this is not worth a visit, m.
 ENOUGH_FRONTIER = 0.24
+# More frontier than this behind passages that have, or had, room for the robot keeps a mission from being complete, m.
+MOST_LEFT = 2.0
+# A place this near to where the robot can get, m, may be cut off by a wall that was mapped twice, no door.
+DRIFTED = 1.5
 
 
 def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
@@ -33,29 +41,62 @@ def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
     return float(tfg.given_up_length[reached[clearance(through, tfg.segments, need) >= need]].sum())
 
 
+@dataclasses.dataclass(frozen=True)
+class FrontierLeft:
+    """Length (m) of the live frontier, by what keeps the robot from it.
+
+    not_worth: it is seen from places that the robot can reach, none of which is worth the way. too_uncertain: only from
+    behind passages that have room for the robot but not for its uncertainty. shut: only from where it could have driven
+    when that was seen to be free, but not by the newest map: a door that shut. too_narrow: from no other place that it
+    fits into.
+    """
+
+    not_worth: float = 0.0
+    too_uncertain: float = 0.0
+    shut: float = 0.0
+    too_narrow: float = 0.0
+
+    def __str__(self) -> str:
+        named = [
+            (self.too_narrow, "where the robot does not fit"),
+            (self.too_uncertain, "behind passages too narrow for the uncertainty of the map"),
+            (self.shut, "behind a door that shut"),
+            (self.not_worth, "not worth the way"),
+        ]
+        return ", ".join(f"{length:.1f} m {why}" for length, why in named if length >= 0.05)
+
+
+def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig) -> FrontierLeft:
+    """The live frontier by the places of the roadmap that see it; of these the one counts that is the easiest to get
+    to."""
+    hindrance = np.full(len(roadmap.points), 3)
+    shut = np.flatnonzero(roadmap.once_open)
+    apart, _ = cKDTree(roadmap.points[roadmap.reachable]).query(roadmap.points[shut])
+    hindrance[shut[apart > DRIFTED]] = 2
+    hindrance[roadmap.enterable] = 1
+    hindrance[roadmap.reachable] = 0
+    seen = expected_frontiers(roadmap.points, tfg, sensor)
+    least = np.full(len(tfg.frontiers), 3)
+    np.minimum.at(least, seen.index, np.repeat(hindrance, seen.count))
+    return FrontierLeft(*np.bincount(least, tfg.frontier_length, minlength=4).tolist())
+
+
 def why_end(
-    candidates: bool,
-    narrow_gain: float,
-    given_up_length: float,
-    frontier_length: float,
-    cut_off: bool,
-    stop_gain: float,
+    candidates: bool, narrow_gain: float, given_up_length: float, left: FrontierLeft, stop_gain: float
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate is worth going to.
 
     candidates: there are any. narrow_gain: nats, of the best place behind a passage that is too narrow for the robot's
-    uncertainty. given_up_length: m of open frontier that was tried too often. frontier_length: m of live frontier,
-    seen or not: what remains when nothing else does is closed to this robot. cut_off: the robot cannot get back to
-    where it began.
+    uncertainty. given_up_length: m of open frontier that was tried too often. left: what is left of the live frontier.
     """
-    if not candidates:
-        return "stuck", "The robot cannot reach any other place."
-    if cut_off and frontier_length >= ENOUGH_FRONTIER:
-        left = f"{frontier_length:.1f} m of frontier are left"
-        return "stuck", f"The robot cannot get back to where it began, and {left}."
+    named = str(left)
+    if not candidates and sum(dataclasses.astuple(left)) > MOST_LEFT:
+        return "stuck", f"The robot cannot reach any other place. Frontier is left: {named}."
+    if left.too_uncertain + left.shut > MOST_LEFT:
+        return "stuck", f"Frontier is left: {named}."
     if narrow_gain > stop_gain:
         return "stuck", f"{narrow_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
     if given_up_length > 0.0:
         return "stuck", f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
-    but = f" but {frontier_length:.1f} m out of reach or not worth it," if frontier_length >= 0.05 else ""
+    but = f" but {named}," if named else ""
     return "complete", f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."

@@ -137,9 +137,10 @@ def step(
     if len(state.obstacles) and scan.stamp > state.look_stamp:
         state = _look(state, estimate, pose, scan)
     if working.stage > state.nodes.stage:
-        if mission.failures >= BOLD_AFTER:
+        in_vain = mission.failures >= BOLD_AFTER
+        if in_vain:
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        return grow(state, working, parameters)
+        return grow(state, working, parameters, in_vain=in_vain)
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
     in_the_way = mission.replans > 0 and _may_go(state, estimate, tfg)
     pause = ASK_AGAIN if math.isfinite(state.waiting_since) else BREATH * in_the_way
@@ -176,8 +177,13 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
     return float(np.hypot(*np.diff(driven[1:], axis=0).T).sum()) + unnoted
 
 
-def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters) -> PlannerState:
-    """The state with the roadmap extended to the newest view of the map; inactive submaps are inactive here, too."""
+def grow(
+    state: PlannerState, working: WorkingMap, parameters: RoadmapParameters, *, in_vain: bool = False
+) -> PlannerState:
+    """The state with the roadmap extended to the newest view of the map; inactive submaps are inactive here, too.
+
+    in_vain: as of `extend`.
+    """
     estimate, tfg = working.estimate, working.tfg
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_view <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
@@ -199,6 +205,7 @@ def grow(state: PlannerState, working: WorkingMap, parameters: RoadmapParameters
             views=working.views,
             reach=reach,
             sampled=sampled,
+            in_vain=in_vain,
         )
         obstacles = obstacles_in_map(state, estimate)
         roadmap = make_roadmap(nodes, tfg, estimate, parameters, obstacles, driven_before, reach)

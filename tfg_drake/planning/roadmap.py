@@ -452,13 +452,15 @@ def extend(
     views: IntArray | None = None,
     reach: float = np.inf,
     sampled: bool = False,
+    in_vain: bool = False,
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
     driven: (d, 2) m in M, the way of the robot to the last view. effort: index into EFFORTS. views: (a,) those whose
     stars the map holds, if it is a part of one. reach: m round the newest view; farther away nothing is added and all
-    stays as it was checked last. sampled: it is on all of the map already, and only that way is new. The same arguments
-    give the same roadmap.
+    stays as it was checked last. sampled: it is on all of the map already, and only that way is new. in_vain: goals
+    could not be reached, so of the ways driven near the robot those that a surface crosses by now have shut. The same
+    arguments give the same roadmap.
     """
     views = np.arange(len(estimate.X_MA)) if views is None else views
     points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, effort, reach, sampled)
@@ -484,6 +486,9 @@ def extend(
     was_driven = np.arange(len(proposed)) < len(chain)
     edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
     edges, asked = _checked(edges, around, points, sigma, tfg, parameters, EFFORTS[effort][1])
+    if in_vain:
+        near = within(points, estimate.X_MD, EDGE_LENGTH)[edges.nodes].any(axis=1)
+        edges = replace(edges, travelled=edges.travelled & ~(near & asked & (edges.clearance == 0.0)))
     home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(views), -1]])
     edges = _with_needed(edges, asked, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
     ids = np.append(state.ids, state.next_id + np.arange(fresh))

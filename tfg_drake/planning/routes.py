@@ -278,6 +278,7 @@ def roadmap_message(
         home_length=np.zeros(0) if home is None else home.length,
         driven=driven,
         ids=state.ids,
+        once_open=_joined(state, fits | state.edges.free, np.isfinite(ways.cost)),
     )
 
 
