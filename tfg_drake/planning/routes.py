@@ -265,6 +265,8 @@ def roadmap_message(
     """
     # Whatever the least careful stage would try.
     fits = _fitting(state, robot, planner, TRACKING_DEVIATION, max(accepted for _, accepted in EFFORTS))
+    # A surface that crosses what was free, and had room, was not there then.
+    shut = state.edges.free & (state.edges.clearance == 0.0)
     return Roadmap(
         stage=state.stage,
         points=state.points,
@@ -278,7 +280,7 @@ def roadmap_message(
         home_length=np.zeros(0) if home is None else home.length,
         driven=driven,
         ids=state.ids,
-        once_open=_joined(state, fits | state.edges.free, np.isfinite(ways.cost)),
+        once_open=_joined(state, fits | shut, np.isfinite(ways.cost)),
     )
 
 
