@@ -92,7 +92,7 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         order[filled[index[i]]], by_bin[filled[index[i]]] = i, ranges[i]
         filled[index[i]] += 1
     angles = np.empty(bins)
-    merged, lost = np.full(bins, np.nan), np.zeros(bins, dtype=np.bool_)
+    merged = np.full(bins, np.nan)
     for b in range(bins):
         rays = order[start[b] : start[b + 1]]
         angles[b] = (b + 0.5) * width
@@ -102,7 +102,7 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         # surfaces, and only rays of that surface are averaged: no point floats between the two.
         median = _sorted(by_bin[start[b] : start[b + 1]])[(len(rays) - 1) // 2]
         if median == np.inf:
-            merged[b], lost[b] = np.inf, len(rays) <= MOST_LOST
+            merged[b] = np.inf
             continue
         x, y, count = 0.0, 0.0, 0
         for i in rays:
@@ -114,8 +114,11 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         # Within the bin however rounding falls, so that bearings stay in order.
         angles[b] = min(max(np.arctan2(y, x) % (2.0 * np.pi), (b + 1e-6) * width), (b + 1 - 1e-6) * width)
     # Glass and black walls swallow single rays, which would be free ground through a wall.
-    for b in range(bins):
-        if lost[b] and np.isfinite(merged[b - 1]) and np.isfinite(merged[(b + 1) % bins]):
+    looked = np.flatnonzero(~np.isnan(merged))
+    met = np.isfinite(merged[looked])
+    for i in range(len(looked)):
+        b = looked[i]
+        if not met[i] and met[i - 1] and met[(i + 1) % len(looked)] and start[b + 1] - start[b] <= MOST_LOST:
             merged[b] = np.nan
     return angles, merged
 
