@@ -43,7 +43,7 @@ class Disturbed:
         self.scenario = LoadScenario(FindScenario(name))
         self.scenario.seed = seed
         self.world = MakeWorld(self.scenario.world)
-        diagram, _, _ = MakeMissionDiagram(self.scenario, self.world)
+        diagram, *_ = MakeMissionDiagram(self.scenario, self.world)
         self.simulator = Simulator(diagram)
         self.context = self.simulator.get_mutable_context()
         diagram.SetRandomContext(self.context, RandomGenerator(seed))

@@ -42,6 +42,7 @@ COLUMNS = {
     "aligned": lambda s: s["landmark_rmse_aligned_m"],
     "lm anees": lambda s: s["landmark_anees"],
     "pose anees": lambda s: s["pose_anees"],
+    "online": lambda s: s["online_pose_anees"],
     "area": lambda s: s["area_coverage"],
     "surface": lambda s: s["surface_coverage"],
     "phantom": lambda s: s["surface_phantom_m"],

@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/reality"))
     options = parser.parse_args()
     print(
-        f"{'':20s}   n complete contacts   time  ratio    rmse  ratio aligned  NEES pose  ANEES phantom"
+        f"{'':20s}   n complete contacts   time  ratio    rmse  ratio aligned  NEES  pose online  ANEES phantom"
         " doubtful worst  clock ms  yaw deg",
         flush=True,
     )
@@ -104,7 +104,7 @@ def main() -> None:
         believed = believed or runs
 
         def mean(name: str, of: list[dict] = runs) -> float:
-            return float(np.mean([summary[name] for summary in of]))
+            return float(np.mean(np.array([summary.get(name) for summary in of], dtype=float)))
 
         def ratio(name: str, of: list[dict] = runs, to: list[dict] = believed) -> float:
             return float(np.exp(np.mean([np.log(a[name] / b[name]) for a, b in zip(of, to, strict=True)])))
@@ -116,8 +116,9 @@ def main() -> None:
         print(
             f"{row:20s} {len(runs):3d} {complete:8d} {contacts:8d} {mean('sim_time_s'):6.0f} {ratio('sim_time_s'):6.2f}"
             f" {mean('landmark_rmse_m'):7.4f} {ratio('landmark_rmse_m'):6.2f} {mean('landmark_rmse_aligned_m'):7.4f}"
-            f" {mean('landmark_nees'):5.2f} {mean('pose_anees'):5.2f} {mean('landmark_anees'):6.2f}"
-            f" {mean('surface_phantom_m'):7.2f} {doubtful:8.1f} {worst:5.2f}  {calibration_errors(runs, row)}",
+            f" {mean('landmark_nees'):5.2f} {mean('pose_anees'):5.2f} {mean('online_pose_anees'):6.2f}"
+            f" {mean('landmark_anees'):6.2f} {mean('surface_phantom_m'):7.2f} {doubtful:8.1f} {worst:5.2f}"
+            f"  {calibration_errors(runs, row)}",
             flush=True,
         )
 

@@ -21,6 +21,9 @@ from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
+# Between two poses that are logged with their covariance, s.
+COVARIANCE_PERIOD = 1.0
+
 if TYPE_CHECKING:
     from tfg_drake.systems.visualizer import TfgVisualizer
 
@@ -43,13 +46,13 @@ def MakeMissionDiagram(
     writer: PortWriter | None = None,
     timeline: TimelineWriter | None = None,
     operated: Sequence[Callable[[], Sequence[Request]]] = (),
-) -> tuple[Diagram, VectorLogSink | None, VectorLogSink]:
+) -> tuple[Diagram, VectorLogSink | None, VectorLogSink, VectorLogSink]:
     """Station and explorer, with the picture if there is one, recorded if there are writers, and under an operator if
     the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. A recorded
     robot goes to the places that it was sent to then.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
-    it, and of the estimated one (PoseVector).
+    it, of the estimated one (PoseVector), and once a second of that with its covariance.
     """
     builder = DiagramBuilder()
     station = builder.AddNamedSystem("station", robot.MakeStation(scenario))
@@ -74,7 +77,8 @@ def MakeMissionDiagram(
 
     pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
     builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
-    pose_log = LogVectorOutput(pose_vector.get_output_port(), builder, ODOMETRY_PERIOD)
+    pose_log = LogVectorOutput(pose_vector.GetOutputPort("vector"), builder, ODOMETRY_PERIOD)
+    covariance_log = LogVectorOutput(pose_vector.GetOutputPort("with_covariance"), builder, COVARIANCE_PERIOD)
     truth_log = None
     if station.HasOutputPort("truth.pose"):
         truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
@@ -88,7 +92,7 @@ def MakeMissionDiagram(
 
     diagram = builder.Build()
     diagram.set_name("mission")
-    return diagram, truth_log, pose_log
+    return diagram, truth_log, pose_log, covariance_log
 
 
 def _AddOperator(

@@ -1,4 +1,4 @@
-"""The pose estimate as a plain vector, for Drake's own loggers."""
+"""The pose estimate as plain vectors, for Drake's own loggers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from tfg_drake.systems.ports import declare_message_input, eval_message
 
 
 class PoseVector(LeafSystem):
-    """The estimate's stamp (s) and X_MB (x, y in m, theta in rad) as a vector of 4.
+    """The estimate's stamp (s) and X_MB (x, y in m, theta in rad) as a vector of 4; with_covariance: the same and the
+    covariance of X_MB, row by row, as one of 13.
 
     .. pydrake_system::
 
@@ -19,15 +20,21 @@ class PoseVector(LeafSystem):
         - pose
         output_ports:
         - vector
+        - with_covariance
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._pose = declare_message_input(self, "pose")
         self.DeclareVectorOutputPort("vector", 4, self._CalcVector, {self._pose.ticket()})
+        self.DeclareVectorOutputPort("with_covariance", 13, self._CalcWithCovariance, {self._pose.ticket()})
 
     def _CalcVector(self, context: Context, output: BasicVector) -> None:
         pose = eval_message(self._pose, context, PoseEstimate)
         vector = np.empty(4)
         vector[0], vector[1:] = pose.stamp, pose.X_MB
         output.SetFromVector(vector)
+
+    def _CalcWithCovariance(self, context: Context, output: BasicVector) -> None:
+        pose = eval_message(self._pose, context, PoseEstimate)
+        output.SetFromVector(np.concatenate([[pose.stamp], pose.X_MB, pose.covariance.ravel()]))

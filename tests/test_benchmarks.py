@@ -66,3 +66,32 @@ def test_gains_compares_every_formula_with_the_exact_one(run) -> None:
     limit, paper, authors = (line.split() for line in lines[2:])
     assert [limit[0], paper[0], authors[0]] == ["limit", "paper", "authors"]
     assert abs(float(limit[1])) < abs(float(paper[1]))
+
+
+def test_consistency_goes_on_where_it_stopped(run, monkeypatch, tmp_path) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    missions, results = (__import__(name) for name in ("missions", "results"))
+    asked: list[tuple[list[str], int]] = []
+
+    def summary(arguments: list[str], seed: int, _out: Path) -> dict:
+        asked.append((arguments, seed))
+        if len(asked) == 3:
+            return {"seed": seed, "outcome": "exit 1", "reason": "killed"}
+        nees = {"online_pose_anees": 1.0 + seed, "pose_anees": 0.9, "landmark_nees": 0.8}
+        rest = {"landmark_rmse_m": 0.01, "contacts": 0, "cpu_time_s": 5.0, "sim_time_s": 300.0}
+        return {"seed": seed, "outcome": "complete", "position_error_m": {"mean": 0.02}} | nees | rest
+
+    monkeypatch.setattr(missions, "run_seed", summary)
+    monkeypatch.setattr(results, "version", lambda: "abc")
+    arguments = ("--out", str(tmp_path / "rows.jsonl"), "--seeds", "2", "--rows", "house", "house, poor odometry")
+    run("consistency.py", *arguments)
+    last = run("consistency.py", *arguments).splitlines()
+    assert [seed for _, seed in asked] == [0, 1, 0, 1, 0]
+    assert "reality.odometry.gyro_noise=0.015" in asked[-1][0]
+    assert "--set" not in asked[0][0]
+    rows = [line.split() for line in last if line.startswith("house")]
+    assert [row[-14:-9] for row in rows] == [["2", "2", "1.50", "1.50", "2.00"]] * 2
+    monkeypatch.setattr(results, "version", lambda: "def")
+    run("consistency.py", *arguments)
+    assert len(asked) == 9
+    assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 8

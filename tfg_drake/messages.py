@@ -127,9 +127,9 @@ class Hazards:
 class PoseEstimate:
     """The online estimate of the robot's pose.
 
-    stamp: s. X_MB: (3,). covariance: (3, 3). speed: (2,) m/s and rad/s, from odometry. stage: number of views in the
-    map it is relative to. new_ids: (u,) tags seen on the way that are not in the map yet, p_MU: (u, 2) where they
-    seem to be, m.
+    stamp: s. X_MB: (3,). covariance: (3, 3) of its x, y and theta in M. speed: (2,) m/s and rad/s, from odometry.
+    stage: number of views in the map it is relative to. new_ids: (u,) tags seen on the way that are not in the map
+    yet, p_MU: (u, 2) where they seem to be, m.
     """
 
     stamp: float

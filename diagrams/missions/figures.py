@@ -38,7 +38,7 @@ def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tup
 
     Until the mission's end or until on_stage, called with stage and time (s) of each, says that it is enough.
     """
-    diagram, _, pose_log = MakeMissionDiagram(scenario, MakeWorld(scenario.world))
+    diagram, _, pose_log, _ = MakeMissionDiagram(scenario, MakeWorld(scenario.world))
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     diagram.SetRandomContext(context, RandomGenerator(scenario.seed))

@@ -14,6 +14,7 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram, EventStatus, System
+from pydrake.systems.primitives import VectorLogSink
 
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer, map_frame
 from tfg_drake.diagrams.methods import Method
@@ -261,11 +262,23 @@ class Mission:
         """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period, to the end."""
         if self._context is None:
             return np.zeros(0), np.zeros((0, 3))
-        data = self._pose_log.FindLog(self._context).data()
+        stamps, X_MB = self._logged(self._pose_log)
+        return stamps, compose(self.X_WM, X_MB) if len(X_MB) else X_MB
+
+    def published_poses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Stamps (n,) in s, poses X_MB (n, 3) and covariances (n, 3, 3) as they were published, once a second to the
+        end; none by a method without an estimator."""
+        if self._estimator_state() is None:
+            return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3))
+        stamps, values = self._logged(self._covariance_log)
+        return stamps, values[:, :3], values[:, 3:].reshape(-1, 3, 3)
+
+    def _logged(self, log: VectorLogSink) -> tuple[FloatArray, FloatArray]:
+        """Of a log of vectors (stamp, values): stamps (n,), each once, s, and values (n, w), to the end."""
+        data = log.FindLog(self._context).data()
         stamps, first = np.unique(data[0], return_index=True)
         lived = stamps <= self.end_time
-        stamps, X_MB = stamps[lived], data[1:, first[lived]].T
-        return stamps, compose(self.X_WM, X_MB) if len(X_MB) else X_MB
+        return stamps[lived], data[1:, first[lived]].T
 
     def final_map(self) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
         """The map as it is now, to be kept, its estimate and TFG; None before the first view."""
@@ -292,7 +305,7 @@ class Mission:
         return found[0] if found is not None else None
 
     def _build(self, monitor: Callable[[Context], EventStatus] | None) -> None:
-        diagram, truth_log, self._pose_log = MakeMissionDiagram(
+        diagram, truth_log, self._pose_log, self._covariance_log = MakeMissionDiagram(
             self.scenario,
             self.world,
             self._visualizer,

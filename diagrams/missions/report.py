@@ -113,6 +113,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "landmark_anees": None,
         "landmark_nees": None,
         "pose_anees": None,
+        "online_pose_anees": None,
         **pose_errors(NO_POSES, NO_POSES),
         "surface_coverage": None,
         "surface_phantom_m": None,

@@ -18,7 +18,8 @@ from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.storage.trajectory import read_tum
 
 START = np.array([2.0, 1.5, 0.3])
-TRUTH = ["pose_anees", "area_coverage", "area_seen_s", "contacts", "contacts_received", "min_clearance_m"]
+TRUTH = ["pose_anees", "online_pose_anees", "area_coverage", "area_seen_s"]
+TRUTH += ["contacts", "contacts_received", "min_clearance_m"]
 WORLD = ["landmarks_present", "landmarks_reachable", "landmarks_extra", "landmark_rmse_m", "landmark_rmse_aligned_m"]
 WORLD += ["landmark_anees", "landmark_nees", "surface_coverage", "surface_phantom_m"]
 NOTHING = {"mean": None, "std": None, "max": None, "final": None}

@@ -17,7 +17,7 @@ RECALLED = 30.0
 def test_a_robot_that_is_called_back(return_home):
     scenario = ApplySettings(LoadScenario("house"), ["explorer.first_look=8", f"explorer.return_home={return_home}"])
     world = MakeWorld(scenario.world)
-    diagram, _, _ = MakeMissionDiagram(scenario, world)
+    diagram, *_ = MakeMissionDiagram(scenario, world)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     diagram.SetRandomContext(context, RandomGenerator(scenario.seed))

@@ -82,6 +82,7 @@ MEASURES = (
     Measure("landmark RMSE, aligned", "m", 4, _field("landmark_rmse_aligned_m")),
     Measure("landmark ANEES", "", 2, _field("landmark_anees")),
     Measure("pose ANEES", "", 2, _field("pose_anees")),
+    Measure("pose ANEES, online", "", 2, _field("online_pose_anees")),
     Measure("area covered", "%", 2, _field("area_coverage", 100.0)),
     Measure("surface covered", "%", 2, _field("surface_coverage", 100.0)),
     Measure("surface mapped in error", "m", 2, _field("surface_phantom_m")),

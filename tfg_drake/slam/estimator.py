@@ -182,7 +182,13 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
-    """The pose at the newest odometry message; at the origin, stamp 0, before the first."""
+    """The pose at the newest odometry message; at the origin, stamp 0, before the first.
+
+    The localiser knows the camera's heading in M, theta_MD. The body's is theta_MB = theta_MD - y with the camera's yaw
+    y in the body frame, so Var(theta_MB) = Var(theta_MD) + Var(y) - 2 Cov(theta_MD, y). The covariance of X_MD and y
+    is known inside a solve of the map only and not kept. They count as independent here: exact until the robot drives;
+    afterwards mostly too large, for theta_MD mostly grows with y. Cov(p_MB, theta_MB) lacks -Cov(p_MD, y) likewise.
+    """
     estimate = state.map or NO_MAP
     stamp, speed = 0.0, np.zeros(2)
     increment, dt = np.zeros(3), 0.0
@@ -193,7 +199,9 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
             increment = seen_from_camera(arc(state.X_OB, newest.X_OB), float(state.graph.yaw[0]))
             dt = newest.clock - state.clock
     X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
-    X_MB[2] = se2.wrap_angle(X_MB[2] - state.graph.yaw[0])
+    yaw, yaw_sigma = state.graph.yaw
+    X_MB[2] = se2.wrap_angle(X_MB[2] - yaw)
+    covariance[2, 2] += yaw_sigma**2
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     return PoseEstimate(
         stamp=stamp,

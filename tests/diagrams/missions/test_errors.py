@@ -1,6 +1,13 @@
-import numpy as np
+import math
 
-from tfg_drake.diagrams.missions.errors import _landmarks
+import numpy as np
+import pytest
+
+from tests.diagrams.rooms import room
+from tfg_drake.diagrams.methods import FindMethod
+from tfg_drake.diagrams.missions.errors import _landmarks, online_pose_anees
+from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.world.world import World
@@ -49,3 +56,38 @@ def test_an_uncertain_yaw_turns_the_map():
 
 def test_before_the_first_view_there_is_nothing():
     assert _landmarks(WORLD, np.ones(3, dtype=bool), None, True, np.zeros(3), 0.0)["landmarks_mapped"] == 0
+
+
+def test_the_online_poses_are_judged_by_what_was_said_then():
+    """Against the definition, pose by pose: a place in the true M is one seen from where the robot started to where its
+    camera looked."""
+    rng, n, yaw, X_WS = np.random.default_rng(3), 40, 0.3, np.array([2.0, -1.0, 2.5])
+    X_WB, error = rng.uniform(-3.0, 3.0, (n, 3)), rng.normal(size=(n, 3)) * [0.03, 0.05, 0.02]
+    roots = rng.normal(size=(n, 3, 3)) * 0.05
+    covariance = roots @ roots.transpose(0, 2, 1)
+    X_MB, expected = np.empty((n, 3)), []
+    for i in range(n):
+        p_MB = rotation(X_WS[2] + yaw).T @ (X_WB[i, :2] - X_WS[:2])
+        X_MB[i] = np.append(p_MB, X_WB[i, 2] - X_WS[2] - yaw) + error[i]
+        expected.append(error[i] @ np.linalg.inv(covariance[i]) @ error[i] / 3.0)
+    X_MB[::2, 2] += 2.0 * np.pi
+    assert online_pose_anees(X_MB, covariance, X_WB, X_WS, yaw) == pytest.approx(np.mean(expected))
+    # At the start all but the heading is known exactly: there is nothing to judge.
+    X_MB[0], covariance[0] = np.zeros(3), np.diag([0.0, 0.0, 0.01])
+    assert online_pose_anees(X_MB, covariance, X_WB, X_WS, yaw) == pytest.approx(np.mean(expected[1:]))
+    assert math.isnan(online_pose_anees(X_MB[:1], covariance[:1], X_WB[:1], X_WS, yaw))
+
+
+def test_poses_are_logged_with_their_covariance_once_a_second():
+    mission, seen = Mission(room(), FindMethod("tfg"), None, "room"), []
+    mission.begin()
+    while mission.time < 8.0:
+        seen.append(mission.pose)
+        mission.advance(mission.time + 1.0)
+    stamps, X_MB, covariance = mission.published_poses()
+    seen = [pose for i, pose in enumerate(seen) if i == 0 or pose.stamp > seen[i - 1].stamp]
+    assert len(stamps) == len(seen) + 1  # the one at the end was not looked at
+    for i, pose in enumerate(seen):
+        np.testing.assert_array_equal(np.append(stamps[i], X_MB[i]), np.append(pose.stamp, pose.X_MB))
+        np.testing.assert_array_equal(covariance[i], pose.covariance)
+    assert np.diff(stamps).max() < 1.1

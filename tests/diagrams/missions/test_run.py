@@ -24,9 +24,9 @@ from tfg_drake.storage.trajectory import read_tum
 _FIELDS = """schema version scenario world seed method outcome reason sim_time_s wall_time_s cpu_time_s real_time_factor
 distance_m stages landmarks_present landmarks_reachable landmarks_mapped landmarks_doubtful landmarks_extra
 landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m landmark_entropy_nats landmark_anees landmark_nees
-pose_anees position_error_m heading_error_rad surface_coverage surface_phantom_m area_coverage area_seen_s explored_s
-contacts contacts_received min_clearance_m map_variables map_bytes calibration estimator_cpu_s planner_cpu_s
-simulator_cpu_s peak_rss_bytes stage_ms"""
+pose_anees online_pose_anees position_error_m heading_error_rad surface_coverage surface_phantom_m area_coverage
+area_seen_s explored_s contacts contacts_received min_clearance_m map_variables map_bytes calibration estimator_cpu_s
+planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
 FIELDS = _FIELDS.split()
 
 
@@ -91,6 +91,7 @@ def test_the_trajectories_share_a_frame_and_end_together(finished):
     error = np.linalg.norm(X_WB[:, :2] - truth[:, :2], axis=1)
     assert error.mean() == pytest.approx(finished.summary["position_error_m"]["mean"], abs=1e-6)
     assert error.max() < 0.2
+    assert 0.1 < finished.summary["online_pose_anees"] < 10.0
 
 
 def test_the_time_limit_ends_a_mission(tmp_path):
@@ -196,7 +197,7 @@ def test_a_grid_mission_has_a_grid_and_no_landmarks(tmp_path):
     assert (summary["method"], summary["outcome"], summary["contacts"]) == ("grid-nearest", "complete", 0)
     assert list(summary) == FIELDS
     assert summary["landmarks_mapped"] is None
-    assert summary["landmark_rmse_m"] is None
+    assert summary["landmark_rmse_m"] is summary["pose_anees"] is summary["online_pose_anees"] is None
     assert list(summary["map_variables"]) == ["cells"]
     assert summary["area_coverage"] > 0.99
     assert summary["surface_coverage"] > 0.9

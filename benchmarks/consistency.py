@@ -1,0 +1,105 @@
+"""Whether errors are as large as the estimator states: NEES of whole missions over many seeds, a world a row.
+
+    python benchmarks/consistency.py
+    python benchmarks/consistency.py --rows house house_real --seeds 1
+
+Online is the pose that the robot drives by, once a second; departures are the poses at the ends of turns and glances,
+judged with what is known in the end. Each mission is a process of its own, and its figures are a line of --out (JSON),
+with the commit they are of: what this commit has there is not run again, so that a run that was ended goes on. What
+other commits have there stays.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import missions
+import numpy as np
+import reality
+import results
+
+from tfg_drake.storage.files import write_atomic
+
+# Scenario, row of reality.py, and how many seeds. All missions together take some 40 minutes of CPU.
+ROWS = {
+    "house": ("house", reality.BELIEVED, 30),
+    "house_real": ("house_real", reality.BELIEVED, 30),
+    "paper": ("paper", reality.BELIEVED, 20),
+    "paper_real": ("paper_real", reality.BELIEVED, 8),
+    "house, poor odometry": ("house", "poor odometry", 10),
+    "paper, correlated noise": ("paper", "correlated noise", 10),
+}
+# The columns that are NEES.
+GROUPS = ("online_pose_anees", "pose_anees", "landmark_nees")
+# Kept of a summary, under its own name.
+FIELDS = (*GROUPS, "landmark_rmse_m", "contacts", "cpu_time_s", "sim_time_s")
+
+
+def run(key: tuple[str, int], version: str) -> dict | None:
+    """The figures of one mission, key: world and seed; None of one that left none."""
+    world, seed = key
+    scenario, deviation, _ = ROWS[world]
+    arguments = [scenario, "--max-time", "3600"]
+    for setting in reality.settings(deviation, seed):
+        arguments += ["--set", setting]
+    with tempfile.TemporaryDirectory() as folder:
+        summary = missions.run_seed(arguments, seed, Path(folder))
+    if "sim_time_s" not in summary:
+        print(f"{world}, seed {seed}: {summary['outcome']}: {summary['reason']}", flush=True)
+        return None
+    figures = {"world": world, "seed": seed, "version": version, "outcome": summary["outcome"]}
+    figures["position_error_mean_m"] = summary["position_error_m"]["mean"]
+    return figures | {name: summary[name] for name in FIELDS}
+
+
+def line(world: str, runs: list[dict]) -> str:
+    """A row of the table."""
+
+    def values(name: str) -> np.ndarray:
+        return np.array([one[name] for one in runs], dtype=float)
+
+    complete = sum(one["outcome"] == "complete" for one in runs)
+    cells = [f"{world:24s} {len(runs):3d} {complete:8d}"]
+    for name in GROUPS:
+        cells += [f" {reduce(values(name)):6.2f}" for reduce in (np.nanmean, np.nanmedian, np.nanmax)]
+    rmse, position = np.nanmean(values("landmark_rmse_m")), np.nanmean(values("position_error_mean_m"))
+    return "".join(cells) + f" {rmse:7.4f} {position:9.4f} {int(values('contacts').sum()):8d}"
+
+
+def main() -> None:
+    """Run what is missing, then print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS))
+    parser.add_argument("--seeds", type=int, help="Of each row at most, instead of its own number.")
+    parser.add_argument("--processes", type=int, default=1, help="Missions at a time.")
+    parser.add_argument("--out", type=Path, default=Path("runs/consistency.jsonl"))
+    options = parser.parse_args()
+
+    version = results.version()
+    rows = [json.loads(text) for text in options.out.read_text().splitlines()] if options.out.exists() else []
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    done = {(row["world"], row["seed"]) for row in rows if row["version"] == version}
+    wanted = [(world, seed) for world in options.rows for seed in range(ROWS[world][2])[: options.seeds]]
+    with ThreadPoolExecutor(options.processes) as pool:
+        for row in pool.map(lambda key: run(key, version), [key for key in wanted if key not in done]):
+            if row is not None:
+                rows.append(row)
+                write_atomic(options.out, "".join(json.dumps(each) + "\n" for each in rows))
+                print(json.dumps(row), flush=True)
+
+    print(f"\nVersion {version}")
+    print(f"{'':37s}{'NEES: online pose':>21s}{'departures':>21s}{'landmarks, jointly':>21s}")
+    print(f"{'':24s}   n complete{3 * '   mean median  worst'}    rmse  position contacts")
+    counted = [row for row in rows if (row["world"], row["seed"]) in wanted and row["version"] == version]
+    for world in options.rows:
+        runs = [row for row in counted if row["world"] == world]
+        if runs:
+            print(line(world, runs))
+
+
+if __name__ == "__main__":
+    main()
