@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 # Tags nearer to each other than this would lie on top of one another, m.
 LEAST_SPACING = 0.05
-EXIT_CODES = {"complete": 0, "budget": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
+EXIT_CODES = {"complete": 0, "budget": 0, "battery": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
 
 # Set by Ctrl-C.
 _interrupted = threading.Event()

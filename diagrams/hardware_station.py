@@ -19,7 +19,8 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     Whoever opened them closes them, when the simulation is over.
     """
     builder, clock = DiagramBuilder(), devices.clock
-    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan)
+    # The robot's own watchdog locks the base, and knows when it is enabled.
+    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan, locks=False)
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
     wheels = builder.AddNamedSystem("base", HardwareBase(devices))
     tags = HardwareSensor("detections", devices.tags, no_detections(), clock)

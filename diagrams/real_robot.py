@@ -34,13 +34,15 @@ def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
     """
     devices = open_devices(scenario.hardware, scenario.robot)
     with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
-        operated = [keyboard.requests, RobotButtons(devices.base).requests, BatteryWatch(devices.base).requests]
+        watch = BatteryWatch(devices.base)
+        operated = [keyboard.requests, RobotButtons(devices.base).requests, watch.requests]
         robot = Robot(
             scenario.hardware.robot,
             lambda scenario: MakeHardwareStation(scenario, devices),
             world_known=False,
             real=True,
             operated=operated,
+            empty=watch.empty,
             Announce=_Announcer(devices),
             close=devices.close,
         )

@@ -6,22 +6,29 @@ from tfg_drake.hardware.device import BaseState, Device
 from tfg_drake.hardware.remarks import Spells, battery, begun
 from tfg_drake.mission.operation import Command
 
-# By the name of the remark that is told with it.
-REQUESTS: dict[str, Command] = {"battery low": "recall", "battery dangerous": "end"}
-
 
 class BatteryWatch:
-    """Calls the robot back where its battery is low and ends the mission where it is nearly empty; a robot that says
-    nothing of its battery asks for nothing."""
+    """Calls the robot back where its battery is low, and knows when it is nearly empty; a robot that says nothing of
+    its battery asks for nothing."""
 
     def __init__(self, base: Device) -> None:
         self._base = base
         self._spells: Spells = {}
+        # What of the battery was told so far, by the name of the remark.
+        self._told: dict[str, str] = {}
 
     def requests(self) -> list[Command]:
         """What is asked for since the last call."""
         state = self._base.newest(BaseState)
         if state is None:
             return []
-        self._spells, names = begun(self._spells, battery(state), state.stamp)
-        return [REQUESTS[name] for name in names]
+        remarks = battery(state)
+        self._spells, names = begun(self._spells, remarks, state.stamp)
+        self._told |= {name: remarks[name].line for name in names}
+        return ["recall"] if "battery low" in names else []
+
+    def empty(self, recalls: bool) -> str:
+        """Why the battery ends the mission, "" as long as it does not. recalls: the mission knows what a recall is, so
+        that it comes to its end by itself where the battery is but low."""
+        line = self._told.get("battery dangerous") or ("" if recalls else self._told.get("battery low", ""))
+        return line.partition(":")[0].replace("the", "The", 1)

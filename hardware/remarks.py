@@ -101,8 +101,8 @@ def _hazards(hazards: Sequence[Hazards]) -> dict[str, Remark]:
     remarks = {}
     for name, field, reaction in (
         ("bumper", "bumper", "the robot backs away and looks for another way"),
-        ("cliff", "cliff", "the robot stands; carry it away"),
-        ("wheel drop", "wheel_drop", "the robot stands until it is back on its wheels"),
+        ("cliff", "cliff", "the robot stands; carry it away, then enable it"),
+        ("wheel drop", "wheel_drop", "the robot stands; put it on its wheels, then enable it"),
     ):
         bits = functools.reduce(operator.or_, (getattr(one, field) for one in hazards), 0)
         if bits:

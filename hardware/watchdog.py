@@ -9,6 +9,7 @@ import dataclasses
 import math
 
 from tfg_drake.messages import Hazards
+from tfg_drake.mission.operation import stopped_by
 
 # Without a command younger than this the velocity is zero, s. With a tick and the way there the robot has it in 0.6 s.
 COMMAND_TIMEOUT = 0.5
@@ -34,8 +35,8 @@ class Limits:
 class Watchdog:
     """Holds the newest command and says what velocity to send; locked until enabled.
 
-    It stops at once, and goes on by itself, where there is no fresh command, or one that is not finite, or while a
-    wheel hangs. While the bumper is pressed or there is a cliff it turns and backs, but does not go forward.
+    It stops at once, and goes on by itself, where there is no fresh command, or one that is not finite. A wheel that
+    hangs and a cliff lock it. While the bumper is pressed it turns and backs, but does not go forward.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -43,7 +44,8 @@ class Watchdog:
         self._locked: str | None = _NOT_ENABLED
         self._command, self._sent = (0.0, 0.0), -math.inf
         self._heard = -math.inf
-        self._hangs = self._blocked = False
+        self._hazard: str | None = None
+        self._blocked = False
         self._velocity, self._when = (0.0, 0.0), -math.inf
 
     @property
@@ -57,7 +59,9 @@ class Watchdog:
 
     def hear_hazards(self, hazards: Hazards) -> None:
         """The base's alarms, which hold until it says otherwise."""
-        self._hangs, self._blocked = bool(hazards.wheel_drop), bool(hazards.bumper or hazards.cliff)
+        self._hazard, self._blocked = stopped_by(hazards), hazards.bumper != 0
+        if self._hazard is not None:
+            self.lock(self._hazard)
 
     def lock(self, reason: str) -> None:
         """Zero velocity from now on, until `enable`. The first reason counts that says more than "no odometry"."""
@@ -65,9 +69,10 @@ class Watchdog:
             self._locked = reason
 
     def enable(self, now: float) -> None:
-        """Lets the next command through, unless odometry is stale; commands given before are forgotten."""
+        """Lets the next command through, unless odometry is stale, a wheel hangs or there is a cliff; commands given
+        before are forgotten."""
         self._sent = -math.inf
-        self._locked = None
+        self._locked = self._hazard
         self._check(now)
 
     def command(self, sent: float, speed: float, turn_rate: float) -> None:
@@ -85,7 +90,7 @@ class Watchdog:
             self._heard = -math.inf
         self._check(now)
         dt, self._when = min(max(0.0, now - self._when), 2.0 * TICK), now
-        if self._locked is not None or self._hangs or not now - self._sent <= COMMAND_TIMEOUT:
+        if self._locked is not None or not now - self._sent <= COMMAND_TIMEOUT:
             self._velocity = (0.0, 0.0)
         else:
             (v, w), limits = self._velocity, self._limits

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -10,6 +11,7 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus, Leaf
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
+from tfg_drake.mission.operation import stopped_by
 from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
 from tfg_drake.safety.velocity_filter import SPEED, STATE_SIZE, filter_command, held, stopped
 from tfg_drake.simulation.differential_drive import advance
@@ -54,18 +56,21 @@ class SafetyFilter(LeafSystem):
     is believed: a scanner that says nothing new is as good as silent.
     """
 
-    def __init__(self, robot: RobotConfig, safety: SafetyConfig, scan: ScanConfig):
+    def __init__(self, robot: RobotConfig, safety: SafetyConfig, scan: ScanConfig, *, locks: bool = True):
+        """locks: after a cliff or a wheel drop an `enable` that is connected must be another number for the base to
+        move, as a robot's own watchdog has it."""
         super().__init__()
+        self._locks = locks
         self._robot, self._safety, self._scanner = robot, safety, scan
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._hazards = declare_message_input(self, "hazards")
         self._scan = declare_message_input(self, "scan")
         self._odometry = declare_message_input(self, "odometry")
         self._enable = self.DeclareVectorInputPort("enable", 1)
-        # The filter's own state, and what of it is told: the velocity, and whether the base may move.
-        self._state, velocity, enabled = (
-            self.DeclareDiscreteState(initial) for initial in (np.zeros(STATE_SIZE), np.zeros(2), np.ones(1))
-        )
+        # The filter's own state, what of it is told: the velocity, and whether the base may move; and the `enable` that
+        # a cliff or a wheel drop has used up.
+        initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
+        self._state, velocity, enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
         self._watch = self.DeclareAbstractState(AbstractValue.Make(no_watch(no_scan(scan))))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
         self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._Watch)
@@ -80,10 +85,24 @@ class SafetyFilter(LeafSystem):
 
     @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
-        enabled = not self._enable.HasValue(context) or self._enable.Eval(context)[0] != 0.0
+        wanted = float(self._enable.Eval(context)[0]) if self._enable.HasValue(context) else math.inf
+        spent = self._Spent(context, wanted)
+        enabled = wanted not in (0.0, spent)
         after = self._Filtered(context) if enabled else stopped(self._State(context), self._robot, PERIOD)
-        for group, value in enumerate((after, after[:2], [enabled])):
+        for group, value in enumerate((after, after[:2], [enabled], [spent])):
             update.set_value(group, value)
+
+    def _Spent(self, context: Context, wanted: float) -> float:
+        """The newest `enable` that a hazard has used up; wanted: the one now, 0: none, inf: it is unconnected."""
+        before = float(context.get_discrete_state(self._spent).value()[0])
+        if not self._locks or wanted in (0.0, math.inf):
+            return before
+        reason = stopped_by(eval_message(self._hazards, context, Hazards))
+        if reason is None:
+            return before
+        if wanted != before:
+            _log.warning("%.2f s: the base stands until it is enabled anew: %s", context.get_time(), reason)
+        return wanted
 
     def _Filtered(self, context: Context) -> FloatArray:
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)

@@ -407,10 +407,10 @@ class MissionStatus:
     phase: "observe" (turning in place at a goal), "glance" (looking ahead for a moment on the way), "map" (what was
     seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: views in the map.
     since: s, when the phase began. resume_phase: where a pause goes back to, "" otherwise. outcome: "" until done, then
-    complete, stuck, time_limit, budget, interrupted or fault. reason: one sentence. replans: paths asked for after the
-    first since the robot last stood and looked. path_id: the path being followed. failures: goals in a row that could
-    not be reached. moving: after a glance; the robot drives on along its path until there is a new one. changes: goals
-    left for others on the way since the robot last stood and looked.
+    complete, stuck, budget or interrupted; from outside a mission ends by time_limit, battery or fault. reason: one
+    sentence. replans: paths asked for after the first since the robot last stood and looked. path_id: the path being
+    followed. failures: goals in a row that could not be reached. moving: after a glance; the robot drives on along its
+    path until there is a new one. changes: goals left for others on the way since the robot last stood and looked.
     """
 
     phase: str

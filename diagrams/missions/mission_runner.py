@@ -170,7 +170,10 @@ class MissionRunner:
 
     def _ended(self) -> bool:
         mission, outcome, reason = self._mission, "", ""
-        if mission.status.phase == "done":
+        if empty := mission.robot.empty(mission.explorer.HasInputPort("recall")):
+            x, y, _ = mission.estimated_poses()[1][-1]
+            outcome, reason = "battery", f"{empty}: the robot stands at ({x:.2f}, {y:.2f}) m."
+        elif mission.status.phase == "done":
             outcome, reason = mission.status.outcome, mission.status.reason
         elif self._interrupted.is_set():
             outcome, reason = "interrupted", f"interrupted at {mission.time:.0f} s"

@@ -28,9 +28,9 @@ class EmulatedBase:
     state: of tfg_drake.simulation.differential_drive, the truth. distance: how far it has gone so far, m. outputs: the
     newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop, cliff, buttons,
     charger, battery, overcurrent: as in CoreSensors, to be set from outside; walls press the bumper besides. clock: s
-    that its stamps are ahead of the time since it was switched on. stuck: which of "gyro" and "encoders" say what they
-    said when they got stuck, whatever it does; what they miss meanwhile is never said. firmware: the version that it
-    says, (major, minor, patch).
+    that its stamps are ahead of the time since it was switched on. turned: what the gyro has turned, rad. stuck: which
+    of "gyro" and "encoders" say what they said when they got stuck, whatever it does; what they miss meanwhile is never
+    said. firmware: the version that it says, (major, minor, patch).
     """
 
     def __init__(self, walls: FloatArray, start: FloatArray, robot: RobotConfig) -> None:
@@ -49,10 +49,10 @@ class EmulatedBase:
         self.distance = 0.0
         self.firmware = (1, 1, 4)
         self._command = (0.0, 0.0)
-        # What the left and the right wheel have gone, m, what the gyro has turned, rad, its rate, rad/s, and frames so
-        # far.
+        self.turned = 0.0
+        # What the left and the right wheel have gone, m, the gyro's rate, rad/s, and frames so far.
         self._wheels = [0.0, 0.0]
-        self._turned = self._turn_rate = 0.0
+        self._turn_rate = 0.0
         self._frames = 0
         self._answers: list[p.SubPayload] = []
         self._gains = p.Gains(0, 100_000, 100, 2000)
@@ -96,14 +96,14 @@ class EmulatedBase:
             self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
             self._wheels[1] += PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
         if "gyro" not in self.stuck:
-            self._turned += PERIOD * turn_rate
+            self.turned += PERIOD * turn_rate
             self._turn_rate = turn_rate
         self.distance += math.hypot(*(self.pose - before)[:2])
 
     def feedback(self) -> list[p.SubPayload]:
         """What it says now: what it streams by itself, then the answers to what it was asked."""
         left, right = (round(distance / METRES_PER_TICK) % 65536 for distance in self._wheels)
-        angle = (round(self._turned / GYRO_UNIT) + 18000) % 36000 - 18000
+        angle = (round(self.turned / GYRO_UNIT) + 18000) % 36000 - 18000
         sample = (0, 0, round(self._turn_rate / _RAW_GYRO_UNIT))
         self._frames += 1
         answers, self._answers = self._answers, []

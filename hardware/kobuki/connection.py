@@ -29,7 +29,7 @@ class Connection:
     """What the base has said since the port was opened.
 
     core: the newest frame's, None before the first. alarm: why it says that it must not drive, None where it may.
-    reckoning: dead reckoning, going on from an earlier connection's.
+    reckoning: dead reckoning, going on from an earlier connection's. driven: the base was last told to move.
     firmware, hardware, unique_id: as in tfg_drake.hardware.device.BaseState.
     """
 
@@ -46,7 +46,7 @@ class Connection:
         self._fault: str | None = None
         self.core: p.CoreSensors | None = None
         self.alarm: str | None = None
-        self.reckoning = before
+        self.reckoning, self.driven = before, False
         self.firmware = self.hardware = self.unique_id = ""
 
     def fileno(self) -> int:
@@ -107,7 +107,7 @@ class Connection:
         if self.core is None or before is None:
             self.reckoning = odometry.first(core, inertia, now, before)
         else:
-            self.reckoning = odometry.advanced(before, core, inertia, now)
+            self.reckoning = odometry.advanced(before, core, inertia, now, self.driven)
         if self.reckoning is not before:
             self._fault = self.reckoning.fault or self._fault
         if self.core is None:

@@ -162,6 +162,7 @@ class KobukiDriver:
         self._moves_since = min(self._moves_since, time.monotonic()) if moves else math.inf
         if self._connection is None or self._guardian is None:
             return
+        self._connection.driven = speed != 0.0 or turn_rate != 0.0
         self._connection.say(odometry.base_control(speed, turn_rate))
         if trouble := self._guardian.trouble(time.monotonic()):
             self._lose(f"the process that would stop the base in an emergency {trouble}; enable the base again")

@@ -20,8 +20,8 @@ WHEEL_BASE = 0.230
 METRES_PER_TICK = 8.5292090e-5
 # The unit of the gyro's angle, rad, and of its rate, rad/s.
 GYRO_UNIT = math.radians(0.01)
-# No wheel moves faster, m/s: twice the base's top speed.
-_FASTEST_WHEEL = 1.4
+# No wheel moves and no base turns faster, m/s and rad/s: twice the base's top speeds, and more than its gyro measures.
+_FASTEST_WHEEL, _FASTEST_TURN = 1.4, 2.0 * math.pi
 # Frames farther apart than this are no longer reckoned between, s.
 _LONGEST_GAP = 1.0
 # Without a tick for this long the base is at rest, s: longer than what lies between two looks at its newest message.
@@ -32,6 +32,12 @@ _CLOCK_DRIFT = 2e-4
 _AHEAD = 0.25
 # The wheels have turned the base so far, rad, while the gyro's angle has not changed by a unit: the gyro is stuck.
 _UNNOTICED = 0.15
+# Gyro and wheels may disagree by this share of the wheels' turn, as wheels slip, and at this rate, rad/s, as they are
+# not quite alike. What is more adds up; at _APART, rad, gyro or wheels are wrong. What no slip explains, as where the
+# gyro tells more turn than the wheels, adds up at _PUSHED, rad/s, at the most: a push turns a base far, not for long.
+_SLIP, _UNLIKE, _APART, _PUSHED = 0.3, 0.05, 0.5, 0.15
+# Why its clock may jump.
+_RESTARTED = "it was started anew, or frames arrive out of order"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +47,8 @@ class Reckoning:
     core, inertia: that frame's. base_time: s, since the first frame, by the base's own clock. offset: host's clock less
     base_time, s. X_OB: pose in the odometry frame, m and rad. V_B: forward speed, m/s, and turn rate, rad/s. stamp: s
     of the host's clock, never decreasing. moved: stamp of the last tick, s. unnoticed: how far the wheels have turned
-    the base since the gyro's angle last changed, rad. fault: why the base must stand now, None where all is well.
+    the base since the gyro's angle last changed, rad. apart: by how much gyro and wheels disagree, rad, see _apart.
+    fault: why the base must stand now, None where all is well.
     """
 
     core: CoreSensors
@@ -53,6 +60,7 @@ class Reckoning:
     stamp: float
     moved: float
     unnoticed: float = 0.0
+    apart: float = 0.0
     fault: str | None = None
 
 
@@ -66,30 +74,34 @@ def first(core: CoreSensors, inertia: Inertia, received: float, before: Reckonin
     return Reckoning(core, inertia, 0.0, received, pose, (0.0, 0.0), stamp, stamp)
 
 
-def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float) -> Reckoning:
-    """Dead reckoning one frame later; received: when it came, s of the host's clock.
+def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float, driven: bool = True) -> Reckoning:
+    """Dead reckoning one frame later; received: when it came, s of the host's clock. driven: the base was told to move.
 
     The encoders say how far, the gyro which way: the base drives an arc of mean distance of its wheels and of the
     gyro's turn. The stamp is the base's own clock, moved to the host's by the least delay seen, so that a frame which
-    waited somewhere is not taken for a late one. A frame that repeats the time of the one before, or whose ticks no
-    wheel can have made since, changes nothing; after a second without one that does, dead reckoning starts from there.
-    So it does, with a fault, where the base's clock has gone back, or is ahead of the host's. It is a fault, too, where
-    the wheels turn the base and the gyro does not notice.
+    waited somewhere is not taken for a late one. A frame that repeats the time of the one before changes nothing.
+    After a second without one dead reckoning starts from there. So it does, with a fault, where the base's clock has
+    gone back, or is ahead of the host's, and where no base can have moved or turned so far since the frame before. It
+    is a fault, too, where a driven base's gyro does not turn with the wheels; one that stands may be turned by hand.
     """
     duration = 1e-3 * _signed(core.stamp - state.core.stamp)
     if duration < 0.0:
-        return _anew(state, core, inertia, received, f"went back by {-duration:.2f} s")
+        return _anew(state, core, inertia, received, f"clock went back by {-duration:.2f} s: {_RESTARTED}")
     if (ahead := state.base_time + duration + state.offset - received) > _AHEAD:
-        return _anew(state, core, inertia, received, f"is {ahead:.2f} s ahead of this machine's")
+        return _anew(state, core, inertia, received, f"clock is {ahead:.2f} s ahead of this machine's: {_RESTARTED}")
     if duration > _LONGEST_GAP:
         return first(core, inertia, received, state)
     left = METRES_PER_TICK * _signed(core.left_encoder - state.core.left_encoder)
     right = METRES_PER_TICK * _signed(core.right_encoder - state.core.right_encoder)
-    if duration == 0.0 or max(abs(left), abs(right)) > _FASTEST_WHEEL * duration:
+    if duration == 0.0:
         return state
-    distance = 0.5 * (left + right)
     # The angle is in (-180, 180] degrees.
     turn = GYRO_UNIT * ((inertia.angle - state.inertia.angle + 18000) % 36000 - 18000)
+    if max(abs(left), abs(right)) > _FASTEST_WHEEL * duration or abs(turn) > _FASTEST_TURN * duration:
+        told = f"wheels moved by {left:.2f} and {right:.2f} m and its gyro turned by {math.degrees(turn):.0f} degrees"
+        what = f"{told} in {duration:.2f} s: one of them is broken, or a frame was garbled"
+        return _anew(state, core, inertia, received, what)
+    distance = 0.5 * (left + right)
     x, y, theta = state.X_OB
     half = 0.5 * turn
     chord = distance * (math.sin(half) / half if abs(half) > 1e-8 else 1.0)
@@ -103,16 +115,31 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
     stamp = max(state.stamp, base_time + offset)
     moved = stamp if left or right else state.moved
     speed = (distance / duration, GYRO_UNIT * inertia.rate)
-    unnoticed, fault = 0.0 if turn else state.unnoticed + (right - left) / WHEEL_BASE, None
-    if abs(unnoticed) > _UNNOTICED:
-        unnoticed, fault = 0.0, "the gyro does not turn with the wheels: it is stuck, or they slip; look at the base"
-    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved, unnoticed, fault)
+    unnoticed, apart, fault = state.unnoticed, state.apart, None
+    if driven:
+        by_wheels = (right - left) / WHEEL_BASE
+        unnoticed, apart = 0.0 if turn else unnoticed + by_wheels, _apart(apart, turn, by_wheels, duration)
+    if abs(unnoticed) > _UNNOTICED or apart > _APART:
+        unnoticed = apart = 0.0
+        fault = "the gyro does not turn with the wheels: it is broken, or they slip; look at the base"
+    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved, unnoticed, apart, fault)
+
+
+def _apart(before: float, turn: float, by_wheels: float, duration: float) -> float:
+    """By how much gyro and wheels disagree, rad, `duration` s later, when they have told these turns, rad.
+
+    It grows while they disagree and shrinks to 0 while they agree: a cumulative sum finds a change that lasts, soon
+    where it is large (Page, Continuous inspection schemes, 1954).
+    """
+    more, slip = abs(turn - by_wheels) - _SLIP * abs(by_wheels), 0.0
+    if turn * by_wheels < by_wheels**2:
+        slip = (1.0 - _SLIP) * abs(by_wheels)
+    return max(0.0, before + min(more, slip + _PUSHED * duration) - _UNLIKE * duration)
 
 
 def _anew(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float, what: str) -> Reckoning:
-    """The continuation from a frame of a clock that cannot be right."""
-    fault = f"the base's clock {what}: it was started anew, or frames arrive out of order; enable it again"
-    return dataclasses.replace(first(core, inertia, received, state), fault=fault)
+    """The continuation from a frame that cannot be right: what of the base is wrong."""
+    return dataclasses.replace(first(core, inertia, received, state), fault=f"the base's {what}; enable it again")
 
 
 def _signed(difference: int) -> int:

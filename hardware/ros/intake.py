@@ -21,8 +21,10 @@ from tfg_drake.vision.calibration import CameraCalibration
 if TYPE_CHECKING:
     from tfg_drake.hardware.ros.images import ImageTags
 
-# No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset.
+# No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset. Nor does it turn
+# faster, rad/s, or so far, rad.
 FASTEST, LEAP = 1.5, 0.5
+FASTEST_TURN, LEAP_TURN = 2.0 * math.pi, 0.5
 # Why a base must not drive, by its charger or the level of its battery.
 _ALARMS = {
     "charger": "the base is charging: take it off its dock or its cable, then enable it",
@@ -138,8 +140,10 @@ class Intake:
         """The odometry, going on where it was when the base has begun to count anew."""
         before = self._odometry
         if before is not None and self._odometry_told is not None:
-            reach = FASTEST * max(0.0, told.stamp - before.stamp) + LEAP
-            if math.dist(told.X_OB[:2], self._odometry_told.X_OB[:2]) > reach:
+            dt = max(0.0, told.stamp - before.stamp)
+            turned = abs(math.remainder(told.X_OB[2] - self._odometry_told.X_OB[2], 2.0 * math.pi))
+            leaps = math.dist(told.X_OB[:2], self._odometry_told.X_OB[:2]) > FASTEST * dt + LEAP
+            if leaps or turned > FASTEST_TURN * dt + LEAP_TURN:
                 self._fault = (
                     f"{topic.name} was reset, its base was started anew; see that the robot stands where it was"
                 )

@@ -12,6 +12,7 @@ from tfg_drake.comparison.measures import MEASURES, cpu_idle, mapped_share, vari
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page, tables, text
 from tfg_drake.comparison.runs import Run, flatten, paired, to_csv, values
 from tfg_drake.comparison.statistics import spread
+from tfg_drake.diagrams.cli import EXIT_CODES
 
 
 def summary(**fields):
@@ -69,6 +70,12 @@ def test_tables(comparison):
         ["b", "3", "stuck"],
     ]
     assert found["Runs that did not complete"].rows[1][3] == "killed by SIGKILL"
+
+
+def test_every_outcome_of_a_mission_has_a_column():
+    runs = [run("a", seed, outcome=outcome) for seed, outcome in enumerate(EXIT_CODES)]
+    found = tables(Comparison("a", ["a"], runs, 8, "tfg-drake compare", "tfg-drake 1, Python 3."))
+    assert set(EXIT_CODES) < set(found[0].header)
 
 
 def test_what_the_time_limit_ended_is_said_to_have_taken_it(comparison):

@@ -144,7 +144,15 @@ def test_a_run_in_another_world_has_the_name_of_its_file(call, tmp_path):
 
 @pytest.mark.parametrize(
     ("outcome", "code"),
-    [("complete", 0), ("budget", 0), ("time_limit", 0), ("stuck", 1), ("fault", 3), ("interrupted", 130)],
+    [
+        ("complete", 0),
+        ("budget", 0),
+        ("battery", 0),
+        ("time_limit", 0),
+        ("stuck", 1),
+        ("fault", 3),
+        ("interrupted", 130),
+    ],
 )
 def test_exit_codes(outcome, code):
     assert cli.EXIT_CODES[outcome] == code

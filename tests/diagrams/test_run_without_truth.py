@@ -104,6 +104,23 @@ def test_a_truth_of_an_earlier_run_does_not_stay(tmp_path):
     assert not (tmp_path / "truth.tum").exists()
 
 
+def test_an_empty_battery_ends_a_mission_by_a_word_of_its_own(tmp_path):
+    asked = []
+
+    def empty(recalls):
+        asked.append(recalls)
+        return "The battery is nearly empty, 13.0 V" if len(asked) > 3 else ""
+
+    robot = Robot("odd", MakeTruthlessStation, world_known=True, empty=empty)
+    result = explore(tmp_path, robot)
+    assert result.summary["outcome"] == "battery"
+    x, y = read_tum(tmp_path / "trajectory.tum")[1][-1, :2]
+    where = f"the robot stands at ({x:.2f}, {y:.2f}) m."
+    assert result.summary["reason"] == f"The battery is nearly empty, 13.0 V: {where}"
+    # A look a second, and this mission can be recalled.
+    assert (result.summary["sim_time_s"], set(asked)) == (3.0, {True})
+
+
 def test_a_mission_ends_with_its_robot(tmp_path):
     robot = Robot("odd", MakeTruthlessStation, world_known=True, end_time=1.5)
     summary = explore(tmp_path, robot).summary

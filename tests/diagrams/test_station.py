@@ -1,15 +1,21 @@
 """The simulated station: its ports, its noise, its reproducibility, and that it keeps off walls."""
 
+import logging
+
 import numpy as np
 import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import InitializeParams, Simulator
 
 from tfg_drake.config import ChangeConfig, TagConfig
-from tfg_drake.diagrams.scenario import Scenario, WorldConfig
+from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
+from tfg_drake.diagrams.robots import Robot
+from tfg_drake.diagrams.scenario import MakeWorld, Scenario, WorldConfig
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import between, compose, transform
+from tfg_drake.messages import Hazards
 from tfg_drake.simulation.people import RADIUS, places_at
+from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 
 OUTPUTS = [
     "base.odometry",
@@ -70,6 +76,90 @@ def everything(station, context):
         for part in vars(value).values() if hasattr(value, "__dict__") else [value]:
             numbers += np.ravel(part).tolist()
     return numbers
+
+
+class Dropping(DifferentialDrivePlant):
+    """What a wheel hangs of, or what stands at a cliff, from 1 s to 2 s."""
+
+    drop, cliff = 0, 0
+
+    def _Hazards(self, context):
+        hangs = 1.0 <= context.get_time() < 2.0
+        return Hazards(context.get_time(), 0, self.cliff * hangs, self.drop * hangs)
+
+
+def dropping(drop, cliff):
+    """A station whose base hangs or stands at a cliff, driving; its Simulator and the speed at times, s."""
+    scenario = make_scenario()
+    plant = Dropping(MakeWorld(scenario.world), scenario.robot)
+    plant.drop, plant.cliff = drop, cliff
+    station = MakeTurtlebotStation(scenario, plant=plant)
+    simulator = start(station, command=(0.2, 0.0))
+
+    def speed(time):
+        simulator.AdvanceTo(time)
+        return read(station, simulator.get_context(), "truth.pose")[3]
+
+    return station, simulator, speed
+
+
+@pytest.mark.parametrize(("drop", "cliff"), [(1, 0), (0, 2)])
+def test_after_a_wheel_drop_or_a_cliff_a_base_that_can_be_enabled_must_be(drop, cliff, caplog):
+    station, simulator, speed = dropping(drop, cliff)
+    context = simulator.get_mutable_context()
+    enable = station.GetInputPort("base.enable")
+    enable.FixValue(context, [1.0])
+    with caplog.at_level(logging.WARNING, "tfg_drake.hardware"):
+        assert speed(0.9) == pytest.approx(0.2)
+        assert read(station, context, "base.enabled")[0] == 1.0
+        assert speed(1.7) == pytest.approx(0.0, abs=1e-6)
+        assert read(station, context, "base.enabled")[0] == 0.0
+        # Too soon: who enables it now would be surprised when the wheel is down.
+        enable.FixValue(context, [2.0])
+        assert speed(4.0) == pytest.approx(0.0, abs=1e-6)
+        assert read(station, context, "base.enabled")[0] == 0.0
+    enable.FixValue(context, [3.0])
+    assert speed(5.0) == pytest.approx(0.2)
+    assert read(station, context, "base.enabled")[0] == 1.0
+    what = "a wheel hangs: put the robot on its wheels" if drop else "a cliff: carry the robot away from it"
+    lines = [record.getMessage().partition(" s: ")[2] for record in caplog.records]
+    assert lines == [f"the base stands until it is enabled anew: {what}, then enable it"] * 2
+
+
+@pytest.mark.parametrize(("drop", "cliff"), [(1, 0), (0, 2)])
+def test_a_simulated_base_that_nobody_enables_goes_on_by_itself(drop, cliff):
+    station, simulator, speed = dropping(drop, cliff)
+    assert speed(0.9) == pytest.approx(0.2)
+    assert speed(1.7) == pytest.approx(0.0, abs=1e-6)
+    assert speed(3.0) == pytest.approx(0.2)
+    assert read(station, simulator.get_context(), "base.enabled")[0] == 1.0
+
+
+def test_a_mission_is_paused_after_a_wheel_drop_until_it_is_enabled_anew():
+    scenario = make_scenario()
+    world = MakeWorld(scenario.world)
+
+    def MakeStation(scenario):
+        plant = Dropping(world, scenario.robot)
+        plant.drop = 4
+        return MakeTurtlebotStation(scenario, plant=plant)
+
+    requests = []
+    diagram, _, _ = MakeMissionDiagram(
+        scenario, world, robot=Robot("odd", MakeStation, world_known=True), operated=[lambda: requests]
+    )
+    simulator = Simulator(diagram)
+    explorer = diagram.GetSubsystemByName("explorer")
+
+    def phase(time):
+        simulator.AdvanceTo(time)
+        return explorer.GetOutputPort("mission").Eval(explorer.GetMyContextFromRoot(simulator.get_context())).phase
+
+    assert [phase(time) for time in (0.9, 1.5, 3.0)] == ["observe", "paused", "paused"]
+    requests.append("enable")
+    simulator.AdvanceTo(3.1)
+    requests.clear()
+    assert phase(3.5) == "observe"
 
 
 def test_ports_and_names(station):

@@ -66,8 +66,8 @@ def test_hazards_say_where_and_what_the_robot_does():
         "bumper left: the robot backs away and looks for another way"
     ]
     assert lines([(0.0, [Hazards(0.0, 0, 5, 0), Hazards(0.0, 0, 0, 1)], None)]) == [
-        "cliff left, right: the robot stands; carry it away",
-        "wheel drop right: the robot stands until it is back on its wheels",
+        "cliff left, right: the robot stands; carry it away, then enable it",
+        "wheel drop right: the robot stands; put it on its wheels, then enable it",
     ]
     assert where(0) == "none"
 
@@ -130,12 +130,16 @@ class Base:
         return self.state
 
 
-def test_a_low_battery_calls_the_robot_back_once_and_an_empty_one_ends_the_mission():
-    base, asked = Base(), []
+@pytest.mark.parametrize("recalls", [True, False])
+def test_a_low_battery_calls_the_robot_back_once_and_an_empty_one_ends_the_mission(recalls):
+    base, asked, ends = Base(), [], []
     watch = BatteryWatch(base)
     assert watch.requests() == []
     for i in range(30):
         base.state = base_state(float(i), battery_level="low" if i < 20 else "dangerous")
         # It is asked more often than the base says anything.
         asked += [(i, request) for request in watch.requests() + watch.requests()]
-    assert asked == [(int(LOW_LASTS), "recall"), (21, "end")]
+        ends.append(watch.empty(recalls))
+    assert asked == [(int(LOW_LASTS), "recall")]
+    low, empty = "" if recalls else "The battery is low, 13.8 V", "The battery is nearly empty, 13.8 V"
+    assert ends == [""] * int(LOW_LASTS) + [low] * 16 + [empty] * 9

@@ -157,18 +157,40 @@ def test_a_reason_that_says_more_takes_the_place_of_one_that_says_little(reason)
     assert watchdog.locked == "the cable is out"
 
 
-@pytest.mark.parametrize("wheel", [1, 4, 5])
-def test_a_wheel_that_hangs(driving, wheel):
-    driving.hazards, driving.command = (0, 0, wheel), (-0.2, 0.5)
+WHEEL = "a wheel hangs: put the robot on its wheels, then enable it"
+CLIFF = "a cliff: carry the robot away from it, then enable it"
+
+
+@pytest.mark.parametrize(
+    ("hazards", "reason"),
+    [((0, 0, 1), WHEEL), ((0, 0, 4), WHEEL), ((2, 2, 5), WHEEL), ((0, 1, 0), CLIFF), ((4, 4, 0), CLIFF)],
+)
+def test_after_a_wheel_drop_or_a_cliff_it_must_be_enabled_anew(driving, hazards, reason):
+    driving.hazards, driving.command = hazards, (-0.2, 0.5)
     assert still(driving.run(1.0))
-    assert driving.watchdog.locked is None
+    assert driving.watchdog.locked == reason
+    # While it lasts nobody can, and that it was tried is not remembered.
+    driving.watchdog.enable(driving.now)
+    assert driving.watchdog.locked == reason
+    assert still(driving.run(1.0))
     driving.hazards = (0, 0, 0)
+    assert still(driving.run(5.0))
+    assert driving.watchdog.locked == reason
+    driving.watchdog.enable(driving.now)
+    assert driving.watchdog.locked is None
     assert driving.run(TICK)[0] == pytest.approx((-0.5 * TICK, 3.5 * TICK))  # from rest
 
 
-@pytest.mark.parametrize("hazards", [(2, 0, 0), (0, 1, 0), (4, 4, 0)])
-def test_bumper_and_cliff_allow_to_turn_and_to_back(driving, hazards):
-    driving.hazards, driving.command = hazards, (0.3, 0.5)
+def test_a_wheel_drop_that_is_over_before_the_next_tick_counts(driving):
+    driving.watchdog.hear_hazards(Hazards(driving.now, 0, 0, 1))
+    driving.watchdog.hear_hazards(Hazards(driving.now, 0, 0, 0))
+    assert still(driving.run(1.0))
+    assert driving.watchdog.locked == WHEEL
+
+
+@pytest.mark.parametrize("bumper", [2, 4, 7])
+def test_the_bumper_allows_to_turn_and_to_back(driving, bumper):
+    driving.hazards, driving.command = (bumper, 0, 0), (0.3, 0.5)
     sent = driving.run(1.0)
     assert {velocity[0] for velocity in sent} == {0.0}
     assert sent[-1][1] == pytest.approx(0.5)

@@ -151,6 +151,14 @@ def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
         emulator.base.bumper = 4
         explorer.wait_for("bumper left: the robot backs away and looks for another way", goes_on=True)
         emulator.base.bumper = 0
+        emulator.base.wheel_drop = 2
+        explorer.wait_for("the base stands until it is enabled anew: a wheel hangs", goes_on=True)
+        emulator.base.wheel_drop = 0
+        over = _stands(emulator, time.monotonic())
+        time.sleep(1.0)
+        assert not any(when > over and one.speed for when, one in list(emulator.commands))
+        explorer.press("e")
+        _moves(emulator, over)
         emulator.base.battery = 138
         explorer.wait_for("the battery is low, 13.8 V", goes_on=True)
         explorer.wait_for("files", goes_on=True)
@@ -159,7 +167,25 @@ def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
     assert summary["outcome"] == "budget"
     assert summary["reason"] == "The battery is low: the robot was called back before all was explored."
     log = (tmp_path / "log.txt").read_text()
-    assert [log.count(words) for words in ("bumper left", "the battery is low", ": recall\n")] == [1, 1, 1]
+    told = ("bumper left", "wheel drop left", "the battery is low", ": recall\n")
+    assert [log.count(words) for words in told] == [1, 1, 1, 1]
+
+
+def test_an_empty_battery_ends_the_mission_by_a_word_of_its_own(tmp_path):
+    with Emulator(WORLD) as emulator:
+        explorer = Explorer(emulator, tmp_path, 300.0)
+        explorer.wait_for("nothing moves before it is enabled")
+        begin = time.monotonic()
+        time.sleep(0.5)
+        explorer.press("e")
+        _moves(emulator, begin)
+        emulator.base.battery = 130
+        explorer.wait_for("the battery is nearly empty, 13.0 V")
+        explorer.wait_for("files")
+        assert explorer.process.wait(60.0) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["outcome"] == "battery"
+    assert summary["reason"].startswith("The battery is nearly empty, 13.0 V: the robot stands at (")
 
 
 def test_its_last_word_to_the_wheels_is_a_stop(mission):

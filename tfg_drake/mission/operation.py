@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tfg_drake.messages import message, replace
+from tfg_drake.messages import Hazards, message, replace
 
 # What base and mission are told. enable: let the base move, also after a stop. stop: the emergency stop. pause: pause
 # the mission, or resume it. hold: pause it. resume: go on with it. recall: explore no more, and come home where the
@@ -27,6 +27,14 @@ class Operation:
     paused: bool = False
     recalled: bool = False
     ended: bool = False
+
+
+def stopped_by(hazards: Hazards) -> str | None:
+    """Why a base must stand until it is enabled anew, also when the hazard is over: whoever puts it down again must not
+    be surprised by it (ISO 13482, unexpected start-up). None where it may move."""
+    if hazards.wheel_drop:
+        return "a wheel hangs: put the robot on its wheels, then enable it"
+    return "a cliff: carry the robot away from it, then enable it" if hazards.cliff else None
 
 
 def requested(operation: Operation, request: Command) -> Operation:

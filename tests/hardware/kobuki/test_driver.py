@@ -225,15 +225,56 @@ def test_it_stops_at_nan(emulator, driving):
     assert not moves(emulator)
 
 
-def test_a_wheel_that_hangs(emulator, driving):
-    emulator.base.wheel_drop = 2
+@pytest.mark.parametrize(
+    ("hazard", "words"),
+    [
+        ("wheel_drop", "a wheel hangs: put the robot on its wheels, then enable it"),
+        ("cliff", "a cliff: carry the robot away from it, then enable it"),
+    ],
+)
+def test_after_a_wheel_drop_or_a_cliff_it_must_be_enabled_anew(emulator, driving, hazard, words):
+    setattr(emulator.base, hazard, 2)
     begin = time.monotonic()
     drive(driving, -0.2, 0.5, 0.5)
     assert_stops(emulator, begin)
-    assert driving.newest(Hazards).wheel_drop == 4
-    emulator.base.wheel_drop = 0
+    wait_for(lambda: getattr(driving.newest(Hazards), hazard))
+    assert driving.locked in (words, SILENT)
+    with pytest.raises(DeviceError, match=words):
+        driving.enable()
+    over = time.monotonic()
+    setattr(emulator.base, hazard, 0)
+    wait_for(lambda: not getattr(driving.newest(Hazards), hazard))
+    drive(driving, 0.2, 0.0, 0.5)
+    assert told_since(emulator, over) == {STOP}
+    assert driving.locked == words
+    go(emulator, driving)
+
+
+def test_a_gyro_that_jumps_locks_the_base_and_is_not_believed(emulator, driving):
+    emulator.base.turned += 0.5 * math.pi
+    wait_for(lambda: drive(driving, 0.2, 0.0, 0.1) and driving.locked)
+    assert "its gyro turned by 90 degrees in 0.0" in driving.locked or driving.locked == SILENT
+    go(emulator, driving)
+    assert abs(driving.newest(Odometry).X_OB[2]) < 0.1
+
+
+def test_a_gyro_that_is_held_against_the_wheels_while_the_base_is_driven(emulator, driving):
+    # Who turns it by hand while it stands does not lock it.
+    drive(driving, 0.0, 0.0, 0.3)
+    for _ in range(50):
+        emulator.base.turned += 0.05
+        drive(driving, 0.0, 0.0, 0.02)
     assert driving.locked in (None, SILENT)
-    wait_for(lambda: (drive(driving, 0.2, 0.0, 0.3) and moves(emulator)) or driving.locked == SILENT)
+    # A dead gyro that flickers.
+    emulator.base.stuck.add("gyro")
+
+    def locked():
+        emulator.base.turned += np.random.default_rng().choice([-2e-4, 2e-4])
+        return drive(driving, 0.0, 1.0, 0.02) and driving.locked
+
+    go(emulator, driving)
+    wait_for(locked)
+    assert driving.locked.startswith("the gyro does not turn with the wheels") or driving.locked == SILENT
 
 
 def test_a_pressed_bumper_allows_to_back(emulator, driving):

@@ -79,21 +79,46 @@ def test_stamps_never_decrease_even_where_the_first_frame_was_late():
     assert stamps[-1] == pytest.approx(50.0 + 29 * PERIOD, abs=1e-4)
 
 
-def test_impossible_ticks_and_repeated_frames_change_nothing():
+def test_repeated_frames_change_nothing():
     state = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0)
     assert o.advanced(state, *frame(0.0, 0.001, 0.001, 0.0), 0.001) is state
-    assert o.advanced(state, *frame(0.02, 2.0, 0.0, 0.0), 0.02) is state
-    state = o.advanced(state, *frame(0.04, 0.01, 0.01, 0.0), 0.04)
-    assert pytest.approx((0.01, 0.0, 0.0), abs=1e-4) == state.X_OB
+    assert o.advanced(state, *frame(0.0, 0.0, 0.0, 2.0), 0.001) is state
 
 
-def test_a_base_that_counts_from_anew_costs_a_second_at_most():
-    state, moved = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0), 0.0
+@pytest.mark.parametrize(
+    ("left", "right", "turn", "told"),
+    [
+        (0.0, 0.0, 90.0, "wheels moved by 0.00 and 0.00 m and its gyro turned by 90 degrees"),
+        (0.0, 0.0, -90.0, "wheels moved by 0.00 and 0.00 m and its gyro turned by -90 degrees"),
+        (0.0, 0.0, 8.0, "wheels moved by 0.00 and 0.00 m and its gyro turned by 8 degrees"),
+        (2.0, 0.0, 0.0, "wheels moved by 2.00 and 0.00 m and its gyro turned by 0 degrees"),
+        (-0.1, -0.1, 0.0, "wheels moved by -0.10 and -0.10 m and its gyro turned by 0 degrees"),
+    ],
+)
+@pytest.mark.parametrize("stays", [True, False])
+def test_what_no_base_can_have_done_is_a_fault_and_not_reckoned(left, right, turn, told, stays):
+    """From frame 20 on, or in that one only, as where it was garbled."""
+    state, faults = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0), []
     for k in range(1, 100):
-        moved = 3.0 + 0.002 * k
-        state = o.advanced(state, *frame(k * PERIOD, moved, moved, 0.0), k * PERIOD)
-    assert 0.0 < state.X_OB[0] <= 0.002 * 50
+        jumped = k >= 20 if stays else k == 20
+        wheels = [0.002 * k + jumped * jump for jump in (left, right)]
+        angle = jumped * math.radians(turn)
+        state = o.advanced(state, *frame(k * PERIOD, *wheels, angle), k * PERIOD)
+        faults += [(k, state.fault)] if state.fault else []
+    why = f"the base's {told} in 0.02 s: one of them is broken, or a frame was garbled; enable it again"
+    assert faults[0] == (20, why)
+    assert [k for k, _ in faults] == ([20] if stays else [20, 21])
+    # It costs what the base did in these frames.
+    assert pytest.approx((0.002 * (99 - len(faults)), 0.0, 0.0), abs=1e-3) == state.X_OB
     assert state.stamp == pytest.approx(99 * PERIOD)
+
+
+def test_a_hand_that_turns_the_base_fast_is_no_jump():
+    state = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0)
+    for k in range(1, 100):
+        state = o.advanced(state, *frame(k * PERIOD, 0.0, 0.0, 5.0 * k * PERIOD), k * PERIOD, driven=False)
+        assert state.fault is None
+    assert state.X_OB[2] == pytest.approx(math.remainder(5.0 * 99 * PERIOD, 2.0 * math.pi), abs=1e-3)
 
 
 def faults(times, received=None, turns=None):
@@ -151,9 +176,91 @@ def test_odometry_goes_on_after_a_jump():
 def test_a_gyro_that_does_not_notice_a_turn_is_a_fault():
     found = faults(STEADY, turns=[0.8 * time for time in STEADY])
     assert [k for k, fault in enumerate(found) if fault] == [10, 20, 30, 40]
-    assert found[10] == "the gyro does not turn with the wheels: it is stuck, or they slip; look at the base"
+    assert found[10] == "the gyro does not turn with the wheels: it is broken, or they slip; look at the base"
     # Wheels that are not quite alike, straight ahead.
     assert set(faults(STEADY, turns=[0.1 * time for time in STEADY])) == {None}
+
+
+class Drive:
+    """A base whose gyro flickers, and whose wheels are told in whole ticks."""
+
+    def __init__(self):
+        self.random, self.time, self.wheels, self.angle = np.random.default_rng(0), 0.0, np.zeros(2), 0.0
+        self.state = o.first(*frame(0.0, 0.0, 0.0, 0.0), 0.0)
+        self.fault = None
+
+    def go(self, seconds, by_wheels, by_gyro, speed=0.0, driven=True):
+        """Turn rates, rad/s, that wheels and gyro tell. Returns after which time there is a fault, None without one."""
+        for k in range(1, round(seconds / PERIOD) + 1):
+            self.time += PERIOD
+            self.wheels += PERIOD * (speed + 0.5 * o.WHEEL_BASE * by_wheels * np.array([-1.0, 1.0]))
+            self.angle += PERIOD * by_gyro
+            flicker = self.random.normal(0.0, 0.01 * math.pi / 180.0)
+            parts = frame(self.time, *self.wheels, self.angle + flicker)
+            self.state = o.advanced(self.state, *parts, self.time, driven)
+            if self.state.fault is not None:
+                self.fault = self.state.fault
+                return k * PERIOD
+        return None
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("by_wheels", "by_gyro", "speed", "within"),
+    [
+        # Dead, but it flickers: after a turn of less than 1 rad, however slowly the base turns.
+        (1.5, 0.0, 0.0, 0.75 / 1.5),
+        (0.5, 0.0, 0.2, 0.83 / 0.5),
+        (0.3, 0.0, 0.2, 0.94 / 0.3),
+        # Of another scale, or with the wrong sign.
+        (1.0, 0.5, 0.0, 3.4),
+        (1.0, 2.0, 0.0, 5.0),
+        (0.5, 2.0, 0.2, 5.0),
+        (1.0, -1.0, 0.0, 0.6),
+        # It runs away while the base drives straight ahead.
+        (0.0, 0.4, 0.3, 5.0),
+        (0.0, 4.0, 0.3, 5.0),
+    ],
+)
+def test_a_gyro_that_tells_another_turn_than_the_wheels_is_a_fault(side, by_wheels, by_gyro, speed, within):
+    drive = Drive()
+    # However long all was well before.
+    assert drive.go(60.0, 1.0, 1.0) is None
+    assert drive.go(20.0, side * by_wheels, side * by_gyro, speed) == pytest.approx(within, rel=0.2)
+    assert drive.fault == "the gyro does not turn with the wheels: it is broken, or they slip; look at the base"
+
+
+def test_wheels_as_they_are_are_no_fault():
+    drive = Drive()
+    for _ in range(20):
+        # One wheel is 3 % larger; in turns both slip, by a quarter and more.
+        assert drive.go(8.0, 0.04, 0.0, 0.3) is None
+        assert drive.go(4.0, 1.5, 1.1) is None
+        assert drive.go(4.0, -0.5, -0.36, 0.1) is None
+    # A wheel spins for a moment, and again.
+    for _ in range(5):
+        assert drive.go(0.3, 1.5, 0.0) is None
+        assert drive.go(8.0, 0.0, 0.0, 0.3) is None
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+@pytest.mark.parametrize("turn_rate", [0.0, 0.3, 1.0])
+def test_a_driven_base_that_is_pushed_round_is_no_fault(speed, turn_rate):
+    drive = Drive()
+    for _ in range(5):
+        # A quarter turn in half a second, a half turn in a second, with and against its own.
+        assert drive.go(0.5, turn_rate, turn_rate + 0.5 * math.pi / 0.5, speed) is None
+        assert drive.go(15.0, turn_rate, turn_rate, speed) is None
+        assert drive.go(0.3, turn_rate, turn_rate - 1.0, speed) is None
+        assert drive.go(15.0, turn_rate, turn_rate, speed) is None
+
+
+@pytest.mark.parametrize("rolling", [0.0, 0.5, 1.0, -0.5])
+def test_a_base_that_stands_may_be_turned_by_hand_and_drives_on(rolling):
+    drive = Drive()
+    for _ in range(3):
+        assert drive.go(20.0, rolling * 2.0, 2.0, driven=False) is None
+        assert drive.go(20.0, 1.0, 1.0, 0.1) is None
 
 
 def test_after_a_reconnection_everything_counts_from_the_new_frame():

@@ -1,5 +1,6 @@
 """What both transports do with what they receive."""
 
+import itertools
 import math
 
 import pytest
@@ -9,8 +10,9 @@ from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.messages import LaserScan
 
 
-def odometry(stamp, frame="odom", x=0.0):
-    pose = {"position": {"x": x, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+def odometry(stamp, frame="odom", x=0.0, theta=0.0):
+    orientation = {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}
+    pose = {"position": {"x": x, "y": 0.0}, "orientation": orientation}
     twist = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
     header = {"stamp": {"sec": int(stamp), "nanosec": int(1e9 * (stamp % 1.0))}, "frame_id": frame}
     return {"header": header, "pose": {"pose": pose}, "twist": {"twist": twist}}
@@ -45,6 +47,20 @@ def test_a_base_that_counts_anew_goes_on_where_it_was():
     assert [one.X_OB[0] for one in intake.take()][-21:] == pytest.approx(
         [5.19] + [5.19 + 0.01 * i for i in range(20)], abs=1e-9
     )
+
+
+@pytest.mark.parametrize(("turn", "jumps"), [(math.pi / 2, True), (-0.7, True), (3.1, True), (0.3, False)])
+def test_a_heading_that_jumps_is_not_believed(turn, jumps):
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("odometry", preset.topics.odometry)])
+    turning = [2.0 + 0.02 * i + turn * (i >= 90) for i in range(120)]  # past where angles wrap
+    for i, theta in enumerate(turning):
+        message = odometry(100.0 + 0.02 * i, theta=theta)
+        intake.receive("odometry", preset.topics.odometry, message, 5.0 + 0.02 * i)
+    assert (intake.fault() is not None) == jumps
+    told = [one.X_OB[2] for one in intake.take()]
+    steps = [abs(math.remainder(b - a, 2.0 * math.pi)) for a, b in itertools.pairwise(told)]
+    assert max(steps) == pytest.approx(0.02 if jumps else turn + 0.02, abs=1e-9)
 
 
 def battery(percentage, status=2, voltage=12.0):
