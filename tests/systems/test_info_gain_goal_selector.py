@@ -623,23 +623,6 @@ def test_a_called_back_robot_does_not_look_again_for_accuracy():
     assert selector.goal().verdict == "complete"
 
 
-def test_a_robot_that_cannot_get_home_while_there_is_a_frontier_somewhere_is_stuck():
-    estimate, tfg = half_known_room()
-    known = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9), X_MA=np.array([[0.0, 0, 0], [2.0, 0, 0]]))
-    far = dataclasses.replace(tfg, frontiers=tfg.frontiers - [100.0, 0.0])
-    there = roadmap()
-    at_home = np.hypot(*there.points.T) < 0.1
-    for cut_off, verdict in ((False, "complete"), (True, "stuck")):
-        off = at_home & cut_off
-        selector = Selector()
-        selector.ready(
-            map=known,
-            tfg=far,
-            roadmap=dataclasses.replace(there, reachable=there.reachable & ~off, entry=np.where(off, -1, there.entry)),
-        )
-        assert selector.goal().verdict == verdict
-
-
 def test_denser_landmarks_are_expected_to_bring_more():
     gains = []
     for density in (0.5, 2.0):
