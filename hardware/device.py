@@ -122,20 +122,6 @@ class Device:
 
     def __init__(self, config: DriverConfig) -> None:
         """Starts the process and waits until odometry arrives; raises DeviceError."""
-        self._connection, theirs = Pipe()
-        announced, announcing = Pipe(duplex=False)
-        given = (theirs, announced)
-        # In a session of its own: an interrupt from the keyboard is for this process, which stops the robot by ending.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tfg_drake.hardware.driver_process", *(str(one.fileno()) for one in given)],
-            pass_fds=[one.fileno() for one in given],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        for one in given:
-            one.close()
-        self._announcements = Announcements(announcing)
         self._changed = threading.Condition()
         self._newest: dict[type, Message] = {}
         self._waiting: dict[type, collections.deque[Message]] = {}
@@ -147,15 +133,40 @@ class Device:
         self._full: float | None = None
         self._ended: str | None = None
         self._ready = False
-        self._put(config)
         self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+        try:
+            self._start()
+        except (OSError, RuntimeError) as error:  # RuntimeError is what a thread raises that cannot be started
+            raise DeviceError(f"no process for it can be started: {error.args[-1]}; end other programs") from None
+        self._put(config)
         with self._changed:
             self._changed.wait_for(lambda: self._ready or self._ended is not None, START_TIMEOUT)
         if not self._ready:
             line = self._ended or f"the robot's process did not begin in {START_TIMEOUT:.0f} s"
             self.close()
             raise DeviceError(line)
+
+    def _start(self) -> None:
+        """Raises OSError, RuntimeError where the machine has too little left; nothing stays open then."""
+        with contextlib.ExitStack() as undo:
+            self._connection, theirs = Pipe()
+            undo.callback(self._connection.close)  # The process ends then, if there is one.
+            announced, announcing = Pipe(duplex=False)
+            with theirs, announced:
+                given = theirs.fileno(), announced.fileno()
+                # In a session of its own: an interrupt from the keyboard is for this process, which stops the robot by
+                # ending.
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", "tfg_drake.hardware.driver_process", *map(str, given)],
+                    pass_fds=given,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+            self._announcements = Announcements(announcing)
+            undo.callback(self._announcements.close)
+            self._reader.start()
+            undo.pop_all()
 
     def newest(self, kind: type[T]) -> T | None:
         """The newest message of a kind, such as Odometry; None where none has arrived yet."""
@@ -261,7 +272,10 @@ class Device:
         if self._ended is not None:
             raise DeviceError(self._ended)
         try:
-            if not select.select([], [self._connection], [], 0.0)[1]:
+            # Unlike select, which fails where the process has more than 1024 descriptors.
+            room = select.poll()
+            room.register(self._connection, select.POLLOUT)
+            if not room.poll(0):
                 now = time.monotonic()
                 self._full = now if self._full is None else self._full
                 if now - self._full > HELD_UP:

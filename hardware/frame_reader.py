@@ -80,7 +80,7 @@ class FrameReader:
                     if self._closed.is_set():
                         return
                 error = "no image in it"
-            except (FrameError, cv2.error) as raised:
+            except (FrameError, cv2.error, OSError) as raised:
                 error = " ".join(str(raised).split())
             self._put(None, error)
             if seen and not told:

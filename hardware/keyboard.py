@@ -6,13 +6,13 @@ import atexit
 import contextlib
 import os
 import queue
-import select
 import sys
 import termios
 import threading
 import tty
 import weakref
 from collections.abc import Mapping
+from multiprocessing.connection import wait
 from typing import Any, Generic, TypeVar
 
 from tfg_drake.mission.operation import Command
@@ -73,8 +73,7 @@ class Keyboard(Generic[T]):
 
     def _read(self) -> None:
         while True:
-            ready, _, _ = select.select([self._descriptor, self._wake], [], [])
-            if self._wake in ready:
+            if self._wake in wait([self._descriptor, self._wake]):
                 return
             try:
                 keys = os.read(self._descriptor, 1024).decode(errors="replace")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import select
 import socket
 import time
+from multiprocessing.connection import wait
 
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.kobuki.sensor_socket import message_of
@@ -79,7 +79,7 @@ class SocketDriver(SensorReader):
         while (left := end - time.monotonic()) > 0.0:
             if self._socket is None:
                 self._connect_again(lambda: self._connect(LONGEST_BACK_OFF), left)
-            elif select.select([self._socket], [], [], left)[0]:
+            elif wait([self._socket], left):
                 self._receive()
 
     def _receive(self) -> None:

@@ -57,16 +57,20 @@ class PageForks:
             x, y = goal
             command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "fork", str(self._run), "--stage", str(stage)]
             command += [f"--goal={x:.4f},{y:.4f}", "--out", str(folder)]
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                env=os.environ | {"PYTHONUNBUFFERED": "1"},
-            )
-            self._process, self._stage, self._folder = process, stage, folder
+            self._stage, self._folder = stage, folder
             self._line, self._rows, self._failure = "beginning", [], ""
+            try:
+                self._process = process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    text=True,
+                    env=os.environ | {"PYTHONUNBUFFERED": "1"},
+                )
+            except OSError as error:
+                self._failure = f"the fork cannot be started: {error.strerror}; end other programs, and ask again"
+                return True
         threading.Thread(target=self._follow, args=(process,), daemon=True).start()
         return True
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import select
 import time
+from multiprocessing.connection import wait
 
 from tfg_drake.hardware.device import BaseState, Device, DeviceError, Message
 from tfg_drake.hardware.kobuki import odometry
@@ -86,9 +86,7 @@ class KobukiDriver:
         while (now := time.monotonic()) < end:
             if self._connection is None:
                 time.sleep(end - now)
-            elif select.select([self._connection], [], [], end - now)[0] and not self._connection.read(
-                time.monotonic()
-            ):
+            elif wait([self._connection.fileno()], end - now) and not self._connection.read(time.monotonic()):
                 self._lose("the connection broke; put the cable back and switch the base on")
         self._tend(time.monotonic())
 
@@ -113,7 +111,11 @@ class KobukiDriver:
             self._retry(str(error))
 
     def _begin(self, connection: Connection) -> None:
-        self._guardian = Guardian(connection.fileno())
+        try:
+            self._guardian = Guardian(connection.fileno())
+        except OSError as error:
+            self._lose(f"no process can be started to stop it in an emergency: {error.strerror}; end other programs")
+            return
         self._trouble = ""
         connection.say(_STOP, _TUNE_ON, p.GeneralOutput(_POWER | self._lights))
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import select
 import termios
 import time
+from multiprocessing.connection import wait
 from typing import TYPE_CHECKING
 
 from tfg_drake.config import RobotScannerConfig
@@ -121,7 +121,7 @@ class RplidarDriver(SensorReader):
         self._say(codec.request(command))
         heard, end = b"", time.monotonic() + ANSWER_WITHIN
         while (told := codec.answer(heard, command)) is None and (left := end - time.monotonic()) > 0.0:
-            if select.select([self._port.fileno()], [], [], left)[0]:
+            if wait([self._port.fileno()], left):
                 heard += self._read()
         return told
 
@@ -144,7 +144,7 @@ class RplidarDriver(SensorReader):
                 self._connect_again(self._connect, left)
                 continue
             try:
-                if select.select([self._port.fileno()], [], [], left)[0]:
+                if wait([self._port.fileno()], left):
                     self._receive(self._read(), time.monotonic())
                 if time.monotonic() - self._heard > SILENT:
                     self._lose(f"says nothing for {SILENT:.0f} s: does it turn? It is started again")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from tests.cockpit.conftest import STAGES, begin, drive, end, stage
+from tests.cockpit.conftest import EXPLAINED, STAGES, SUMMARY, begin, drive, end, stage, write_mission
 from tfg_drake.cockpit.browser import SEEK, BrowserMissing, open_browser, wait_for_page, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
@@ -340,6 +340,54 @@ def test_a_film_shows_the_mission_to_its_end(driver, exported, tmp_path, write):
     assert all(np.any(one != other) for one, other in itertools.pairwise(frames))
 
 
+# What a browser would run, were it read as HTML.
+SCRIPT = "<img src=x onerror='window.ran = 1'><script>window.ran = 1</script>"
+
+
+def hostile(told, numbers, name=""):
+    """What a record tells, with script in every string, or instead of every number that is shown."""
+    if isinstance(told, dict):
+        return {key: hostile(value, numbers, key) for key, value in told.items()}
+    if isinstance(told, list) and name != "at":
+        return [hostile(one, numbers, name) for one in told]
+    if isinstance(told, str):
+        return told if numbers else SCRIPT + told
+    return SCRIPT if numbers and isinstance(told, int | float) and name in SHOWN else told
+
+
+# The page's own.
+SCRIPTS = 3
+SHOWN = [*SUMMARY, "mean", "stage", "entropy", "views", *EXPLAINED[0]]
+
+
+def written_hostile(path, monkeypatch, numbers):
+    """A mission's file whose words or numbers are script."""
+    write = TimelineWriter.write
+    with monkeypatch.context() as patch:
+        patch.setattr(TimelineWriter, "write", lambda *given, **told: write(*given, **hostile(told, numbers)))
+        write_mission(path)
+    return path
+
+
+@pytest.mark.parametrize("numbers", [False, True], ids=["words", "numbers"])
+def test_script_in_a_runs_file_is_text(driver, tmp_path, monkeypatch, numbers):
+    path, out = written_hostile(tmp_path / "timeline.tfg", monkeypatch, numbers), tmp_path / "mission.html"
+    export_page(path, out, f"{SCRIPT}{{{{DATA}}}}", viewer_script())
+    page = Page(driver, out.as_uri())
+    for seconds in (0.0, *(time_s + 0.1 for time_s in STAGES), 10.0):
+        page.seek(seconds)
+        assert page("return document.querySelectorAll('img, body script:not([id])').length") == SCRIPTS
+        assert page("return window.ran") is None
+    shown = page("return document.body.innerText")
+    assert shown.count(SCRIPT) >= (2 if numbers else 4), shown
+    assert page.complaints() == []
+    # Were anything read as HTML all the same, the browser would not run it.
+    page("document.getElementById('card').innerHTML = arguments[0]", SCRIPT)
+    page.until("return document.querySelector('#card img').complete")
+    assert any("Content Security Policy" in one for one in page.complaints())
+    assert page("return window.ran") is None
+
+
 class Live:
     """A mission under way that this test drives."""
 
@@ -507,7 +555,8 @@ class Futures:
         return True
 
     def state(self):
-        told = {"stage": 2, "folder": "runs/fork", "line": "5 s  stage 1", "rows": self.rows, "failure": ""}
+        said = {"folder": f"runs/fork{SCRIPT}", "line": f"5 s  stage 1{SCRIPT}", "failure": ""}
+        told = {"stage": 2, "rows": self.rows, **said}
         return {"number": len(self.asked), "running": self.is_running, **told}
 
 
@@ -534,8 +583,10 @@ def test_a_run_is_forked_on_its_page(driver, mission, tmp_path):
         page.seek(12.0)
         np.testing.assert_allclose(page("return forkRobot.position.toArray().slice(0, 2)"), [4.8, 0.0], atol=1e-5)
         assert page("return robot.position.x") == pytest.approx(4.0)  # The run itself was over by then.
-        forks.rows, forks.is_running = [["", "run", "fork", "difference"], ["time", "10 s", "12 s", "+2 s"]], False
+        rows = [["", "run", f"fork{SCRIPT}", "difference"], [f"time{SCRIPT}", "10 s", "12 s", "+2 s"]]
+        forks.rows, forks.is_running = rows, False
         page.until("return element('fork').innerText.includes('+2 s')")
+        assert page.text("fork").count("<img") == 3
         assert "runs/fork" in page.text("fork")
         assert page.complaints() == []
 

@@ -1,10 +1,12 @@
 """Tags and scans without a base: how sources are named, and what a sensor socket may do to them."""
 
+import errno
 import json
 import math
 import os
 import signal
 import socket
+import subprocess
 import threading
 import time
 
@@ -208,6 +210,53 @@ def test_tags_and_scans_of_one_socket(server):
         assert not seen.ranges.flags.writeable
     finally:
         source.close()
+        source.close()
+
+
+def test_a_machine_that_can_start_no_process_for_a_while(server, monkeypatch):
+    """Descriptors, memory, processes or threads may be used up when a process must be started again."""
+    name = "tags of socket:{}:{}".format(*server.address)
+    (source,) = open_sources({"tags": name.removeprefix("tags of ")}, PRESET).values()
+    lacking = [errno.EMFILE, errno.EMFILE, errno.ENOMEM, errno.EAGAIN]
+    start, popen, started = threading.Thread.start, subprocess.Popen, []
+
+    def poor_popen(*arguments, **options):
+        if lacking:
+            raise OSError(lacking[0], os.strerror(lacking.pop(0)))
+        started.append(popen(*arguments, **options))
+        return started[-1]
+
+    threadless = ["_read", "_run", "_read"]
+
+    def poor_start(thread):
+        if not lacking and threadless and thread._target.__name__ == threadless[0]:
+            raise RuntimeError(f"can't start new thread {threadless.pop(0)}")
+        start(thread)
+
+    monkeypatch.setattr(sensor_source, "_LONGEST_BACK_OFF", 0.2)
+    monkeypatch.setattr(subprocess, "Popen", poor_popen)
+    monkeypatch.setattr(threading.Thread, "start", poor_start)
+    try:
+        os.kill(source.process_id, signal.SIGKILL)
+        said = []
+        until(lambda: said.extend(source.take_remarks()) or any("is back" in line for line in said))
+        assert not lacking
+        assert not threadless
+        process = f"the process that reads {name}"
+        assert said[0] == f"{process} has ended; it is started again"
+        whys = [line.removeprefix(f"{process} does not begin: no process for it can be started: ") for line in said]
+        assert [why.removesuffix("; end other programs") for why in whys[1:-1]] == [
+            "Too many open files",
+            "Cannot allocate memory",
+            "Resource temporarily unavailable",
+            "can't start new thread _read",
+            "can't start new thread _run",
+            "can't start new thread _read",
+        ]
+        now = time.monotonic()
+        until(lambda: any(one.stamp > now for one in source.take(TagDetections, math.inf)))
+        until(lambda: all(one.poll() is not None for one in started[:-1]))  # none is left over
+    finally:
         source.close()
 
 

@@ -17,7 +17,7 @@ from PIL import Image
 from tfg_drake.storage.files import write_atomic
 
 # Software rendering, no network, no questions.
-OPTIONS = """--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader
+OPTIONS = """--headless=new --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader
 --no-first-run --disable-background-networking --disable-component-update --disable-sync --hide-scrollbars"""
 # What a hand on the slider does; how long it took, s.
 SEEK = """const start = performance.now(), slider = document.getElementById("slider");
@@ -48,22 +48,27 @@ class BrowserMissing(Exception):
 def open_browser(width: int, height: int) -> Any:
     """Debian's chromium with a window of so many pixels, as selenium drives it; the caller quits it.
 
-    Raises BrowserMissing where it, its driver or selenium is not installed.
+    Raises BrowserMissing where it, its driver or selenium is not installed, or it does not begin.
     """
     browser, service = shutil.which("chromium"), shutil.which("chromedriver")
     if browser is None or service is None:
         raise BrowserMissing("chromium or its driver is missing: apt-get install chromium chromium-driver")
     try:
-        from selenium import webdriver
+        from selenium import common, webdriver
     except ImportError:
         raise BrowserMissing("the package selenium is missing: pip install -e '.[film]'") from None
     options = webdriver.ChromeOptions()
     options.binary_location = browser
     for option in (*OPTIONS.split(), f"--window-size={width},{height}"):
         options.add_argument(option)
+    if os.geteuid() == 0:  # Chromium does not begin then with its sandbox.
+        options.add_argument("--no-sandbox")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     os.environ["SE_OFFLINE"] = "true"
-    return webdriver.Chrome(options=options, service=webdriver.ChromeService(service))
+    try:
+        return webdriver.Chrome(options=options, service=webdriver.ChromeService(service))
+    except common.WebDriverException as error:
+        raise BrowserMissing(f"chromium does not begin: {' '.join(str(error.msg).split())}") from None
 
 
 def wait_for_page(driver: Any) -> None:

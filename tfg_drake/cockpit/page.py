@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
 import json
+import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,9 @@ FILE_NAME = "mission.html"
 # The page's script, file by file in the order in which they are read.
 SCRIPT = """stop timeline scene shapes robot still layers free_space trails series cameras picture
 panels plots controls operator driving fork"""
+# What a browser lets the page do: its own scripts run, and no other, whatever a run's files hold; nobody else is asked.
+_POLICY = """default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; connect-src 'self'; base-uri 'none';
+form-action 'none'; script-src"""
 # Colours of the candidates' scale, from no gain to the most.
 _SHADES = 6
 
@@ -78,8 +83,8 @@ def _page(title: str, source: dict[str, Any] | None, data: str) -> str:
         ),
         "DATA": data,
     }
-    page = (folder / "page.html").read_text(encoding="utf-8")
-    # The data last, so that nothing is looked for in it.
-    for name, part in parts.items():
-        page = page.replace(f"{{{{{name}}}}}", part)
-    return page
+    empty = (folder / "page.html").read_text(encoding="utf-8")
+    page = re.sub("{{(?!POLICY)(\\w+)}}", lambda found: parts[found[1]], empty)
+    hashes = [hashlib.sha256(one.encode()).digest() for one in re.findall("<script>(.*?)</script>", page, re.DOTALL)]
+    allowed = [f"'sha256-{base64.b64encode(one).decode()}'" for one in hashes] + ["'self'"] * (source is not None)
+    return page.replace("{{POLICY}}", " ".join((_POLICY, *allowed)), 1)

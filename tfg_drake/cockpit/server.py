@@ -13,16 +13,16 @@ import json
 import logging
 import math
 import secrets
-import select
 import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Protocol
 
 from tfg_drake.cockpit.page import served_page
+from tfg_drake.cockpit.whole_requests import WholeRequestHandler, WholeRequestServer
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.manual_drive import BACK, FORWARD, HALT, LEFT, LOOK, RIGHT, stick
 from tfg_drake.mission.operation import Command, Request
@@ -114,16 +114,16 @@ class Cockpit:
         self._asked: list[Request] = []
         self._keys: list[str] = []
         self._stick_until = math.inf
-        self._streams = 0
         self._stepping, self._stage, self._from = False, 0, 0
         self.token = secrets.token_urlsafe(16)
         self._names = {LOCAL, host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
-        self._server = _listen(self, host, port)
+        self._server = _listen(host, port)
+        self._server.cockpit = self
         shown = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
         shown = f"[{shown}]" if ":" in shown else shown
         secret = f"#token={self.token}" if controls or forks is not None else ""
         self.address = f"http://{shown}:{self._server.server_address[1]}/{secret}"
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True, name="cockpit")
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(INTERVAL,), daemon=True)
         self._thread.start()
 
     def __enter__(self) -> Cockpit:
@@ -135,7 +135,7 @@ class Cockpit:
     @property
     def watched(self) -> bool:
         """Whether a page is open."""
-        return self._streams > 0
+        return bool(self._server.answered)
 
     @property
     def begun(self) -> bool:
@@ -239,38 +239,6 @@ class Cockpit:
             state |= {"held": self.clock.held, "rate": self.clock.rate}
         return state
 
-    @contextlib.contextmanager
-    def _counted(self) -> Any:
-        with self._lock:
-            self._streams += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._streams -= 1
-
-    def _send(
-        self,
-        connection: socket.socket,
-        write: Callable[[bytes], object],
-        start: int,
-        timeline: Callable[[], Path | None],
-        has_ended: Callable[[], bool],
-    ) -> None:
-        """A timeline's bytes from one on, until its mission has ended or the page is closed."""
-        while (path := timeline()) is None:
-            if self._closed.is_set() or has_ended() or _is_closed(connection, INTERVAL):
-                return
-        with path.open("rb") as file:
-            file.seek(start)
-            while not self._closed.is_set():
-                ended = has_ended()
-                data = file.read(2**20)
-                if data:
-                    write(data)
-                elif ended or _is_closed(connection, INTERVAL):
-                    return
-
     def _is_name(self, host: str) -> bool:
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         name = name.strip("[]").lower()
@@ -283,22 +251,7 @@ class Cockpit:
         return True
 
 
-def _existing(path: Path) -> Path | None:
-    return path if path.exists() else None
-
-
-def _is_closed(connection: socket.socket, wait: float) -> bool:
-    """Whether the other side goes away within so many seconds: a page says nothing more after its request."""
-    readable, _, _ = select.select([connection], [], [], wait)
-    if not readable:
-        return False
-    try:
-        return not connection.recv(1024)
-    except OSError:
-        return True
-
-
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(WholeRequestHandler):
     """Answers what a page asks over HTTP."""
 
     server: _Server
@@ -321,14 +274,14 @@ class _Handler(BaseHTTPRequestHandler):
         elif path == "/timeline":
             self._stream(query, lambda: self.cockpit._timeline, lambda: self.cockpit._ended)
         elif path == "/fork" and (forks := self.cockpit._forks) is not None:
-            self._stream(query, lambda: _existing(forks.timeline), lambda: not forks.is_running)
+            self._stream(query, lambda: forks.timeline, lambda: not forks.is_running)
         else:
             self._answer(404, "text/plain", b"There is nothing here.\n")
 
     def do_POST(self) -> None:
         """A request of a page."""
         length = self.headers.get("Content-Length", "")
-        if self.path != "/request" or not length.isdecimal() or int(length) > LONGEST:
+        if self.path != "/request" or not length.isdecimal() or len(length) > 9 or int(length) > LONGEST:
             self._answer(404, "text/plain", b"There is nothing here.\n")
             return
         try:
@@ -372,44 +325,50 @@ class _Handler(BaseHTTPRequestHandler):
             self.end_headers()
             self.wfile.write(body)
 
-    def _stream(self, query: str, timeline: Callable[[], Path | None], ended: Callable[[], bool]) -> None:
-        start = query.removeprefix("from=")
-        with self.cockpit._counted(), contextlib.suppress(ConnectionError):
+    def _stream(self, query: str, timeline: Callable[[], Path | None], has_ended: Callable[[], bool]) -> None:
+        """Sends a timeline's bytes from one on, until its mission has ended or the page is closed."""
+        start, closed = query.removeprefix("from="), self.cockpit._closed
+        with contextlib.suppress(ConnectionError):
             self.send_response(200)
             self.send_header("Content-Type", "application/octet-stream")
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
-            first = int(start) if start.isdecimal() else 0
-            self.cockpit._send(self.connection, self.wfile.write, first, timeline, ended)
+            while (path := timeline()) is None or not path.exists():
+                if closed.is_set() or has_ended() or self._has_gone():
+                    return
+            with path.open("rb") as file:
+                file.seek(int(start) if start.isdecimal() else 0)
+                while not closed.is_set():
+                    ended = has_ended()
+                    data = file.read(2**20)
+                    if data:
+                        self.wfile.write(data)
+                    elif ended or self._has_gone():
+                        return
+
+    def _has_gone(self) -> bool:
+        """Whether the page goes away within INTERVAL: it says nothing more after its request. Raises ConnectionError
+        where it goes without a word."""
+        return bool(wait([self.connection], INTERVAL)) and not self.connection.recv(1024)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Says nothing."""
 
 
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
-
-    def __init__(self, address: tuple[str, int], cockpit: Cockpit) -> None:
-        self.cockpit = cockpit
-        super().__init__(address, _Handler)
+class _Server(WholeRequestServer):
+    cockpit: Cockpit
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A page that goes away in the middle is no error; anything else is told to the log."""
         _log.debug("%s", client_address, exc_info=True)
 
 
-class _ServerOf6(_Server):
-    address_family = socket.AF_INET6
-
-
-def _listen(cockpit: Cockpit, host: str, port: int | None) -> _Server:
+def _listen(host: str, port: int | None) -> _Server:
     """Raises OSError where nobody can listen there."""
     address = "127.0.0.1" if host == LOCAL else host
-    server = _ServerOf6 if ":" in address else _Server
     if port is not None:
-        return server((address, port), cockpit)
+        return _Server((address, port), _Handler)
     for free in range(PORT, PORT + 100):
         with contextlib.suppress(OSError):
-            return server((address, free), cockpit)
-    return server((address, 0), cockpit)
+            return _Server((address, free), _Handler)
+    return _Server((address, 0), _Handler)

@@ -57,6 +57,17 @@ def forked(run, monkeypatch, rest):
     return forks.state(), (run.parent / "called").read_text().split()
 
 
+def test_a_fork_that_no_process_can_be_started_for_is_told_and_the_next_one_goes_on(run, monkeypatch):
+    forks = PageForks(run)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "executable", "/nowhere/python")
+        assert forks.start(4, (1.5, -2.0))
+    failure = "the fork cannot be started: No such file or directory; end other programs, and ask again"
+    assert (forks.state()["failure"], forks.is_running) == (failure, False)
+    state, _ = forked(run, monkeypatch, "exit 1")
+    assert state["failure"] == "10 s  stage 1"
+
+
 def test_a_fork_is_a_process_and_is_compared_with_its_run(run, monkeypatch):
     other = run.parent / "other.json"
     other.write_text(json.dumps(SUMMARY | {"sim_time_s": 90.0}))

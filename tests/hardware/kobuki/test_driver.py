@@ -1,6 +1,7 @@
 """The driver against an emulated base: it moves when it may, and stops whatever happens."""
 
 import contextlib
+import errno
 import itertools
 import math
 import os
@@ -13,8 +14,10 @@ import numpy as np
 import pytest
 
 from tfg_drake.hardware.device import BaseState, DeviceError
+from tfg_drake.hardware.kobuki import driver as module
 from tfg_drake.hardware.kobuki import payloads as p
-from tfg_drake.hardware.kobuki.driver import connect
+from tfg_drake.hardware.kobuki.driver import KobukiDriver, connect
+from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, Odometry
 
 STOP = p.BaseControl(0, 0)
@@ -344,6 +347,33 @@ def test_it_stops_without_its_guardian(emulator, driving, how, what):
     drive(driving, 0.2, 0.0, 0.8)
     assert_stops(emulator, begin)
     wait_for(lambda: f"in an emergency {what}; enable the base again" in (driving.locked or ""))
+
+
+def test_it_goes_on_where_no_guardian_could_be_started_for_a_while(emulator, monkeypatch):
+    driver, guardian, failures = KobukiDriver(emulator.device, Limits()), module.Guardian, 2
+
+    def poor(port):
+        nonlocal failures
+        if failures:
+            failures -= 1
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        return guardian(port)
+
+    def tell():
+        driver.spin(0.02)
+        driver.send(0.1, 0.0)
+        return driver.fault() or ""
+
+    monkeypatch.setattr(module, "Guardian", poor)
+    try:
+        os.kill(driver._guardian._process.pid, signal.SIGKILL)
+        lacks = "no process can be started to stop it in an emergency: Too many open files; end other programs"
+        wait_for(lambda: tell() == f"{emulator.device}: {lacks}")
+        assert emulator.commands[-1][1] == STOP
+        wait_for(lambda: not tell() and moves(emulator))
+        assert not failures
+    finally:
+        driver.close()
 
 
 def test_it_stops_at_the_end(emulator, driving):

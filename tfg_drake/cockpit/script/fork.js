@@ -79,42 +79,38 @@ function tellFork() {
   section.hidden = !forks.possible;
   if (section.hidden) return;
   const stage = stageToFork();
-  const parts = ["<h2>What if it had gone elsewhere</h2>"];
+  const parts = [made("h2", {}, "What if it had gone elsewhere")],
+    mark = made("i", { className: "fork" });
+  mark.style.background = colour("fork");
   if (state && state.running) {
-    parts.push(`<p><i class="fork"></i> forking stage ${state.stage}: <span class="said"></span></p>`);
+    parts.push(made("p", {}, mark, ` forking stage ${state.stage}: ${state.line}`));
   } else {
-    const where = picked ? `to (${picked.x.toFixed(1)}, ${picked.y.toFixed(1)})` : "";
-    parts.push(
-      stage
-        ? picked
-          ? `<button id="request-fork">Fork stage ${stage} ${where}</button>`
-          : `<p>Click another candidate of stage ${stage}, in the picture or in the table, to fork the run there.</p>`
-        : "<p>No goal is chosen at this time.</p>",
-    );
-    if (state && state.failure) parts.push('<p class="bad said"></p>');
+    if (stage && picked) {
+      const button = made(
+        "button",
+        { id: "request-fork" },
+        `Fork stage ${stage} to (${picked.x.toFixed(1)}, ${picked.y.toFixed(1)})`,
+      );
+      button.onclick = () => {
+        const [x, y] = inWorld(frameAt(time), picked.x, picked.y);
+        request("fork", { stage: picked.stage, x, y });
+      };
+      parts.push(button);
+    } else {
+      const click = `Click another candidate of stage ${stage}, in the picture or in the table, to fork the run there.`;
+      parts.push(made("p", {}, stage ? click : "No goal is chosen at this time."));
+    }
+    if (state && state.failure) parts.push(made("p", { className: "bad" }, state.failure));
     if (state && state.rows.length) {
       const [head, ...rows] = state.rows,
-        cells = (row, tag) => row.map((cell) => `<${tag}>${cell}</${tag}>`).join("");
-      parts.push(
-        `<p><i class="fork"></i> the fork of stage ${state.stage}</p><table><tr>${cells(head, "th")}</tr>` +
-          rows.map((row) => `<tr>${cells(row, "td").replaceAll("_", " ")}</tr>`).join("") +
-          '</table><p class="folder"></p>',
-      );
+        line = (row, tag) => made("tr", {}, ...row.map((cell) => made(tag, {}, cell.replaceAll("_", " ")))),
+        table = made("table", {}, line(head, "th"), ...rows.map((row) => line(row, "td")));
+      parts.push(made("p", {}, mark, ` the fork of stage ${state.stage}`), table);
+      parts.push(made("p", {}, state.folder));
     }
   }
-  section.innerHTML = parts.join("");
+  section.replaceChildren(...parts);
   section.className = picked || (state && state.number) ? "first" : ""; // What somebody does is in sight.
-  const said = section.querySelector(".said"),
-    folder = section.querySelector(".folder");
-  if (said) said.textContent = state.running ? state.line : state.failure;
-  if (folder) folder.textContent = state.folder;
-  for (const mark of section.querySelectorAll("i.fork")) mark.style.background = colour("fork");
-  const button = element("request-fork");
-  if (button)
-    button.onclick = () => {
-      const [x, y] = inWorld(frameAt(time), picked.x, picked.y);
-      request("fork", { stage: picked.stage, x, y });
-    };
 }
 
 /** Reads a fork's timeline as it grows. */

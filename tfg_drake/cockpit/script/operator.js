@@ -9,7 +9,8 @@ function notice(text) {
   element("notice").hidden = !text;
 }
 
-async function request(what, more = {}) {
+/** Asks for something; for a stop again and again, where the server is so busy that it hangs up. */
+async function request(what, more = {}, tries = what === "stop" ? 5 : 1) {
   try {
     const answer = await fetch("request", {
       method: "POST",
@@ -18,6 +19,7 @@ async function request(what, more = {}) {
     });
     notice(answer.ok ? "" : await answer.text());
   } catch {
+    if (tries > 1) return request(what, more, tries - 1);
     notice("The mission's program does not answer.");
   }
 }

@@ -79,8 +79,10 @@ function tell() {
   ]);
   figures.push(["stages a minute", number(time > 1 ? (60 * stage) / time : null, 1), "On average so far"]);
   if (live && speed !== null) figures.push(["speed", number(speed, 1, "×"), "Times real time"]);
-  const html = figures.map(([name, text, hint]) => `<span title="${hint}">${name}</span><b>${text}</b>`).join("");
-  if (html !== told) element("numbers").innerHTML = told = html;
+  if (told !== (told = figures.join()))
+    element("numbers").replaceChildren(
+      ...figures.flatMap(([name, text, hint]) => [made("span", { title: hint }, name), made("b", {}, `${text}`)]),
+    );
   tellChoice();
   if (forks.possible && stageTold !== (stageTold = stageToFork())) tellFork();
   tellEnd();
@@ -104,7 +106,7 @@ function tellChoice() {
   const world = timeline.at("world", Infinity),
     goal = timeline.at("goal", time),
     rule = goal && goal.told.sent ? "Somebody has sent the robot there." : (RULES[world && world.told.rule] ?? "");
-  const cell = (v) => `<td>${number(v, Math.abs(v) < 9.95 ? 1 : 0)}</td>`;
+  const cell = (v) => made("td", {}, number(v, Math.abs(v) < 9.95 ? 1 : 0));
   const head = [
     ["goal", ""],
     ["known", "What seeing mapped tags again is worth, nats: exploitation; the pose's price is off it"],
@@ -114,24 +116,19 @@ function tellChoice() {
     ["s", "Time to get there"],
     ["gain/s", "nats a second"],
   ];
-  element("choice").innerHTML =
-    "<h2>Why this goal</h2><table><tr>" +
-    head.map(([name, hint]) => `<th title="${hint}">${name}</th>`).join("") +
-    "</tr>" +
-    table
-      .map(
-        (row, i) =>
-          `<tr class="${row.chosen ? "chosen" : ""}" ${row.chosen || !forks.possible ? "" : `data-row="${i}"`}><td>${row.chosen ? "chosen" : `next ${i}`}</td>` +
-          cell(row.exploitation) +
-          cell(row.exploration) +
-          cell(row.pose_price) +
-          cell(row.gain) +
-          cell(row.time) +
-          cell(row.rate) +
-          "</tr>",
-      )
-      .join("") +
-    `</table><p>${rule}</p>`;
+  const rows = table.map((row, i) => {
+    const numbers = [row.exploitation, row.exploration, row.pose_price, row.gain, row.time, row.rate],
+      name = made("td", {}, row.chosen ? "chosen" : `next ${i}`),
+      line = made("tr", { className: row.chosen ? "chosen" : "" }, name, ...numbers.map(cell));
+    if (!row.chosen && forks.possible) line.dataset.row = i;
+    return line;
+  });
+  const names = made("tr", {}, ...head.map(([name, hint]) => made("th", { title: hint }, name)));
+  element("choice").replaceChildren(
+    made("h2", {}, "Why this goal"),
+    made("table", {}, names, ...rows),
+    made("p", {}, rule),
+  );
 }
 
 let cardClosed = false;
@@ -166,24 +163,13 @@ function tellEnd() {
     list.push(["floor", `${number(100 * end.area_coverage, 1)} % of what can be reached`]);
   if (end.contacts !== null) list.push(["contacts", `${end.contacts}`]);
   list.push(["folder", end.folder]);
-  card.replaceChildren();
-  const title = document.createElement("h2"),
-    names = document.createElement("dl"),
-    close = document.createElement("button");
-  title.textContent = `Mission ${end.outcome.replace("_", " ")}`;
-  for (const [name, text] of list) {
-    const dt = document.createElement("dt"),
-      dd = document.createElement("dd");
-    dt.textContent = name;
-    dd.textContent = text;
-    names.append(dt, dd);
-  }
-  close.textContent = "×";
-  close.title = "Close";
+  const title = made("h2", {}, `Mission ${end.outcome.replace("_", " ")}`),
+    names = made("dl", {}, ...list.flatMap(([name, text]) => [made("dt", {}, name), made("dd", {}, `${text}`)])),
+    close = made("button", { title: "Close" }, "×");
   close.onclick = () => {
     cardClosed = true;
     card.hidden = true;
   };
-  card.append(title, names, close);
+  card.replaceChildren(title, names, close);
   card.hidden = false;
 }

@@ -31,10 +31,9 @@ const PLOTS = [
   ],
 ];
 for (const [title] of PLOTS) {
-  const box = document.createElement("div");
-  box.className = "plot";
-  box.innerHTML = `<canvas></canvas><span>${title}</span><b></b>`;
-  element("plots").append(box);
+  element("plots").append(
+    made("div", { className: "plot" }, made("canvas"), made("span", {}, title), made("b")),
+  );
 }
 
 function drawPlots() {

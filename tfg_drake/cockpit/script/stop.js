@@ -4,6 +4,13 @@
 
 const element = (id) => document.getElementById(id);
 
+/** A new element. Words in it are text, whatever they hold: what a run's files say is never read as HTML. */
+function made(tag, properties, ...content) {
+  const node = Object.assign(document.createElement(tag), properties);
+  node.append(...content);
+  return node;
+}
+
 // Before anything that may fail: a page that cannot draw stops the robot all the same.
 element("stop").hidden = !(SOURCE && SOURCE.controls);
 element("stop").onclick = () => request("stop");
