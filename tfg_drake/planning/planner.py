@@ -28,6 +28,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
+from tfg_drake.mission.sequence import MAX_FAILURES
 from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
@@ -137,10 +138,10 @@ def step(
     if len(state.obstacles) and scan.stamp > state.look_stamp:
         state = _look(state, estimate, pose, scan)
     if working.stage > state.nodes.stage:
-        in_vain = mission.failures >= BOLD_AFTER
-        if in_vain:
+        if mission.failures >= BOLD_AFTER:
             state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        return grow(state, working, parameters, in_vain=in_vain)
+        # Before the mission ends: somebody who stood in a way driven has had time to go.
+        return grow(state, working, parameters, in_vain=mission.failures + 1 >= MAX_FAILURES)
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
     in_the_way = mission.replans > 0 and _may_go(state, estimate, tfg)
     pause = ASK_AGAIN if math.isfinite(state.waiting_since) else BREATH * in_the_way
