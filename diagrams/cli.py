@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import json
+import locale
 import math
 import os
+import resource
 import shlex
 import shutil
 import signal
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,22 +22,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tfg_drake import __version__, kernels
+from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
+from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.command_line import (
-    BadInput,
     compiling_beside,
     complaining,
+    interruption,
     wait_for_enter,
     wait_for_kernels,
 )
-from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.kobuki import kobuki_app
 from tfg_drake.diagrams.commands.map import map_app
 from tfg_drake.diagrams.commands.ros import ros2_app
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.missions import run_folder
+from tfg_drake.mission.interruption import NAMES
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.methods import Method
@@ -46,8 +50,10 @@ if TYPE_CHECKING:
 LEAST_SPACING = 0.05
 EXIT_CODES = {"complete": 0, "budget": 0, "battery": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
 
-# Set by Ctrl-C.
-_interrupted = threading.Event()
+# Commands that a signal ends with all that they have written; others it ends at once.
+WRITING = ("explore", "compare", "fork", "slam", "figures")
+# Address space that a command needs at least, bytes: its libraries take two thirds of it.
+LEAST_MEMORY = 2**30
 
 # What the parser raises for a command line it cannot read; typer has no name of its own for it.
 _UsageError: Any = typer.BadParameter.__base__
@@ -97,6 +103,8 @@ def _commands(
     if context.invoked_subcommand is None:
         print(context.get_help(), file=sys.stderr)
         raise typer.Exit(2)
+    if context.invoked_subcommand in WRITING:
+        interruption.first, interruption.again = _tell_interruption, _leave
 
 
 @app.command()
@@ -165,7 +173,7 @@ def explore(
         if need == kernels.MISSION and not headless:
             compilation = stack.enter_context(compiling_beside(need))
         elif need == kernels.MISSION or _places_tags(world, tag_spacing, start):
-            wait_for_kernels(show, _interrupted, need)
+            wait_for_kernels(show, need)
         loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
         if robot != "sim" and replayed is None:
             explore_command.link(loaded.hardware, robot, links)
@@ -179,7 +187,7 @@ def explore(
             cockpit = page_stack.enter_context(open_page(name, host, page_port, rate=rate))
             show = explore_command.also_on_page(show, cockpit)
         if compilation is not None:
-            explore_command.wait_for_beginning(compilation, show, _interrupted)
+            explore_command.wait_for_beginning(compilation, show, interruption)
         explorer = _find_method(method, loaded)
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, robot, cockpit))
@@ -187,12 +195,12 @@ def explore(
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
         if compilation is None:
-            wait_for_kernels(show, _interrupted, need)
+            wait_for_kernels(show, need)
 
         from tfg_drake.diagrams.missions import run
 
         stack.enter_context(explore_command.remarks_on_screen())
-        opened = explore_command.open_robot(robot, loaded, explorer, _interrupted, _interrupt)
+        opened = explore_command.open_robot(robot, loaded, explorer, interruption)
         driven, loaded = stack.enter_context(opened)
         with complaining(out):
             result = run.explore(
@@ -206,7 +214,7 @@ def explore(
                 max_time=max_time,
                 out_dir=out,
                 on_progress=lambda progress: show(explore_command.progress_line(progress)),
-                interrupted=_interrupted,
+                interrupted=interruption,
                 kernels=compilation,
             )
         stack.close()
@@ -293,14 +301,14 @@ def compare(
     with Screen() as show:
         show("loading")
         if _places_tags(world, tag_spacing, start):
-            wait_for_kernels(show, _interrupted)
+            wait_for_kernels(show)
 
         from tfg_drake.diagrams.commands import compare as compare_command
         from tfg_drake.diagrams.missions import comparison_report
-        from tfg_drake.diagrams.missions.sweep import SweepError, Task, parse_methods
+        from tfg_drake.diagrams.missions.sweep import Task, parse_methods
 
         name = explore_command.run_name(scenario, world)
-        with complaining(out, SweepError):
+        with complaining(out):
             place = _parse_start(start)
             of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
             sources = parse_methods(methods, of_seed[0])
@@ -313,18 +321,18 @@ def compare(
             if out is not None:
                 _make_writable(out)
             folder = run_folder.make_run_folder(out, f"compare-{name}")
-            wait_for_kernels(show, _interrupted)
+            wait_for_kernels(show)
             given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", methods)]
             given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
             command = _command_line(["compare", scenario], given)
             with run_folder.claimed(folder):
-                runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, _interrupted, show)
+                runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, interruption, show)
                 show("drawing and writing the comparison")
                 comparison_report.write_comparison(runs, tasks, folder, command)
     for line in compare_command.closing_lines(runs, names):
         print(line)
     print(f"report: {folder / 'report.html'}")
-    if _interrupted.is_set():
+    if interruption.is_set():
         raise typer.Exit(EXIT_CODES["interrupted"])
     raise typer.Exit(EXIT_CODES["fault"] if any(not run.counts for run in runs) else 0)
 
@@ -358,15 +366,14 @@ def fork(
     _make_ready(out)
     with Screen() as show:
         show("loading")
-        wait_for_kernels(show, _interrupted)
+        wait_for_kernels(show)
 
         from tfg_drake.diagrams.commands import fork as fork_command
         from tfg_drake.diagrams.methods import METHODS
         from tfg_drake.diagrams.missions import fork as forks
         from tfg_drake.diagrams.missions.run import explore as explore_mission
-        from tfg_drake.storage.run import RunError
 
-        with complaining(out, forks.ForkError, RunError):
+        with complaining(out):
             before, loaded = forks.forkable(run, stage)
             if out is not None and out.resolve() == run.resolve():
                 _bad_input(f"--out {out}: holds the run that is forked; name another folder")
@@ -381,7 +388,7 @@ def fork(
                 max_time=summary["sim_time_s"] if limited else 3600.0,
                 out_dir=out,
                 on_progress=lambda progress: show(explore_command.progress_line(progress)),
-                interrupted=_interrupted,
+                interrupted=interruption,
                 fork=change,
             )
             if change.failure is not None:
@@ -437,14 +444,13 @@ def slam(
     with Screen() as show:
         show("loading")
         if dataset.exists():
-            wait_for_kernels(show, _interrupted)
+            wait_for_kernels(show)
 
         from tfg_drake.datasets.load import load_dataset
-        from tfg_drake.datasets.recording import DatasetError
         from tfg_drake.diagrams.commands import slam as slam_command
 
-        progress = slam_command.Progress(show, _interrupted)
-        with complaining(out, DatasetError):
+        progress = slam_command.Progress(show, interruption)
+        with complaining(out):
             load: Callable[[Path], Any]
             if calibration is not None and tag_size is not None:
                 load = video_loader(calibration, tag_size, mount, odometry, progress.say)
@@ -468,65 +474,108 @@ def figures(
     _make_writable(out)
     with Screen() as show:
         show("loading")
-        wait_for_kernels(show, _interrupted)
+        wait_for_kernels(show)
 
         from tfg_drake.diagrams.missions.figures import write_figures, write_tables
-        from tfg_drake.diagrams.missions.sweep import SweepError
 
         def on_stage(stage: int, time: float) -> bool:
             show(f"the mission to draw: stage {stage}, {time:.0f} s")
-            return _interrupted.is_set()
+            return interruption.is_set()
 
-        with complaining(out, SweepError), run_folder.claimed(out):
+        with complaining(out), run_folder.claimed(out):
             files = write_figures(out, on_stage)
-            if not _interrupted.is_set():
-                files.append(write_tables(out, _interrupted, show))
+            if not interruption.is_set():
+                files.append(write_tables(out, interruption, show))
     for file in files:
         print(file)
-    if _interrupted.is_set():
+    if interruption.is_set():
         raise typer.Exit(EXIT_CODES["interrupted"])
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
-    _interrupted.clear()
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, _interrupt)
+    interruption.clear()
+    interruption.first = interruption.again = signal.default_int_handler
     try:
-        code = app(arguments, prog_name="tfg-drake", standalone_mode=False)
+        with interruption.heard():
+            _check_environment()
+            code = app(arguments, prog_name="tfg-drake", standalone_mode=False)
     except BadInput as error:
-        print(f"tfg-drake: {_one_line(str(error))}", file=sys.stderr)
-        code = 2
+        code = _complain(str(error))
     except _UsageError as error:
         complaint = _one_line(error.format_message()).rstrip(".")
         command = error.ctx.command_path if error.ctx is not None else "tfg-drake"
-        print(f"tfg-drake: {complaint[:1].lower()}{complaint[1:]}; see {command} --help", file=sys.stderr)
-        code = 2
+        code = _complain(f"{complaint[:1].lower()}{complaint[1:]}; see {command} --help")
+    except (KeyboardInterrupt, typer.Abort):
+        code = EXIT_CODES["interrupted"]
     except BrokenPipeError:
         # Whoever read our output has gone; nothing is left to say, at exit either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
+    except OSError as error:
+        # What the machine refuses: a folder that is gone, one process or file too many.
+        where = "" if error.filename is None else f"{error.filename}: "
+        code = _complain(f"{where}{(error.strerror or str(error)).lower()}")
     except Exception as error:
+        if isinstance(error, MemoryError) or "start new thread" in str(error):
+            sys.exit(_complain("no memory or thread is left; end other programs, or raise the limits (ulimit -v, -u)"))
         # A mistake of ours outside the simulation, whose own end with outcome "fault".
         last = traceback.extract_tb(error.__traceback__)[-1]
         place = f"{Path(last.filename).name}, line {last.lineno}"
-        print(f"tfg-drake: internal error: {type(error).__name__}: {_one_line(str(error))} ({place})", file=sys.stderr)
+        _complain(f"internal error: {type(error).__name__}: {error} ({place})")
         code = 3
+    if code == EXIT_CODES["interrupted"] and interruption.is_set():
+        code = 128 + interruption.number
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _interrupt(_signal: int, _frame: object) -> None:
-    """Ctrl-C is only noted, so that it may come at any time, during imports too; the mission ends when it sees that.
+def _check_environment() -> None:
+    """Makes up for what the program was started without, if it can; else raises BadInput."""
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass  # A file that is opened must not be taken for a standard stream.
+    os.close(descriptor)
+    sys.stdin = sys.stdin or os.fdopen(0, encoding="utf-8")
+    sys.stdout = sys.stdout or os.fdopen(1, "w", encoding="utf-8")
+    sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+    # Drake reads its own files as the locale says, and they are UTF-8; other processes are told by PYTHONUTF8.
+    if "utf" not in locale.getencoding().lower():
+        os.environ["PYTHONUTF8"] = "1"
+        with contextlib.suppress(locale.Error):
+            locale.setlocale(locale.LC_CTYPE, "C.UTF-8")
+    try:
+        os.getcwd()
+    except OSError as error:
+        _bad_input(f"the working directory: {(error.strerror or str(error)).lower()}; change to another")
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < LEAST_MEMORY:
+        _bad_input(f"ulimit -v: {limit / 1e6:.0f} MB of address space; raise it to {LEAST_MEMORY / 1e6:.0f} or more")
 
-    The second one leaves at once: an exception might be lost in a callback or end in a traceback.
-    """
-    if _interrupted.is_set():
-        if keyboard := sys.modules.get("tfg_drake.hardware.keyboard"):
-            keyboard.restore_terminals()
-        os.write(2, b"\ntfg-drake: interrupted; nothing more is written\n")
-        os._exit(EXIT_CODES["interrupted"])
-    _interrupted.set()
-    os.write(2, b"\ntfg-drake: stopping; Ctrl-C again leaves at once\n")
+
+def _complain(line: str) -> int:
+    """Says what is wrong; the exit code of bad input."""
+    print(f"tfg-drake: {_one_line(line)}", file=sys.stderr)
+    return 2
+
+
+def _tell_interruption(number: int, _frame: Any) -> None:
+    """A signal is only noted, so that it may come at any time, during imports too; the mission ends when it sees
+    that."""
+    _tell_at_once(f"stopping; {NAMES[signal.Signals(number)]} again leaves at once")
+
+
+def _leave(number: int, _frame: Any) -> None:
+    """The second one leaves at once: an exception might be lost in a callback or end in a traceback."""
+    if keyboard := sys.modules.get("tfg_drake.hardware.keyboard"):
+        keyboard.restore_terminals()
+    _tell_at_once("interrupted; nothing more is written")
+    os._exit(128 + number)
+
+
+def _tell_at_once(line: str) -> None:
+    with contextlib.suppress(OSError):  # The terminal may be gone.
+        os.write(2, f"\ntfg-drake: {line}\n".encode())
 
 
 def _one_line(message: str) -> str:
@@ -612,16 +661,13 @@ def _load(
     seed: int | None,
     settings: list[str],
 ) -> Scenario:
-    from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario, ScenarioError
+    from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario
 
-    try:
-        scenario = ApplySettings(LoadScenario(name), settings)
-        if seed is not None:
-            scenario.seed = seed
-        if world is not None or tag_spacing is not None or start is not None:
-            scenario = ApplyWorldFile(scenario, world, tag_spacing, start)
-    except ScenarioError as error:
-        _bad_input(str(error))
+    scenario = ApplySettings(LoadScenario(name), settings)
+    if seed is not None:
+        scenario.seed = seed
+    if world is not None or tag_spacing is not None or start is not None:
+        scenario = ApplyWorldFile(scenario, world, tag_spacing, start)
     return scenario
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_load_typed
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.config import (
     EYES,
     GAINS,
@@ -45,7 +46,7 @@ from tfg_drake.world.changing import successive
 from tfg_drake.world.world import World, WorldError, check_world
 
 
-class ScenarioError(ValueError):
+class ScenarioError(BadInput, ValueError):
     """A scenario that cannot be used; the message is one line: file, place, what is wrong, how to mend it."""
 
 

@@ -20,6 +20,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.hardware.announcements import Announcements
 from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.hardware.watchdog import Limits
@@ -69,7 +70,7 @@ REMEMBERED = 500
 _NO_ANSWER = "the robot's process does not answer"
 
 
-class DeviceError(RuntimeError):
+class DeviceError(BadInput, RuntimeError):
     """The robot cannot be used; the message is one line: what is wrong and how to mend it."""
 
 

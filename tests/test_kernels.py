@@ -3,8 +3,10 @@
 import contextlib
 import importlib.util
 import os
+import pwd
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numba
@@ -159,6 +161,24 @@ def test_where_the_package_cannot_be_written_the_users_cache_is_used(tmp_path, m
     monkeypatch.setattr(os, "access", lambda _path, _mode: False)
     kernels.choose_folder()
     assert kernels.folder() == tmp_path / "cache" / "tfg_drake"
+
+
+@pytest.mark.parametrize("lost", [{"HOME"}, {"HOME", "XDG_CACHE_HOME"}])
+def test_without_a_home_a_temporary_folder_is_used(tmp_path, monkeypatch, lost):
+    """As for a user id that no file of passwords knows: os.path.expanduser leaves the ~ where it is."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for name in lost:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", {}.__getitem__)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "access", lambda _path, _mode: False)
+    kernels.choose_folder()
+    own = tmp_path / f"tfg_drake-{os.getuid()}"
+    assert kernels.folder() == (own if "XDG_CACHE_HOME" in lost else tmp_path / "cache" / "tfg_drake")
+    assert not (tmp_path / "~").exists()
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):

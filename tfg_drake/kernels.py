@@ -129,9 +129,10 @@ def choose_folder() -> None:
     given = os.environ.get("NUMBA_CACHE_DIR")
     if not given and os.access(PACKAGE, os.W_OK):
         return
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tfg_drake"
+    # Without a home this is no absolute path, and one of a folder that happens to be here would be a surprise.
+    cache = Path(os.path.expanduser(os.environ.get("XDG_CACHE_HOME") or "~/.cache")) / "tfg_drake"
     own = Path(tempfile.gettempdir()) / f"tfg_drake-{os.getuid()}"
-    for tried in [Path(given)] if given else [cache, own]:
+    for tried in [Path(given)] if given else [cache, own] if cache.is_absolute() else [own]:
         with contextlib.suppress(OSError):
             tried.mkdir(mode=0o700, parents=True, exist_ok=True)
             # What is in it is run: in a folder for everybody's files it must be nobody else's.
@@ -140,7 +141,7 @@ def choose_folder() -> None:
             with tempfile.TemporaryFile(dir=tried):
                 os.environ["NUMBA_CACHE_DIR"] = str(tried)
                 return
-    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), given or str(cache))
+    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), given or str(own))
 
 
 def folder() -> Path:
@@ -255,6 +256,7 @@ class Compilation:
         first look are there, one afterwards. Without it there are two to the end.
 
         Raises:
+            ChildProcessError: no process can be started.
             OSError: the cache cannot be written.
         """
         drop_stale()
@@ -305,9 +307,15 @@ class Compilation:
 
 
 def _start(board: Path, last: int, most: float) -> subprocess.Popen[bytes]:
-    """A process that compiles those of the table's first `last` kernels that nobody else does. Ctrl-C passes it by."""
-    nothing = subprocess.DEVNULL
-    return subprocess.Popen(_command(board, last, most), stdin=nothing, stdout=nothing, stderr=nothing, process_group=0)
+    """A process that compiles those of the table's first `last` kernels that nobody else does. Ctrl-C passes it by.
+
+    Raises ChildProcessError where it cannot be started.
+    """
+    nothing, command = subprocess.DEVNULL, _command(board, last, most)
+    try:
+        return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, process_group=0)
+    except OSError as error:
+        raise ChildProcessError(error.errno, error.strerror, command[0]) from error
 
 
 def _command(board: Path, last: int, most: float) -> list[str]:

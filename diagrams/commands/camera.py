@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import math
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,7 +20,6 @@ from tfg_drake.diagrams.commands.command_line import bad_input, writing
 if TYPE_CHECKING:
     from tfg_drake.datasets.recording import Recording
     from tfg_drake.messages import FloatArray, TagDetections
-    from tfg_drake.vision.frames import Frame
     from tfg_drake.vision.image import Image
     from tfg_drake.vision.mount import CameraMount
 
@@ -68,6 +67,7 @@ def check(
     _need_packages()
     from tfg_drake.vision.annotated import annotated
     from tfg_drake.vision.calibration import CalibrationError, load_calibration
+    from tfg_drake.vision.frames import frames as all_frames
     from tfg_drake.vision.frames import is_live
     from tfg_drake.vision.sighting import TagSizes, sighted
     from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
@@ -86,7 +86,7 @@ def check(
     told: set[str] = set()
     live, count, seen, spent, begin, drawn = is_live(source), 0, 0, 0.0, time.monotonic(), -math.inf
     try:
-        for frame in _frames(source, frames):
+        for frame in itertools.islice(all_frames(source), frames):
             started = time.perf_counter()
             tags = detector.detect(frame.image)
             sighting = sighted(tags, frame.stamp, known, TagSizes(tag_size), where, least_margin=margin)
@@ -154,7 +154,7 @@ def video_loader(
     calibration: Path, tag_size: float, mount: str, odometry: Path | None, show: Callable[[str], object]
 ) -> Callable[[Path], Recording]:
     """What reads a video or a folder of images as a recording, for `tfg-drake slam`; the options are as given there."""
-    _need_packages(interrupts=False)
+    _need_packages()
     from tfg_drake.datasets.video import load_video
     from tfg_drake.vision.calibration import CalibrationError, load_calibration
 
@@ -177,39 +177,25 @@ def _row(detections: TagDetections) -> str:
     return "; ".join(tags) or "no tag"
 
 
-def _need_packages(*, interrupts: bool = True) -> None:
-    """Ends the command where they are not there; with interrupts Ctrl-C raises KeyboardInterrupt from now on."""
+def _need_packages() -> None:
+    """Ends the command where they are not there."""
     # OpenCV would tell in many lines what is told in one.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
-    if interrupts:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _frames(source: str, most: int | None = None) -> Iterator[Frame]:
-    from tfg_drake.vision.frames import FrameError, frames
-
-    try:
-        for number, frame in enumerate(frames(source)):
-            if most is not None and number >= most:
-                return
-            yield frame
-    except FrameError as error:
-        bad_input(str(error))
 
 
 def _views(source: str, columns: int, rows: int) -> tuple[list[FloatArray], tuple[int, int]]:
     """The corners of the board in each view that shows it anew, and the size of the images, pixels."""
     from tfg_drake.vision.chessboard import MOST_VIEWS, board_corners, is_new_view
-    from tfg_drake.vision.frames import is_live
+    from tfg_drake.vision.frames import frames, is_live
 
     views: list[FloatArray] = []
     size, looked, live = (0, 0), -math.inf, is_live(source)
     try:
-        for frame in _frames(source):
+        for frame in frames(source):
             if live and time.monotonic() - looked < LIVE_EVERY:
                 continue
             looked = time.monotonic()

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import NoReturn
 
 from tfg_drake import kernels
+from tfg_drake.bad_input import BadInput
+from tfg_drake.mission.interruption import Interruption
 
-
-class BadInput(Exception):
-    """What the user gave cannot be used; the message is one line that names the culprit and the mend."""
+# The signals that end a command.
+interruption = Interruption()
 
 
 def bad_input(message: str) -> NoReturn:
@@ -25,13 +26,11 @@ def bad_input(message: str) -> NoReturn:
 
 
 @contextlib.contextmanager
-def complaining(out: Path | None, *errors: type[Exception]) -> Iterator[None]:
-    """While a run is made whose files go to a folder, None for one in `runs`. Raises BadInput for these errors, which
-    say in one line what is wrong, and where a file cannot be written."""
+def complaining(out: Path | None) -> Iterator[None]:
+    """While a run is made whose files go to a folder, None for one in `runs`. Raises BadInput where a file cannot be
+    written."""
     try:
         yield
-    except errors as error:
-        bad_input(str(error))
     except OSError as error:
         bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
 
@@ -46,8 +45,10 @@ def writing(named: object) -> Iterator[None]:
 
 
 def wait_for_enter() -> None:
-    """Until the user presses Enter or Ctrl-C; without a keyboard, until Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Until the user presses Enter or Ctrl-C; without a keyboard, until Ctrl-C. Not where a signal has told to end."""
+    if interruption.is_set() and interruption.number != signal.SIGINT:
+        return
+    interruption.first = interruption.again = signal.default_int_handler
     try:
         if sys.stdin.isatty():
             input("The scene stays open; press Enter to close it. ")
@@ -69,6 +70,8 @@ def compile_kernels(need: int, most: float) -> kernels.Compilation | None:
             return None
         print(f"compiling kernels, for a minute or so; from now on they are in {kernels.folder()}", flush=True)
         return kernels.Compilation(need, most)
+    except ChildProcessError as error:
+        bad_input(f"{error.filename}: cannot be started to compile kernels: {(error.strerror or str(error)).lower()}")
     except OSError as error:
         given = "NUMBA_CACHE_DIR=" if os.environ.get("NUMBA_CACHE_DIR") else ""
         bad_input(f"{given}{error.filename}: cannot be written; name a folder that can be in NUMBA_CACHE_DIR")
@@ -82,12 +85,12 @@ def compiling_beside(need: int) -> Iterator[kernels.Compilation | None]:
         yield compilation
 
 
-def wait_for_kernels(show: Callable[[str], object], interrupted: threading.Event, need: int = kernels.OTHER) -> None:
+def wait_for_kernels(show: Callable[[str], object], need: int = kernels.OTHER) -> None:
     """Until all is compiled that something needs, or somebody interrupts it."""
     compilation = compile_kernels(need, kernels.ALONE)
     if compilation is None:
         return
     with contextlib.closing(compilation):
-        while not (compilation.ended or interrupted.is_set()):
+        while not (compilation.ended or interruption.is_set()):
             show(compilation.word)
             time.sleep(0.1)

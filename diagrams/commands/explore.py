@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import signal
 import sys
 import threading
 import time
@@ -109,12 +108,9 @@ def open_robot(
     scenario: Scenario,
     method: Method,
     interrupted: threading.Event,
-    on_signal: Callable[[int, Any], None],
 ) -> Iterator[tuple[Robot, Scenario]]:
-    """The robot to drive, and the scenario within its limits; raises BadInput where there is none.
-
-    A real robot is left safe by SIGTERM and SIGHUP, too: on_signal handles them. A rehearsal ends when interrupted.
-    """
+    """The robot to drive, and the scenario within its limits; raises BadInput where there is none. A rehearsal ends
+    when interrupted."""
     from tfg_drake.diagrams.robots import SIMULATED
 
     if name == "sim":
@@ -122,32 +118,22 @@ def open_robot(
         return
 
     from tfg_drake.diagrams.real_robot import OpenRobot, Rehearse
-    from tfg_drake.hardware.device import DeviceError
     from tfg_drake.hardware.keyboard import HELP
 
     if name.startswith("replay:"):
         from tfg_drake.diagrams.replay_station import ReplayRobot
         from tfg_drake.diagrams.scenario import LoadScenario
-        from tfg_drake.storage.port_recording import RecordingError, read_recording
+        from tfg_drake.storage.port_recording import read_recording
 
         folder = Path(name.removeprefix("replay:"))
-        try:
-            robot = ReplayRobot(read_recording(folder))
-        except RecordingError as error:
-            bad_input(f"--robot replay: {error}")
+        robot = ReplayRobot(read_recording(folder))
         of_run = folder / "scenario.yaml"
         if robot.world_known and scenario.world != LoadScenario(of_run).world:
             bad_input(f"--robot {name}: that run's world is another; leave the scenario out, or base it on {of_run}")
         yield robot, scenario
         return
-    with contextlib.ExitStack() as stack:
-        try:
-            opened = stack.enter_context(OpenRobot(scenario))
-        except DeviceError as error:
-            bad_input(str(error))
+    with OpenRobot(scenario) as opened:
         print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
-        for number in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: what is known is written
-            signal.signal(number, on_signal)
         Rehearse(scenario, method, interrupted)
         print(HELP, flush=True)
         yield opened

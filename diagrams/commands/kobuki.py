@@ -17,7 +17,6 @@ import typer
 from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
-    from tfg_drake.diagrams.scenario import Scenario
     from tfg_drake.hardware.device import BaseState, Device
     from tfg_drake.hardware.emulation.emulator import Emulator
     from tfg_drake.messages import Hazards, Odometry
@@ -42,21 +41,14 @@ def check(
     drive: Annotated[bool, typer.Option("--drive", help="Drive 20 cm ahead; make room for it.")] = False,
 ) -> None:
     """Say how a base is: its versions, battery and sensors."""
-    from tfg_drake.hardware.device import DeviceError
     from tfg_drake.hardware.kobuki.driver import connect
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with connect(port) as device:
-            _, hazards, state = _newest(device)
-            for name, value in report_rows(state, hazards):
-                print(f"{name:<12}{value}", flush=True)
-            if drive:
-                print(f"{'drive':<12}{_drive_ahead(device)}")
-    except DeviceError as error:
-        bad_input(str(error))
-    except KeyboardInterrupt:
-        raise typer.Exit(130) from None
+    with connect(port) as device:
+        _, hazards, state = _newest(device)
+        for name, value in report_rows(state, hazards):
+            print(f"{name:<12}{value}", flush=True)
+        if drive:
+            print(f"{'drive':<12}{_drive_ahead(device)}")
 
 
 def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
@@ -133,8 +125,6 @@ def emulate(
     """
     from tfg_drake.hardware.emulation.emulator_orders import order
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
     # In the background of a terminal its input ends, or the whole program would be stopped.
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     with contextlib.suppress(KeyboardInterrupt), _emulator(world) as emulator, contextlib.ExitStack() as stack:
@@ -189,20 +179,13 @@ def _emulator(world: str) -> Emulator:
 
     if world == "none":
         return Emulator()
-    scenario = _scenario(world)
+    from tfg_drake.diagrams.scenario import LoadScenario
+
+    scenario = LoadScenario(world)
     return Emulator(_world(world), scenario.robot, scenario.tags, scenario.scan, scenario.seed)
 
 
 def _world(name: str) -> World:
-    from tfg_drake.diagrams.scenario import MakeWorld
+    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 
-    return MakeWorld(_scenario(name).world)
-
-
-def _scenario(name: str) -> Scenario:
-    from tfg_drake.diagrams.scenario import LoadScenario, ScenarioError
-
-    try:
-        return LoadScenario(name)
-    except ScenarioError as error:
-        bad_input(str(error))
+    return MakeWorld(LoadScenario(name).world)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,13 +9,19 @@ import typer
 
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, wait_for_kernels, writing
 from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.storage.files import of_run
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
 
 SUFFIXES = (".g2o", ".csv", ".png", ".pdf", ".html")
 
-MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map file, such as a run's map.npz.")]
+
+def _map_file(path: Path) -> Path:
+    return of_run(path, "map.npz")
+
+
+MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map or the folder of a run.", callback=_map_file)]
 
 map_app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -83,27 +88,18 @@ def _load(path: Path) -> SavedMap:
     with Screen() as show:
         show(f"reading {path}")
         if path.is_file():
-            wait_for_kernels(show, threading.Event())
-        return _read(path)
+            wait_for_kernels(show)
 
+        from tfg_drake.mapfile.saved_map import load_map
 
-def _read(path: Path) -> SavedMap:
-    from tfg_drake.mapfile.saved_map import MapFileError, load_map
-
-    try:
         return load_map(path)
-    except MapFileError as error:
-        bad_input(str(error))
 
 
 def _page(saved: SavedMap, path: Path) -> str:
     from tfg_drake.mapfile.summary import map_rows
-    from tfg_drake.mapfile.viewer import ViewerMissing, scene_page
+    from tfg_drake.mapfile.viewer import scene_page
 
     rows = dict(map_rows(saved, path.stat().st_size))
     figures = [("turns and glances", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
     figures += [(name, rows[name]) for name in ("free space", "frontiers")]
-    try:
-        return scene_page(saved, path.name, figures)
-    except ViewerMissing as error:
-        bad_input(str(error))
+    return scene_page(saved, path.name, figures)

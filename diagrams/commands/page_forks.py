@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -13,16 +12,17 @@ from typing import Any
 
 from tfg_drake.diagrams.commands.fork import difference_rows
 from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.storage.files import FileError, read_object
 from tfg_drake.storage.timeline import FILE_NAME
 
 
 def can_fork(run: Path) -> bool:
     """Whether a folder holds a simulated run whose goals were chosen from candidates."""
     try:
-        summary = json.loads((run / "summary.json").read_bytes())
+        summary = read_object(run / "summary.json")
         method = METHODS.get(summary["method"])
         return summary["contacts"] is not None and method is not None and method.has_candidates
-    except (OSError, ValueError, KeyError, TypeError):
+    except (FileError, KeyError, TypeError):
         return False
 
 
@@ -92,7 +92,7 @@ class PageForks:
         """End what is under way; what there is of it stays."""
         process = self._process
         if process is not None:
-            process.terminate()
+            process.kill()
             process.wait()
 
     def _follow(self, process: subprocess.Popen[str]) -> None:
@@ -103,9 +103,9 @@ class PageForks:
         process.wait()
         with self._lock:
             try:
-                before, after = (json.loads((one / "summary.json").read_bytes()) for one in (self._run, self._folder))
+                before, after = (read_object(one / "summary.json") for one in (self._run, self._folder))
                 self._rows = list(difference_rows(before, after))
-            except (OSError, ValueError):
+            except FileError:
                 self._failure = self._line.removeprefix("tfg-drake: ")
                 shutil.rmtree(self._folder, ignore_errors=True)  # Nothing of it is of use.
             self._process = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import signal
 import sys
 import threading
 from typing import TYPE_CHECKING, Annotated
@@ -37,12 +36,10 @@ def emulate(
     Its preset is `emulated`: tags come as plain detections, because apriltag_msgs is not in every ROS. It keeps to this
     machine, because a real robot in the network would obey what is meant for it.
     """
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     if seed is not None and seed < 0:
         bad_input(f"--seed {seed}: must be 0 or more")
 
-    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, ScenarioError
-    from tfg_drake.hardware.device import DeviceError
+    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
     from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
     from tfg_drake.hardware.emulation.ros2_emulator import Ros2Emulator
     from tfg_drake.hardware.ros.preset import load_preset
@@ -50,25 +47,21 @@ def emulate(
     preset = load_preset("emulated")
     if network:
         preset = dataclasses.replace(preset, discovery="subnet")
-    try:
-        loaded = LoadScenario(scenario)
-        robot = EmulatedTurtlebot(
-            MakeWorld(loaded.world),
-            preset,
-            loaded.tags,
-            loaded.scan,
-            loaded.odometry,
-            loaded.seed if seed is None else seed,
-        )
-        emulator = Ros2Emulator(robot, preset)
-    except (ScenarioError, DeviceError) as error:
-        bad_input(str(error))
+    loaded = LoadScenario(scenario)
+    robot = EmulatedTurtlebot(
+        MakeWorld(loaded.world),
+        preset,
+        loaded.tags,
+        loaded.scan,
+        loaded.odometry,
+        loaded.seed if seed is None else seed,
+    )
+    emulator = Ros2Emulator(robot, preset)
     with contextlib.suppress(KeyboardInterrupt):
         for topic in emulator.topics:
             print(f"{topic.name:<14}{topic.type}", flush=True)
         threading.Thread(target=_report, args=(robot,), daemon=True).start()
         emulator.run(lambda: True)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     emulator.close()
     print(json.dumps(robot.truth()), flush=True)
 

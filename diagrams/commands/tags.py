@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,7 +78,7 @@ def advise(
         bad_input(f"--count {count}: must be 1 or more")
     with Screen() as show:
         show("loading")
-        wait_for_kernels(show, threading.Event())
+        wait_for_kernels(show)
         scenario, floor = _of_run(run) if run is not None else _of_file(world, start, fresh)
         if world is not None and out.exists() and world.exists() and out.samefile(world):
             bad_input(f"--out {out}: is the world that is read; name another file")
@@ -103,16 +102,13 @@ def _of_file(
     world: Path | None, start: str | None, fresh: bool
 ) -> tuple[Scenario, Callable[[FloatArray], BoolArray] | None]:
     """The scenario in a world's file; of a map the shipped one with its walls."""
-    from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario, ScenarioError
+    from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 
     try:
         place = None if start is None else [float(part) for part in start.split(",")]
     except ValueError:
         bad_input(f"--start {start}: must be X,Y,YAW in metres and radians, such as 1.5,2,0")
-    try:
-        scenario = ApplyWorldFile(LoadScenario("paper"), world, None, place)
-    except ScenarioError as error:
-        bad_input(str(error))
+    scenario = ApplyWorldFile(LoadScenario("paper"), world, None, place)
     if fresh:
         scenario.world.tags = []
     return scenario, None
@@ -122,16 +118,13 @@ def _of_run(folder: Path) -> tuple[Scenario, Callable[[FloatArray], BoolArray]]:
     """The scenario of a mission with the world as the robot mapped it, and what of it is floor."""
     import numpy as np
 
-    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorldConfig, ScenarioError
+    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorldConfig
     from tfg_drake.geometry.se2 import inverse, transform
     from tfg_drake.geometry.star import inside_any
-    from tfg_drake.mapfile.saved_map import MapFileError, load_map
+    from tfg_drake.mapfile.saved_map import load_map
     from tfg_drake.world.world import World
 
-    try:
-        scenario, saved = LoadScenario(folder / "scenario.yaml"), load_map(folder / "map.npz")
-    except (ScenarioError, MapFileError) as error:
-        bad_input(str(error))
+    scenario, saved = LoadScenario(folder / "scenario.yaml"), load_map(folder / "map.npz")
     X_WM, tfg = saved.X_WM, saved.tfg
     ends = transform(X_WM, tfg.segments.reshape(-1, 2)).reshape(-1, 4)
     facing = np.arctan2(saved.facing[:, 1], saved.facing[:, 0]) + X_WM[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tfg_drake.cockpit.browser import BrowserMissing, write_gif, write_mp4
+from tfg_drake.cockpit.browser import write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, writing
 from tfg_drake.diagrams.commands.page import open_page
@@ -13,7 +13,8 @@ from tfg_drake.diagrams.commands.page_forks import PageForks, can_fork
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.diagrams.missions.run_folder import claimed
-from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError
+from tfg_drake.storage.files import of_run, read_bytes, reading
+from tfg_drake.storage.timeline import FILE_NAME, MAGIC
 
 _FILMS = {".gif": write_gif, ".mp4": write_mp4}
 
@@ -37,14 +38,11 @@ def export_run(run: Path, out: Path) -> None:
     if suffix not in (".html", *_FILMS):
         bad_input(f"{out}: unknown format; name a file that ends in .html, .gif or .mp4")
     timeline = _timeline(run)
-    try:
-        with writing(out):
-            if suffix in _FILMS:
-                _film(timeline, out, run.resolve().name)
-            else:
-                export_page(timeline, out, run.resolve().name, viewer_script())
-    except (TimelineError, BrowserMissing) as error:
-        bad_input(str(error))
+    with writing(out):
+        if suffix in _FILMS:
+            _film(timeline, out, run.resolve().name)
+        else:
+            export_page(timeline, out, run.resolve().name, viewer_script())
 
 
 def _film(timeline: Path, out: Path, title: str) -> None:
@@ -55,13 +53,9 @@ def _film(timeline: Path, out: Path, title: str) -> None:
 
 
 def _timeline(run: Path) -> Path:
-    timeline = run / FILE_NAME if run.is_dir() else run
-    try:
-        with timeline.open("rb") as file:
-            begins = file.read(len(MAGIC))
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        bad_input(f"{timeline}: {reason}; name the folder of a mission that this version has recorded")
+    timeline = of_run(run, FILE_NAME)
+    with reading(timeline):
+        begins = read_bytes(timeline, len(MAGIC))
     if begins != MAGIC:
         bad_input(f"{timeline}: is no timeline of this version; run the mission again")
     return timeline

@@ -17,9 +17,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 from threadpoolctl import threadpool_limits
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.mission import Mission
-from tfg_drake.diagrams.scenario import LoadScenario, Scenario, ScenarioError
+from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, Roadmap
 from tfg_drake.planning.requested_goal import goal_there
@@ -27,9 +28,11 @@ from tfg_drake.storage.run import Run, load_run
 
 # A goal asked for is the reachable place of the roadmap next to it, no farther away than this, m.
 NEXT_TO_GOAL = 0.5
+# Of a run's summary, what a fork cannot do without.
+_NEEDED = ("method", "contacts", "outcome", "sim_time_s", "scenario", "world", "version")
 
 
-class ForkError(ValueError):
+class ForkError(BadInput, ValueError):
     """A run or a stage that cannot be forked; the message is one line: what, where and how to mend it."""
 
 
@@ -163,9 +166,11 @@ def forkable(run: Run | str | Path, stage: int) -> tuple[Run, Scenario]:
 
     Raises:
         ForkError: it was no simulated run of a method with a goal selector, or it has no such stage.
-        RunError: the folder holds no run.
+        FileError, ScenarioError: the folder holds no run, or a file in it is damaged.
     """
     run = run if isinstance(run, Run) else load_run(run)
+    if missing := [key for key in _NEEDED if key not in run.summary]:
+        raise ForkError(f"{run.folder / 'summary.json'}: has no {missing[0]}; name the folder of a mission")
     method = run.summary["method"]
     if run.summary["contacts"] is None:
         raise ForkError(f"{run.folder}: is no simulated run; nobody knows what its world would have done")
@@ -175,10 +180,7 @@ def forkable(run: Run | str | Path, stage: int) -> tuple[Run, Scenario]:
     last = len(run.stages)
     if not 1 <= stage <= last:
         raise ForkError(f"stage {stage}: {run.folder} has the stages 1 to {last}")
-    try:
-        return run, LoadScenario(run.folder / "scenario.yaml")
-    except ScenarioError as error:
-        raise ForkError(str(error)) from None
+    return run, LoadScenario(run.folder / "scenario.yaml")
 
 
 def check_same(run: Run, stages: Sequence[dict[str, Any]], stage: int) -> None:

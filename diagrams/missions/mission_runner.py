@@ -19,6 +19,7 @@ from tfg_drake.diagrams.missions.mission import STEP, Mission
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.kernels import Compilation
+from tfg_drake.mission.interruption import NAMES, Interruption
 
 if TYPE_CHECKING:
     from tfg_drake.cockpit.server import Cockpit
@@ -176,7 +177,8 @@ class MissionRunner:
         elif mission.status.phase == "done":
             outcome, reason = mission.status.outcome, mission.status.reason
         elif self._interrupted.is_set():
-            outcome, reason = "interrupted", f"interrupted at {mission.time:.0f} s"
+            by = f" by {NAMES[self._interrupted.number]}" if isinstance(self._interrupted, Interruption) else ""
+            outcome, reason = "interrupted", f"interrupted{by} at {mission.time:.0f} s"
         elif mission.time >= self._max_time:
             outcome, reason = "time_limit", f"the time limit of {self._max_time:g} s was reached"
         elif mission.time >= mission.robot.end_time:

@@ -10,6 +10,7 @@ import io
 import logging
 import os
 import shutil
+import signal
 import socket
 import tempfile
 import threading
@@ -67,6 +68,7 @@ def connect(address: str) -> Any:
         import ray
     except ImportError:
         raise SweepError('--ray: Ray is not installed; pip install -e ".[ray]"') from None
+    handler = signal.getsignal(signal.SIGTERM)
     try:
         _knock(address)
         dashboard = False if address == "local" else None
@@ -74,6 +76,8 @@ def connect(address: str) -> Any:
     except (OSError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split()).split(". ")[0]
         raise SweepError(f"--ray {address}: no cluster there ({reason}); start one with ray start --head") from None
+    finally:
+        signal.signal(signal.SIGTERM, handler)  # Ray's would end this process without a report.
     return ray
 
 

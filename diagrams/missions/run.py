@@ -12,10 +12,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +35,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import save_map
+from tfg_drake.mission.interruption import Interruption
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
@@ -114,15 +114,15 @@ def explore(
         max_time: simulated s after which the outcome is time_limit, as it is when the robot's station ends.
         out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
         on_progress: called about once a simulated second, and once more before the files of the run are written.
-        interrupted: ends the mission when set, for a caller that looks after Ctrl-C itself.
+        interrupted: ends the mission when set, for a caller that looks after signals itself.
         record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
             grows; not for what a seed gives again.
         kernels: those who compile the kernels that come after its first look, which takes its time until all are there.
         fork: what becomes of its goals from a stage on.
 
-    The first Ctrl-C ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt. An error inside
-    the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt. Either way what
-    there is gets written.
+    The first Ctrl-C, SIGTERM or SIGHUP ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt.
+    An error inside the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt.
+    Either way what there is gets written.
 
     Raises:
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
@@ -146,12 +146,15 @@ def explore(
             if cockpit is not None and timeline is not None:
                 cockpit.follow(folder.path / TIMELINE)
             folder.keep_reserve()
-            stop = interrupted if interrupted is not None else stack.enter_context(_interrupts())
+            if interrupted is None:
+                interrupted = Interruption()
+                interrupted.first = lambda *_: None
+                stack.enter_context(interrupted.heard())
             mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit)
             folder.append("stages.jsonl", "")
             keep = _Keeper(mission, folder) if record else None
             monitor = fork.monitor(mission) if fork is not None else None
-            runner = MissionRunner(mission, stop, realtime_rate, max_time, cockpit, on_progress)
+            runner = MissionRunner(mission, interrupted, realtime_rate, max_time, cockpit, on_progress)
             runner.run(lambda line: folder.append("stages.jsonl", line), keep, kernels, monitor)
             folder.give_up_reserve()
             summary = write_report(mission, folder, name, world_name or name)
@@ -199,23 +202,3 @@ class _Keeper:
         spent = time.thread_time() - start
         if spent > QUICKLY_KEPT:
             self._again = time.monotonic() + spent / KEPT_SHARE
-
-
-@contextlib.contextmanager
-def _interrupts() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C sets; later ones are KeyboardInterrupts as usual."""
-    event = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield event
-        return
-    previous = signal.getsignal(signal.SIGINT)
-
-    def first(_signal: int, _frame: object) -> None:
-        event.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    signal.signal(signal.SIGINT, first)
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, previous)

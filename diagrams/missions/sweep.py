@@ -17,6 +17,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
@@ -26,17 +27,19 @@ from typing import Any
 from pydrake.common.yaml import yaml_dump_typed
 
 from tfg_drake import __version__
+from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.scenario import Scenario
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.mission.interruption import NAMES
+from tfg_drake.storage.files import FileError, read_object, write_atomic
 
 # How often an interrupt is looked for, s.
 _POLL = 0.2
 
 
-class SweepError(Exception):
+class SweepError(BadInput):
     """The sweep cannot be run; the message is one line that names the culprit and the mend."""
 
 
@@ -92,7 +95,7 @@ def parse_methods(text: str, scenario: Scenario) -> dict[str, str]:
 def run_one(task: Task, folder: Path) -> dict[str, Any]:
     """Run a mission in this process, leave its folder and its receipt, and return its summary."""
     (folder / "task.json").unlink(missing_ok=True)
-    # Whoever started this process looks after Ctrl-C.
+    # Whoever started this process looks after signals.
     result = run.explore(
         task.scenario,
         method=FindMethod(task.source or task.method),
@@ -150,7 +153,7 @@ def run_local(tasks: Sequence[Task], out: Path, jobs: int, interrupted: threadin
                 yield Run(task.method, task.seed, task.folder(out), summary, failure)
     finally:
         for _, process in running.values():
-            process.terminate()
+            process.kill()
         for _, process in running.values():
             process.join()
 
@@ -160,10 +163,13 @@ def _start(task: Task, folder: Path) -> tuple[Connection, Any]:
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(task, folder, sending), daemon=True)
-    # The terminal sends Ctrl-C to all of its processes; a mask is inherited, and the parent alone answers.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # A terminal sends Ctrl-C to all of its processes, `timeout` or a cluster SIGTERM; a mask is inherited, and the
+    # parent alone answers.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, NAMES)
     try:
         process.start()
+    except OSError as error:
+        raise SweepError(f"{sys.executable}: cannot be started: {error.strerror}; try fewer --jobs") from None
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     sending.close()
@@ -210,7 +216,6 @@ def _finished(task: Task, out: Path) -> dict[str, Any] | None:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError):
+        return read_object(path)
+    except FileError:
         return None
-    return content if isinstance(content, dict) else None

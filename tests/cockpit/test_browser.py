@@ -4,6 +4,7 @@ import base64
 import itertools
 import json
 import time
+import zlib
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.storage.rows import Table
-from tfg_drake.storage.timeline import TimelineWriter, read_timeline
+from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded, read_timeline
 
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "path", "trail", "scan", "camera", "free"]
 
@@ -169,6 +170,21 @@ def test_a_table_is_put_together_at_any_time_from_what_has_changed(page, tmp_pat
             np.testing.assert_allclose(points, now["points"].ravel(), atol=1e-5)
             if name == "map":
                 assert [count, *numbers] == [len(now["ids"]), now["ids"].tolist(), now["kind"].tolist()]
+
+
+@pytest.mark.parametrize("blocks", [1, 50])
+def test_a_small_timeline_is_not_unpacked_without_end(page, blocks):
+    """One block of zeros that stands for 150 MB, and many that each stand for 3 MB, of a record that is small."""
+    record = encoded("scan", 0.0, {}, {"word": " " * (150_000_000 // blocks)})
+    block = zlib.compress(record, 9)
+    data = MAGIC + blocks * (len(block).to_bytes(4, "little") + block)
+    told = page(
+        """const other = new Timeline(), bytes = Uint8Array.from(atob(arguments[0]), (c) => c.charCodeAt(0));
+        return other.feed(bytes).then(() => ["read"], (error) => ["refused", other.unpacked]);""",
+        base64.b64encode(data).decode(),
+    )
+    assert told[0] == "refused"
+    assert told[1] <= 2**26
 
 
 def test_what_stands_still_is_drawn_once(page):

@@ -1,6 +1,8 @@
 import dataclasses
+import errno
 import json
 import math
+import os
 import re
 import signal
 import socket
@@ -15,6 +17,8 @@ from tfg_drake import __version__, kernels
 from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
+from tfg_drake.mission.interruption import TOGETHER
+from tfg_drake.storage.files import FileError
 
 
 @pytest.mark.parametrize(
@@ -159,6 +163,7 @@ def test_exit_codes(outcome, code):
 
 
 STOPPING = "\ntfg-drake: stopping; Ctrl-C again leaves at once\n"
+SIGNALS = [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")]
 # A process that takes an instant of its own to be interrupted at, by what it is about to import or has written.
 INTERRUPTED = """
 import os, pathlib, signal, sys
@@ -193,10 +198,11 @@ def test_ctrl_c_before_the_mission_begins_leaves_a_summary(room, tmp_path, modul
     assert (process.returncode, err) == (130, STOPPING)
     summary = json.loads(out.splitlines()[-1])
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted at 0 s")
+    assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted by Ctrl-C at 0 s")
 
 
-def test_ctrl_c_while_driving_leaves_map_and_summary(tmp_path):
+@pytest.mark.parametrize(("number", "name"), SIGNALS)
+def test_a_signal_while_driving_leaves_map_and_summary(tmp_path, number, name):
     arguments = ["explore", "house", "--headless", "--json", "--realtime-rate", "8", "--out", str(tmp_path / "run")]
     process = start(["-m", "tfg_drake.diagrams.cli"], *arguments)
     stages = tmp_path / "run" / "stages.jsonl"
@@ -204,23 +210,29 @@ def test_ctrl_c_while_driving_leaves_map_and_summary(tmp_path):
     while not stages.read_text():
         assert process.poll() is None, process.communicate()
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    # As `timeout` sends it: to the program, and to its group.
+    process.send_signal(number)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (130, STOPPING)
+    assert (process.returncode, err) == (128 + number, STOPPING.replace("Ctrl-C", name))
     summary = json.loads(out.splitlines()[-1])
     assert summary["outcome"] == "interrupted"
+    assert summary["reason"].startswith(f"interrupted by {name} at ")
     assert summary["stages"] >= 1
     assert summary["map_bytes"] == (tmp_path / "run" / "map.npz").stat().st_size
+    assert {"mission.html", "trajectory.tum", "figure.png"} <= {path.name for path in (tmp_path / "run").iterdir()}
 
 
-def test_a_second_ctrl_c_leaves_at_once(room, tmp_path):
+@pytest.mark.parametrize(("number", "name"), SIGNALS[:2])
+def test_a_second_signal_leaves_at_once(room, tmp_path, number, name):
     process = start(["-m", "tfg_drake.diagrams.cli"], "explore", room, "--headless", "--out", str(tmp_path / "run"))
     wait_for(process, tmp_path / "run")
-    process.send_signal(signal.SIGINT)
-    assert process.stderr.readline() + process.stderr.readline() == STOPPING
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
+    assert process.stderr.readline() + process.stderr.readline() == STOPPING.replace("Ctrl-C", name)
+    time.sleep(TOGETHER)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, out.count("Traceback")) == (130, 0)
+    assert (process.returncode, out.count("Traceback")) == (128 + number, 0)
     assert err == "\ntfg-drake: interrupted; nothing more is written\n"
 
 
@@ -283,3 +295,95 @@ def test_the_progress_line():
     assert over == "  120 s  complete: solving the whole map, writing the run's files"
     busy = explore_command.progress_line(dataclasses.replace(progress, word="compiling kernels, 12 of 74"))
     assert busy == "  120 s  stage   7 follow   compiling kernels, 12 of 74"
+
+
+@pytest.mark.parametrize(("number", "name"), SIGNALS)
+def test_a_command_that_keeps_nothing_ends_at_once(call, monkeypatch, tmp_path, number, name):
+    monkeypatch.setattr("tfg_drake.mission.interruption.TOGETHER", 0.0)
+    monkeypatch.setattr("tfg_drake.diagrams.commands.view.export_run", lambda *_: os.kill(os.getpid(), number))
+    code, out, err = call("export", str(tmp_path), str(tmp_path / "a.mp4"))
+    assert (code, out, err.strip()) == (128 + number, "", "")
+
+
+def run_in(folder, *arguments, before="", **given):
+    """A command in a process and a folder of its own, something done before by the shell: its code and output."""
+    line = f'{before} exec "$@"'
+    command = ["sh", "-c", line, "sh", sys.executable, "-m", "tfg_drake.diagrams.cli", *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False, **given)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_change_nothing(room, tmp_path, closed):
+    arguments = ["explore", room, "--headless", "--max-time", "1", "--out", "run"]
+    code, _, err = run_in(tmp_path, *arguments, before=f"exec {closed};")
+    assert (code, err) == (0, "")
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["outcome"] == "time_limit"
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
+)
+def test_names_that_the_terminal_cannot_show_are_spelled_out(room, tmp_path, environment):
+    arguments = ["explore", room, "--headless", "--max-time", "1", "--out", "run-\xfc"]
+    code, out, err = run_in(tmp_path, *arguments, env=os.environ | environment)
+    assert (code, err) == (0, "")
+    assert re.search(r"^files +run-(\\xfc|\\udcc3\\udcbc)$", out, re.MULTILINE)
+    assert (tmp_path / "run-\xfc" / "summary.json").exists()
+
+
+@pytest.mark.parametrize("arguments", [["explore", "house"], ["map", "info", "/"]])
+def test_a_working_directory_that_is_gone_is_one_line(tmp_path, arguments):
+    (tmp_path / "gone").mkdir()
+    said = run_in(tmp_path / "gone", *arguments, before='rmdir "$PWD";')
+    complaint = "the working directory: no such file or directory; change to another"
+    assert said == (2, "", f"tfg-drake: {complaint}\n")
+
+
+@pytest.mark.parametrize("kilobytes", [400_000, 1_000_000])
+def test_too_little_address_space_is_one_line(tmp_path, kilobytes):
+    said = run_in(tmp_path, "explore", "house", "--out", "run", before=f"ulimit -v {kilobytes};")
+    complaint = f"ulimit -v: {kilobytes * 1.024e-3:.0f} MB of address space; raise it to 1074 or more"
+    assert said == (2, "", f"tfg-drake: {complaint}\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "complaint"),
+    [
+        (MemoryError(), "no memory or thread is left; end other programs, or raise the limits (ulimit -v, -u)"),
+        (
+            RuntimeError("can't start new thread"),
+            "no memory or thread is left; end other programs, or raise the limits (ulimit -v, -u)",
+        ),
+        (PermissionError(errno.EACCES, "Permission denied", "/usr/bin/python"), "/usr/bin/python: permission denied"),
+        (OSError(errno.ENOSPC, "No space left on device"), "no space left on device"),
+        (FileError("summary.json: is damaged"), "summary.json: is damaged"),
+    ],
+)
+def test_what_the_machine_refuses_is_one_line(call, monkeypatch, tmp_path, error, complaint):
+    def fail(*_arguments):
+        raise error
+
+    monkeypatch.setattr("tfg_drake.diagrams.commands.view.export_run", fail)
+    assert call("export", str(tmp_path), str(tmp_path / "a.mp4")) == (2, "", f"tfg-drake: {complaint}\n")
+
+
+def test_a_full_disk_behind_the_output_is_one_line(room, tmp_path):
+    arguments = ["explore", room, "--tag-spacing", "1", "--headless", "--max-time", "1", "--out", "run"]
+    said = run_in(tmp_path, *arguments, before="exec >/dev/full;")
+    assert said == (2, "", "tfg-drake: no space left on device\n")
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
+@pytest.mark.parametrize("error", [errno.EACCES, errno.EAGAIN])
+def test_a_process_that_cannot_be_started_to_compile_is_named(call, monkeypatch, room, error):
+    def refuse(*_arguments, **_given):
+        raise OSError(error, os.strerror(error), sys.executable)
+
+    monkeypatch.setattr(kernels, "are_compiled", lambda _need: False)
+    monkeypatch.setattr(kernels, "drop_stale", lambda: None)
+    monkeypatch.setattr(kernels.subprocess, "Popen", refuse)
+    code, _, err = call("explore", room, "--headless")
+    complaint = f"cannot be started to compile kernels: {os.strerror(error).lower()}"
+    assert (code, err) == (2, f"tfg-drake: {sys.executable}: {complaint}\n")

@@ -67,7 +67,7 @@ def test_a_run_is_driven_through_once_more(call, tmp_path):
     assert (code, err) == (2, f"tfg-drake: --robot replay:{first}: {line}\n")
     (first / "ports.mcap").unlink()
     code, _, err = call("explore", "--robot", f"replay:{first}", "--headless", "--out", str(second))
-    line = f"--robot replay: {first / 'ports.mcap'}: no such file; name the folder of a run that was recorded"
+    line = f"{first / 'ports.mcap'}: no such file; name the folder of a run that was recorded"
     assert (code, err) == (2, f"tfg-drake: {line}\n")
 
 

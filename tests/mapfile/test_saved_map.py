@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tracemalloc
 import typing
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -178,7 +179,24 @@ def test_missing_and_foreign_files(tmp_path):
     text = tmp_path / "text.npz"
     text.write_text("a map\n")
     assert error_of(text) == DAMAGED
-    assert error_of(tmp_path) == "FILE is a folder; name the map in it, such as map.npz"
+    assert error_of(tmp_path) == "no such map: FILE/map.npz"
+
+
+def test_a_runs_folder_stands_for_its_map(path, small_map):
+    assert same(load_map(path.parent), small_map)
+
+
+def test_whatever_numpy_raises_of_a_header_is_one_line(path):
+    """Its header is Python text: what cannot be split into words raises tokenize.TokenError, no ValueError."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    for header in (b"{'descr': '<f8', 'shape': (", b'"""', b"(" * 500, b"\\\n", b"1_"):
+        text = header + b" " * (53 - len(header) % 64) + b"\n"
+        members["X_WM.npy"] = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, data in members.items():
+                archive.writestr(name, data)
+        assert error_of(path) == DAMAGED
 
 
 def test_pickled_objects_are_refused(tmp_path):

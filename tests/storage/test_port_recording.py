@@ -5,15 +5,25 @@ import os
 import signal
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import MAGIC_SIZE
+from mcap.writer import CompressionType, Writer
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 from tfg_drake.planning.requested_goal import RequestedGoal
+from tfg_drake.storage import files, port_recording
+from tfg_drake.storage.files import most_unpacked
 from tfg_drake.storage.port_recording import (
     COMMAND,
     ENABLED,
@@ -247,3 +257,55 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(caplog):
         writer.write("base.hazards", 9.0, messages(9.0)["base.hazards"])
     reason = os.strerror(errno.ENOSPC)
     assert caplog.messages == [f"/dev/full: cannot be written: {reason}; the run is not recorded any further"]
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+@pytest.mark.parametrize("told", [2**30, 1000, None])
+def test_a_chunk_of_zeros_is_not_unpacked_without_end(tmp_path, monkeypatch, compression, told):
+    """One that says how much it stands for, one that says less, and many of which each is small enough."""
+    monkeypatch.setattr(files, "_LEAST_UNPACKED", 2**20)
+    unpack, unpacked = port_recording._unpacked, []
+    monkeypatch.setattr(port_recording, "_unpacked", lambda chunk: unpacked.append(unpack(chunk)) or unpacked[-1])
+    size = 2**26 if told else 2**19
+    pack = lz4.frame.compress if compression == "lz4" else zstandard.compress
+    chunk = Chunk(compression, pack(bytes(size)), 0, 0, 0, told or size)
+    path = tmp_path / "ports.mcap"
+    record(path, np.arange(20) / 10)
+    whole, builder = path.read_bytes(), RecordBuilder()
+    for _ in range(1 if told else 200):
+        chunk.write(builder)
+    # Before all others, behind the header.
+    start = MAGIC_SIZE + 9 + int.from_bytes(whole[MAGIC_SIZE + 1 : MAGIC_SIZE + 9], "little")
+    path.write_bytes(whole[:start] + builder.end() + whole[start:])
+    tracemalloc.start()
+    with pytest.raises(RecordingError) as caught:
+        read_recording(path)
+    assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+    tracemalloc.stop()
+    assert sum(len(chunk.data) for chunk in unpacked) <= most_unpacked(path)
+    assert str(caught.value) == f"{path}: is damaged; copy it again from where it was recorded"
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_what_another_program_has_packed_otherwise_is_read(tmp_path, compression):
+    path, other = tmp_path / "ports.mcap", tmp_path / "other.mcap"
+    record(path, np.arange(200) / 10)
+    with path.open("rb") as file, other.open("wb") as copy:
+        writer = Writer(copy, compression=compression, enable_data_crcs=True)
+        writer.start()
+        ids = {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            if channel.topic not in ids:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    expected, read = read_recording(path), read_recording(other)
+    assert same(read.at("scan.ranges", 15.0), expected.at("scan.ranges", 15.0))
+    assert read.end_time == expected.end_time
+
+
+def test_a_mutated_recording_is_refused_or_read(tmp_path):
+    path = tmp_path / "ports.mcap"
+    record(path, np.arange(50) / 10)
+    assert_refused_or_read(path, lambda: read_recording(path), RecordingError, count=100)

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 import tfg_drake
+from tests.mutations import assert_refused_or_read
+from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.storage.files import FileError
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
 from tfg_drake.storage.run import RunError
 from tfg_drake.storage.trajectory import write_tum
@@ -70,3 +73,18 @@ def test_a_folder_without_a_run_is_told_in_a_line(folder):
         tfg_drake.load_run(folder / "nothing")
     with pytest.raises(KeyError, match=r"no port base; the run has base\.odometry"):
         tfg_drake.load_run(folder).port("base")
+
+
+@pytest.mark.parametrize("name", ["summary.json", "stages.jsonl", "trajectory.tum", "truth.tum", "map.npz", FILE_NAME])
+def test_a_mutated_file_is_refused_in_a_line_or_read(folder, small_map, name):
+    write_tum(folder / "truth.tum", np.arange(3.0), np.ones((3, 3)))
+    save_map(folder / "map.npz", small_map)
+    assert_refused_or_read(folder / name, lambda: tfg_drake.load_run(folder).recording, FileError, count=100)
+
+
+@pytest.mark.parametrize(("name", "text"), [("stages.jsonl", '{"stage": 1}\n[2]\n'), ("summary.json", "[]")])
+def test_the_file_that_is_damaged_is_named(folder, name, text):
+    (folder / name).write_text(text)
+    with pytest.raises(FileError) as caught:
+        tfg_drake.load_run(folder)
+    assert str(caught.value) == f"{folder / name}: is damaged; copy it again from where it was recorded"

@@ -1,13 +1,17 @@
 """A mission's picture over time, written and read again."""
 
 import errno
+import tracemalloc
+import zlib
 
 import numpy as np
 import pytest
 
+from tests.mutations import assert_refused_or_read
+from tfg_drake.storage import files
 from tfg_drake.storage import timeline as module
 from tfg_drake.storage.rows import Table
-from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, read_timeline
+from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, encoded, read_timeline
 
 ARRAYS = {
     "points": np.array([[1.2344, -2.0], [0.0, 3.5]]),
@@ -132,3 +136,48 @@ def test_what_is_no_timeline(tmp_path, data, complaint):
     with pytest.raises(TimelineError) as caught:
         read_timeline(tmp_path)
     assert str(caught.value) == f"{tmp_path / FILE_NAME}: {complaint}"
+
+
+def bytes_taken(call):
+    """What a call that is refused takes of memory at most, bytes."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(TimelineError, match=r"is damaged; copy it again from where it was recorded$"):
+            call()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_a_small_file_is_not_unpacked_without_end(tmp_path, monkeypatch, blocks):
+    """A block of zeros, and several that are each small enough."""
+    monkeypatch.setattr(files, "_LEAST_UNPACKED", 2**20)
+    # A record of one array, so that what there is of it is read.
+    record = encoded("scan", 0.0, {"points": np.zeros((200_000 // blocks, 2), dtype=np.float32)}, {})
+    block = zlib.compress(record * (100 if blocks == 1 else 1))
+    path = tmp_path / FILE_NAME
+    path.write_bytes(MAGIC + blocks * (len(block).to_bytes(4, "little") + block))
+    assert bytes_taken(lambda: read_timeline(path)) < 20 * 2**20  # of 160
+
+
+def test_a_table_that_is_told_again_and_again_takes_no_memory_without_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_LARGEST", 2**20)
+    with TimelineWriter(tmp_path / FILE_NAME) as writer:
+        writer.write("map", 0.0, {"ids": np.arange(2**14) + 2**16, "gone": np.zeros(0, dtype=np.int64)})
+        for k in range(100):
+            writer.write("map", k, {"ids": np.zeros(0, dtype=np.int64), "gone": np.zeros(0, dtype=np.int64)})
+    assert bytes_taken(lambda: read_timeline(tmp_path)) < 4 * 2**20
+
+
+def test_a_mutated_timeline_is_refused_or_read(tmp_path):
+    path = write(tmp_path, 1.0, 2.0)
+    assert_refused_or_read(path, lambda: read_timeline(path), TimelineError)
+
+
+@pytest.mark.parametrize("header", [b"[]", b'{"t": 0}', b'{"t": 0, "layer": "a", "arrays": [3]}', b"[" * 50_000])
+def test_a_good_block_of_bad_records_is_refused(tmp_path, header):
+    header += b" " * (-len(header) % 4)
+    block = zlib.compress(len(header).to_bytes(4, "little") + header)
+    (tmp_path / FILE_NAME).write_bytes(MAGIC + len(block).to_bytes(4, "little") + block)
+    bytes_taken(lambda: read_timeline(tmp_path))

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 
+from tests.mutations import assert_refused_or_read
+from tfg_drake.storage.files import FileError
 from tfg_drake.storage.trajectory import read_tum, write_tum
 
 
@@ -29,3 +31,15 @@ def test_a_short_line_is_refused(tmp_path):
     (tmp_path / "t.tum").write_text("# stamps\n1 2 3\n")
     with pytest.raises(ValueError, match="every line of a TUM trajectory has eight numbers"):
         read_tum(tmp_path / "t.tum")
+
+
+def test_a_mutated_trajectory_is_refused_or_read(tmp_path):
+    path = tmp_path / "t.tum"
+    write_tum(path, np.arange(5.0), np.ones((5, 3)))
+    assert_refused_or_read(path, lambda: read_tum(path), FileError)
+    path.write_text("1 2 3 4 5 6 7 eight\n")
+    with pytest.raises(FileError) as caught:
+        read_tum(path)
+    assert str(caught.value) == f"{path}: every line of a TUM trajectory has eight numbers"
+    with pytest.raises(FileError, match=r"none\.tum: no such file"):
+        read_tum(tmp_path / "none.tum")

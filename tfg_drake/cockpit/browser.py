@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.storage.files import write_atomic
 
 # Software rendering, no network, no questions.
@@ -41,7 +42,7 @@ MP4_FRAMES, RATE, CODES = 240, 20.0, ("vp09", "mp4v")
 PATIENCE = 60.0
 
 
-class BrowserMissing(Exception):
+class BrowserMissing(BadInput):
     """There is no browser to drive; the message says how to get one."""
 
 

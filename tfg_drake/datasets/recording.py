@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.config import OdometryConfig
 from tfg_drake.messages import FloatArray, IntArray, Odometry, TagDetections, message
 
 
-class DatasetError(Exception):
+class DatasetError(BadInput):
     """A data set that cannot be used; the message is one line: what, where and how to mend it."""
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.messages import GridMap
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.files import read_arrays, reading, write_atomic
 
 
 def save_grid(path: Path, grid: GridMap, *, final: bool = True) -> None:
@@ -28,12 +28,14 @@ def save_grid(path: Path, grid: GridMap, *, final: bool = True) -> None:
 
 
 def load_grid(path: Path) -> GridMap:
-    """The grid of a file that `save_grid` wrote. Raises OSError where it cannot be read."""
-    with np.load(path, allow_pickle=False) as file:
+    """The grid of a file that `save_grid` wrote. Raises FileError."""
+    with reading(path):
+        arrays = read_arrays(path)
+        _height, _width = arrays["probability"].shape
         return GridMap(
-            stage=int(file["stage"]),
-            stamp=float(file["stamp"]),
-            resolution=float(file["resolution"]),
-            origin=file["origin"],
-            probability=file["probability"],
+            stage=int(arrays["stage"]),
+            stamp=float(arrays["stamp"]),
+            resolution=float(arrays["resolution"]),
+            origin=arrays["origin"].reshape(2),
+            probability=arrays["probability"],
         )

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +19,7 @@ from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.range_scale import RangeScale
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces
@@ -29,13 +27,11 @@ from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
 SCHEMA = 8
-# Bytes of a map's arrays at most; 274 landmarks and 138 views have 0.8 MB.
-_LARGEST = 64 * 2**20
 # Fields of the TfgMap that are places.
 _PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
 
-class MapFileError(Exception):
+class MapFileError(FileError):
     """The file is not a map, or not a whole one."""
 
 
@@ -226,9 +222,13 @@ def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
 def load_map(path: Path) -> SavedMap:
     """Read a map.
 
+    Args:
+        path: the file, or the run's folder with it.
+
     Raises:
         MapFileError: no such file, not a map, cut short, of another schema, or at odds with itself; one line.
     """
+    path = of_run(path, "map.npz")
     arrays = _read(path)
     schema = arrays.pop("schema", None)
     if schema is None or schema.shape != () or schema.dtype.kind != "i":
@@ -270,22 +270,14 @@ def _whole(one: Keyframe) -> Keyframe:
 
 def _read(path: Path) -> dict[str, Array]:
     try:
-        with zipfile.ZipFile(path) as archive:  # which unpacks no more of an array than it says here
-            size = sum(info.file_size for info in archive.infolist())
-        if size > _LARGEST:
-            raise MapFileError(f"{path} holds {size / 2**20:.0f} MiB, at most {_LARGEST / 2**20:.0f} are read")
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        return read_arrays(path)
+    except FileError as error:
+        raise MapFileError(str(error)) from None
     except FileNotFoundError:
         raise MapFileError(f"no such map: {path}") from None
-    except IsADirectoryError:
-        raise MapFileError(f"{path} is a folder; name the map in it, such as map.npz") from None
     except PermissionError:
         raise MapFileError(f"{path} cannot be read: permission denied") from None
-    # What numpy and zipfile say of bytes that are no archive, or no whole one.
-    except (OSError, ValueError, TypeError, EOFError, KeyError, AttributeError, RuntimeError, MemoryError) as error:
-        raise MapFileError(f"{path} is damaged or not a map of tfg-drake") from error
-    except (zipfile.BadZipFile, zlib.error, SyntaxError, OverflowError) as error:
+    except Exception as error:  # numpy and zipfile say anything of bytes that are no archive, or no whole one.
         raise MapFileError(f"{path} is damaged or not a map of tfg-drake") from error
 
 

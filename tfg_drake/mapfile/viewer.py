@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.mapfile.landmark_table import landmarks_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
@@ -41,7 +42,7 @@ LEGEND = (
 PORT = 7000
 
 
-class ViewerMissing(ImportError):
+class ViewerMissing(BadInput, ImportError):
     """The package meshcat is not installed; the message says how to get it."""
 
 

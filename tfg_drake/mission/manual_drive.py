@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.messages import message
+from tfg_drake.storage.files import FileError, read_text
 
 FORWARD, BACK, LEFT, RIGHT, HALT, LOOK, END = "forward", "back", "left", "right", "halt", "look", "end"
 KEYS = {
@@ -30,7 +31,7 @@ SPEED_STEP, TURN_STEP = 0.1, 0.3
 _HEADER = "time_s,key"
 
 
-class DriveError(ValueError):
+class DriveError(FileError):
     """A file that holds no drive; the message is one line."""
 
 
@@ -96,7 +97,7 @@ def drive_csv(drive: tuple[Pressed, ...]) -> str:
 def read_drive(path: Path) -> tuple[Pressed, ...]:
     """The keys of a drive in the order of their times. Raises DriveError."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise DriveError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}") from None
     if not lines or lines[0] != _HEADER:

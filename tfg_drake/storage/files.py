@@ -2,11 +2,82 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
+import json
 import os
 import tempfile
+import zipfile
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+from tfg_drake.bad_input import BadInput
+
+# Bytes that text of a run may have at most: a trajectory of two days.
+LARGEST_TEXT = 256 * 2**20
+# Bytes of a file's arrays at most; a map of 274 landmarks and 138 views has 0.8 MB.
+_LARGEST_ARRAYS = 64 * 2**20
+# What is packed stands for so many bytes at most, or for so many times its own: what a run packs shrinks to a tenth at
+# best, zeros to a thousandth.
+_LEAST_UNPACKED, _MOST_SHRUNK = 64 * 2**20, 32
+
+
+class FileError(BadInput, ValueError):
+    """A file of a run that cannot be used; the message is one line: which, what is wrong, how to mend it."""
+
+
+def of_run(path: Path, name: str) -> Path:
+    """A file of a run, which the path is, or which has this name in the run's folder, which the path is."""
+    return path / name if path.is_dir() else path
+
+
+@contextlib.contextmanager
+def reading(path: Path, problem: type[FileError] = FileError) -> Iterator[None]:
+    """While a file of a run is read: whatever is raised then, as by bytes that are not what they should be, comes as
+    `problem`."""
+    try:
+        yield
+    except FileError:
+        raise
+    except FileNotFoundError:
+        raise problem(f"{path}: no such file; name the folder of a run that was recorded") from None
+    except OSError as error:
+        raise problem(f"{path}: cannot be read: {error.strerror or error}; name a file that can be") from None
+    except Exception as error:
+        raise problem(f"{path}: is damaged; copy it again from where it was recorded") from error
+
+
+def read_text(path: Path) -> str:
+    """A text file of a run. Raises OSError; UnicodeDecodeError where it is no UTF-8; FileError where it is too long."""
+    data = read_bytes(path, LARGEST_TEXT + 1)
+    if len(data) > LARGEST_TEXT:
+        raise FileError(f"{path}: has more than {LARGEST_TEXT // 2**20} MiB; name a file of a run")
+    return data.decode()
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """The JSON object of a run's file, such as summary.json. Raises FileError."""
+    with reading(path):
+        return {**json.loads(read_text(path))}  # of anything but an object a TypeError
+
+
+def read_arrays(path: Path) -> dict[str, Any]:
+    """The arrays of an .npz file. Raises FileError where they are too large, anything where it is no such file."""
+    import numpy as np  # Who asks for help does not wait for it.
+
+    with zipfile.ZipFile(path) as archive:  # which unpacks no more of an array than it says here
+        size = sum(info.file_size for info in archive.infolist())
+    if size > _LARGEST_ARRAYS:
+        raise FileError(f"{path} holds {size / 2**20:.0f} MiB, at most {_LARGEST_ARRAYS / 2**20:.0f} are read")
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def most_unpacked(path: Path) -> int:
+    """How many bytes what a file holds packed may stand for. Raises OSError."""
+    return max(_LEAST_UNPACKED, _MOST_SHRUNK * path.stat().st_size)
 
 
 def read_bytes(path: Path, most: int) -> bytes:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import io
 import logging
 import math
 import struct
@@ -21,11 +22,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import lz4.frame
 import numpy as np
+import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.exceptions import InvalidMagic
-from mcap.records import Channel, Footer, Message, Metadata, Schema
-from mcap.stream_reader import MAGIC_SIZE, StreamReader
+from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
+from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
@@ -44,6 +47,7 @@ from tfg_drake.messages import (
 from tfg_drake.messages import Path as PathMessage
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage import foxglove
+from tfg_drake.storage.files import FileError, most_unpacked, of_run, reading
 
 FILE_NAME = "ports.mcap"
 # Of a killed program no more than so much is lost, s.
@@ -94,7 +98,7 @@ GOAL = "operator.goal"
 PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled, GOAL: RequestedGoal}
 
 
-class RecordingError(Exception):
+class RecordingError(FileError):
     """A recording that cannot be played; the message is one line: which, why and how to mend it."""
 
 
@@ -272,13 +276,13 @@ def read_recording(path: Path) -> PortRecording:
     Raises:
         RecordingError: it is not there, not a recording, or damaged.
     """
-    path = path / FILE_NAME if path.is_dir() else path
+    path = of_run(path, FILE_NAME)
     times: dict[str, list[int]] = {port: [] for port in PORTS}
     messages: dict[str, list[Any]] = {port: [] for port in PORTS}
     robot, whole = "", False
     schemas: dict[int, Schema] = {}
     decoders: dict[int, tuple[str, Any]] = {}
-    try:
+    with reading(path, RecordingError):
         if path.stat().st_size == 0:
             raise RecordingError(f"{path}: is empty; name the recording of a run that had begun")
         for record in _records(path):
@@ -295,16 +299,6 @@ def read_recording(path: Path) -> PortRecording:
                 robot = record.metadata.get("robot", "")
             elif isinstance(record, Footer):
                 whole = True
-    except RecordingError:
-        raise
-    except FileNotFoundError:
-        raise RecordingError(f"{path}: no such file; name the folder of a run that was recorded") from None
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}; name a file that can be") from None
-    except InvalidMagic:
-        raise RecordingError(f"{path}: is not an MCAP file; name the folder of a run that was recorded") from None
-    except Exception as error:  # Anything may come of bytes that are not what they should be.
-        raise RecordingError(f"{path}: is damaged; copy it again from where it was recorded") from error
     if not whole:
         _log.warning("%s: was not closed; what its program had not written yet when it was killed is missing", path)
     silent = [port for port in MESSAGES if not messages[port]]
@@ -326,14 +320,36 @@ def recorded_robot(folder: Path) -> str:
 
 def _records(path: Path) -> Iterator[Any]:
     """The records of an MCAP file up to where it ends, or ends too early."""
-    size = path.stat().st_size
+    size, most = path.stat().st_size, most_unpacked(path)
     with path.open("rb") as file:
         try:
-            yield from StreamReader(file, validate_crcs=True).records
-        except Exception:
+            for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                most -= record.uncompressed_size
+                if most < 0:
+                    raise ValueError("it stands for too many bytes")
+                yield from breakup_chunk(_unpacked(record), validate_crc=True)
+        except Exception as error:
             # Its program was killed while it wrote the last record, or before it wrote another.
-            if file.tell() < size or size <= MAGIC_SIZE:
-                raise
+            if file.tell() >= size > MAGIC_SIZE:
+                return
+            if isinstance(error, InvalidMagic):
+                mend = "name the folder of a run that was recorded"
+                raise RecordingError(f"{path}: is not an MCAP file; {mend}") from error
+            raise
+
+
+def _unpacked(chunk: Chunk) -> Chunk:
+    """A chunk without compression: no more of it than it says that it has, which the library does not look at."""
+    unpack = {"lz4": lz4.frame.open, "zstd": zstandard.open}.get(chunk.compression)
+    if unpack is None:
+        return chunk
+    data = unpack(io.BytesIO(chunk.data)).read(chunk.uncompressed_size)
+    if len(data) < chunk.uncompressed_size:
+        raise ValueError("the chunk is not whole")
+    return dataclasses.replace(chunk, compression="", data=data)
 
 
 def _encoder(kind: type) -> Callable[[Any], bytes]:

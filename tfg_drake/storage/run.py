@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from tfg_drake.mapfile.saved_map import SavedMap, load_map
 from tfg_drake.messages import FloatArray, TagDetections
+from tfg_drake.storage.files import FileError, read_object, read_text, reading
 from tfg_drake.storage.port_recording import PortRecording, read_recording
 from tfg_drake.storage.trajectory import read_tum
 
@@ -27,7 +28,7 @@ from tfg_drake.storage.trajectory import read_tum
 MESSAGE = "message"
 
 
-class RunError(ValueError):
+class RunError(FileError):
     """A folder that is no run's; the message is one line."""
 
 
@@ -89,22 +90,19 @@ class Run:
 
 
 def load_run(folder: str | Path) -> Run:
-    """Read a run's folder. Raises RunError where it holds no summary.json; see `load_map` for what a map may raise."""
+    """Read a run's folder. Raises RunError where it holds no summary.json, FileError where a file in it is damaged."""
     folder = Path(folder)
-    try:
-        summary = json.loads((folder / "summary.json").read_text())
-        lines = (folder / "stages.jsonl").read_text().splitlines() if (folder / "stages.jsonl").exists() else []
-    except OSError as error:
-        raise RunError(
-            f"{folder}: holds no run: {error.strerror}; name the folder of a mission that has ended"
-        ) from None
-    except ValueError as error:
-        raise RunError(f"{folder / 'summary.json'}: is damaged: {error}") from None
+    if not (folder / "summary.json").is_file():
+        raise RunError(f"{folder}: holds no run: no summary.json; name the folder of a mission that has ended")
+    stages = folder / "stages.jsonl"
+    with reading(stages):
+        lines = read_text(stages).splitlines() if stages.exists() else []
+        rows = [{**json.loads(line)} for line in lines]
     true_stamps, X_WB_true = _trajectory(folder / "truth.tum")
     return Run(
         folder,
-        summary,
-        [json.loads(line) for line in lines],
+        read_object(folder / "summary.json"),
+        rows,
         *_trajectory(folder / "trajectory.tum"),
         true_stamps,
         X_WB_true,

@@ -31,6 +31,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from tfg_drake.storage.files import FileError, most_unpacked, of_run, reading
 from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
 
 FILE_NAME = "timeline.tfg"
@@ -44,13 +45,16 @@ COARSE = ("scan", "free", "path")
 # zlib's: the quickest; more takes twice the time and saves a twentieth.
 COMPRESSION = 1
 
+# Bytes of a timeline's records at most, each with its table as it stands then: an hour in a large building has 0.2 GB.
+_LARGEST = 2 * 2**30
+
 _NUMBERS = {"mm": "<i4", "c2": "<i2", "c4": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}
 _told = json.JSONEncoder(separators=(",", ":")).encode
 _LENGTH = struct.Struct("<I")
 _log = logging.getLogger("tfg_drake.storage.timeline")
 
 
-class TimelineError(Exception):
+class TimelineError(FileError):
     """A timeline that cannot be shown; the message is one line: which, why and how to mend it."""
 
 
@@ -179,29 +183,27 @@ def read_timeline(path: Path) -> list[Record]:
     Raises:
         TimelineError: it is not there, no timeline, or damaged.
     """
-    path = path / FILE_NAME if path.is_dir() else path
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise TimelineError(f"{path}: no such file; name the folder of a run that was recorded") from None
-    except OSError as error:
-        raise TimelineError(f"{path}: cannot be read: {error.strerror}; name a file that can be") from None
-    if not data.startswith(MAGIC):
-        raise TimelineError(f"{path}: is no timeline of this version; name the folder of a run that was recorded")
-    try:
-        return list(_whole(record for block in _blocks(data) for record in _records(block)))
-    except (zlib.error, ValueError, KeyError, struct.error) as error:
-        raise TimelineError(f"{path}: is damaged; copy it again from where it was recorded") from error
+    path = of_run(path, FILE_NAME)
+    with reading(path, TimelineError):
+        data, most = path.read_bytes(), most_unpacked(path)
+        if not data.startswith(MAGIC):
+            raise TimelineError(f"{path}: is no timeline of this version; name the folder of a run that was recorded")
+        return list(_whole(record for block in _blocks(data, most) for record in _records(block)))
 
 
-def _blocks(data: bytes) -> Iterator[bytes]:
+def _blocks(data: bytes, most: int) -> Iterator[bytes]:
+    """The blocks, unpacked: `most` bytes in all, ValueError for more."""
     start = len(MAGIC)
     while start + 4 <= len(data):
         (length,) = _LENGTH.unpack_from(data, start)
         block = data[start + 4 : start + 4 + length]
         if len(block) < length:
             return
-        yield zlib.decompress(block)
+        unpacked = zlib.decompressobj().decompress(block, most + 1)
+        most -= len(unpacked)
+        if most < 0:
+            raise ValueError("it stands for too many bytes")
+        yield unpacked
         start += 4 + length
 
 
@@ -226,6 +228,7 @@ def _records(block: bytes) -> Iterator[Record]:
 def _whole(records: Iterator[Record]) -> Iterator[Record]:
     """The records, those of tables with all rows that are there, in the order in which they were written."""
     tables: dict[str, tuple[NDArray[np.int64], int, Mapping[str, NDArray[Any]]]] = {}
+    size = 0
     for record in records:
         if "gone" not in record.arrays:
             yield record
@@ -234,6 +237,9 @@ def _whole(records: Iterator[Record]) -> Iterator[Record]:
         numbers, count, before = tables.get(record.layer, (np.zeros(0, dtype=np.int64), 0, {}))
         stays = ~np.isin(numbers, record.arrays["gone"])
         arrays = {name: np.concatenate([before[name][stays], new]) if before else new for name, new in added.items()}
+        size += sum(array.nbytes for array in arrays.values())
+        if size > _LARGEST:
+            raise ValueError("it stands for too many bytes")
         end = count + len(next(iter(added.values())))
         tables[record.layer] = (np.append(numbers[stays], np.arange(count, end)), end, arrays)
         yield dataclasses.replace(record, arrays=arrays)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.messages import FloatArray
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.storage.files import FileError, read_text, reading, write_atomic
 
 
 def write_tum(path: Path, stamps: FloatArray, X_WB: FloatArray) -> None:
@@ -31,14 +31,14 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     """Read a planar trajectory: stamps (n,) s and X_WB (n, 3), m and rad.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: a line is not eight numbers.
+        FileError: the file cannot be read, or a line is not eight numbers.
     """
-    lines = (line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#"))
-    rows = [[float(word) for word in line.split()] for line in lines]
-    if any(len(row) != 8 for row in rows):
-        raise ValueError(f"{path}: every line of a TUM trajectory has eight numbers")
-    table = np.array(rows).reshape(-1, 8)
+    with reading(path):
+        lines = [line for line in read_text(path).splitlines() if line.strip() and not line.startswith("#")]
+    try:
+        table = np.array([[float(word) for word in line.split()] for line in lines]).reshape(len(lines), 8)
+    except ValueError:
+        raise FileError(f"{path}: every line of a TUM trajectory has eight numbers") from None
     heading = 2.0 * np.arctan2(table[:, 6], table[:, 7])
     heading = np.pi - np.mod(np.pi - heading, 2.0 * np.pi)
     return table[:, 0], np.column_stack([table[:, 1:3], heading])

@@ -12,13 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.vision.image import Image
 
 # After what silence a stream is given up, s.
 SILENT = 3
 
 
-class FrameError(ValueError):
+class FrameError(BadInput, ValueError):
     """A source without images; the message is one line."""
 
 

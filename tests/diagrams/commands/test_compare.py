@@ -1,4 +1,5 @@
 import csv
+import os
 import re
 import signal
 import subprocess
@@ -69,7 +70,8 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
     assert err == f"tfg-drake: {out}: {complaint}\n"
 
 
-def test_ctrl_c_leaves_a_partial_report(room, tmp_path):
+@pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
+def test_a_signal_to_all_of_its_processes_leaves_a_partial_report(room, tmp_path, number, name):
     out = tmp_path / "comparison"
     arguments = [
         "compare",
@@ -90,11 +92,12 @@ def test_ctrl_c_leaves_a_partial_report(room, tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
     while not (out / "runs" / "tfg" / "seed-0" / "task.json").exists():
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, number)
     _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (130, "\ntfg-drake: stopping; Ctrl-C again leaves at once\n")
+    assert (process.returncode, err) == (128 + number, f"\ntfg-drake: stopping; {name} again leaves at once\n")
     assert re.search(r"This report is partial: \d+ of 20 runs are done.", (out / "report.md").read_text())

@@ -47,6 +47,14 @@ def test_info(call, path, small_map, monkeypatch):
     assert [line.rstrip() for line in out.splitlines()] == expected.splitlines()
 
 
+@pytest.mark.parametrize("arguments", [["info", "RUN"], ["export", "RUN", "a.csv"], ["export", "RUN", "a.png"]])
+def test_a_runs_folder_stands_for_its_map(call, path, monkeypatch, arguments):
+    monkeypatch.chdir(path.parent)
+    said = [call("map", *(word.replace("RUN", str(run)) for word in arguments)) for run in (path, path.parent)]
+    assert said[0] == said[1]
+    assert said[0][0] == 0
+
+
 def test_export(call, path, tmp_path):
     starts = {
         ".png": b"\x89PNG",
@@ -71,7 +79,8 @@ def test_export(call, path, tmp_path):
     ("arguments", "complaint"),
     [
         ("info none.npz", "no such map: none.npz"),
-        ("info .", ". is a folder; name the map in it, such as map.npz"),
+        ("info none", "no such map: none"),
+        ("info empty", "no such map: empty/map.npz"),
         ("view text.npz", "text.npz is damaged or not a map of tfg-drake"),
         ("export none.npz a.csv", "no such map: none.npz"),
         ("export map.npz a.zip", "a.zip: unknown format; name a file that ends in .g2o, .csv, .png, .pdf or .html"),
@@ -85,6 +94,7 @@ def test_export(call, path, tmp_path):
 def test_bad_input_is_one_line_and_exit_code_2(call, path, monkeypatch, arguments, complaint):
     monkeypatch.chdir(path.parent)
     (path.parent / "text.npz").write_text("a map\n")
+    (path.parent / "empty").mkdir()
     assert call("map", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
 
 
@@ -120,12 +130,13 @@ def test_no_drake_is_needed(path):
     assert path.with_suffix(".png").exists()
 
 
-def test_without_a_keyboard_the_view_stays_until_ctrl_c(path):
-    command = [sys.executable, "-c", NO_DRAKE, "map", "view", path]
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_without_a_keyboard_the_view_stays_until_ctrl_c(path, number):
+    command = [sys.executable, "-c", NO_DRAKE, "map", "view", path.parent]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline().startswith("Meshcat: http://localhost:")
         assert process.stdout.readline() == "The scene stays open until Ctrl-C.\n"
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         assert process.wait(timeout=30) == 0
 
 

@@ -44,7 +44,7 @@ def test_without_a_browser_it_says_how_to_get_one(call, run_dir, monkeypatch):
         ("export {0} page.png", "page.png: unknown format; name a file that ends in .html, .gif or .mp4"),
         (
             "export {0}/nowhere page.html",
-            "{0}/nowhere: no such file or directory; name the folder of a mission that this version has recorded",
+            "{0}/nowhere: no such file; name the folder of a run that was recorded",
         ),
         ("export {0} {0}/nowhere/page.html", "{0}/nowhere/page.html: cannot be written: no such file or directory"),
         ("view {0}/other", "{0}/other: is no timeline of this version; run the mission again"),

@@ -108,3 +108,13 @@ def test_what_cannot_be_forked_is_told_in_a_line(original, tmp_path):
     (tmp_path / "stages.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(ForkError, match="its stage 1 comes out otherwise now"):
         fork(tmp_path, 2)
+
+
+@pytest.mark.parametrize("lost", ["contacts", "version"])
+def test_a_summary_that_is_no_missions_is_told_in_a_line(original, tmp_path, lost):
+    """As that of `tfg-drake slam` is."""
+    summary = {name: value for name, value in original.summary.items() if name != lost}
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    with pytest.raises(ForkError) as caught:
+        fork(tmp_path, 1)
+    assert str(caught.value) == f"{tmp_path / 'summary.json'}: has no {lost}; name the folder of a mission"

@@ -17,6 +17,7 @@ from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.mission.clock import Clock
+from tfg_drake.mission.interruption import NAMES
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.storage.timeline import read_timeline
 from tfg_drake.storage.trajectory import read_tum
@@ -114,23 +115,25 @@ def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
     assert not (tmp_path / "map.npz").exists()
 
 
-def test_ctrl_c_leaves_a_usable_result(tmp_path):
+@pytest.mark.parametrize(("number", "name"), NAMES.items())
+def test_a_signal_leaves_a_usable_result(tmp_path, number, name):
     def interrupt(progress):
         if progress.time == 26.0 and not progress.outcome:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
 
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.getsignal(number)
     result = run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
-    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", "interrupted at 26 s")
+    assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", f"interrupted by {name} at 26 s")
     assert load_map(tmp_path / "map.npz").stage == 1
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) == before
 
 
-def test_a_second_ctrl_c_aborts(tmp_path):
+def test_a_second_ctrl_c_aborts(tmp_path, monkeypatch):
     def interrupt(_progress):
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
 
+    monkeypatch.setattr("tfg_drake.mission.interruption.TOGETHER", 0.0)
     with pytest.raises(KeyboardInterrupt):
         run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
 

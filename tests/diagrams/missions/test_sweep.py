@@ -1,8 +1,10 @@
+import errno
 import importlib.util
 import json
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -13,6 +15,7 @@ from tests.diagrams.rooms import lasting
 from tfg_drake.diagrams.missions import ray_sweep
 from tfg_drake.diagrams.missions.sweep import SweepError, Task, open_sweep, parse_methods, run_local, run_one
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.mission.interruption import NAMES
 
 ROOM = """
 world:
@@ -109,6 +112,32 @@ def test_a_killed_or_failed_run_stops_no_other(tmp_path):
     assert runs[0].reason == "killed by SIGKILL"
     assert runs[2].reason.startswith("NotADirectoryError: ")
     assert [run.seed for run in open_sweep(some, tmp_path)] == [1]
+
+
+def test_a_signal_to_the_whole_group_ends_no_run(tmp_path):
+    """As `timeout` and clusters send it: whoever started the runs looks after it."""
+
+    def signal_first():
+        while not multiprocessing.active_children():
+            time.sleep(0.01)
+        for number in NAMES:
+            os.kill(multiprocessing.active_children()[0].pid, number)
+
+    sender = threading.Thread(target=signal_first)
+    sender.start()
+    runs = by_seed(run_local(tasks(1), tmp_path, 1, threading.Event()))
+    sender.join()
+    assert runs[0].outcome == "time_limit"
+
+
+def test_a_run_that_cannot_be_started_is_one_line(tmp_path, monkeypatch):
+    def refuse(_self):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(multiprocessing.get_context("spawn").Process, "start", refuse)
+    with pytest.raises(SweepError) as caught:
+        list(run_local(tasks(1), tmp_path, 1, threading.Event()))
+    assert str(caught.value) == f"{sys.executable}: cannot be started: Permission denied; try fewer --jobs"
 
 
 def kill_first():

@@ -11,8 +11,18 @@ const TYPES = {
   u1: Uint8Array,
 };
 
-async function inflated(block) {
-  return new Response(new Blob([block]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
+/** A block unpacked, an error where it has more than so many bytes: of zeros a few stand for gigabytes. */
+async function inflated(block, most) {
+  let size = 0;
+  const bounded = new TransformStream({
+    transform(part, out) {
+      size += part.length;
+      if (size > most) throw new RangeError("the timeline is damaged: it stands for too many bytes");
+      out.enqueue(part);
+    },
+  });
+  const unpacked = new Blob([block]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(unpacked.pipeThrough(bounded)).arrayBuffer();
 }
 
 /** Last index whose time is at most t, -1 where there is none. */
@@ -33,6 +43,7 @@ class Timeline {
     this.end = 0;
     this.waiting = new Uint8Array(0);
     this.read = 0; // bytes of the file
+    this.unpacked = 0; // bytes that those stood for
     this.listeners = [];
   }
 
@@ -59,7 +70,10 @@ class Timeline {
     while (start + 4 <= joined.length) {
       const length = new DataView(joined.buffer, joined.byteOffset + start, 4).getUint32(0, true);
       if (start + 4 + length > joined.length) break;
-      this.block(await inflated(joined.subarray(start + 4, start + 4 + length)));
+      const most = Math.max(2 ** 26, 32 * this.read) - this.unpacked; // as in tfg_drake/storage/files.py
+      const buffer = await inflated(joined.subarray(start + 4, start + 4 + length), most);
+      this.unpacked += buffer.byteLength;
+      this.block(buffer);
       start += 4 + length;
     }
     this.waiting = joined.slice(start);
