@@ -65,6 +65,14 @@ def test_the_origin_turns_the_map(tmp_path):
     np.testing.assert_allclose([x.min(), x.max(), y.min(), y.max()], [0.0, 1.0, 2.0, 4.0], atol=1e-9)
 
 
+def test_numbers_with_an_exponent(tmp_path, shared_data):
+    file = write_grid(tmp_path, np.ones((10, 20), dtype=bool), origin="[1e0, 2E0, 0]")
+    file.write_text(file.read_text().replace("0.1\n", "1e-1\n"))
+    walls = load_map_server(file).walls
+    assert [walls.min(), walls.max()] == pytest.approx([1.0, 3.0])
+    assert load_map_server(shared_data("reports") / "maps" / "exp_res.yaml").resolution == 0.05
+
+
 def test_slanted_walls_become_straight_and_stay_within_a_cell(tmp_path):
     rows, columns = np.mgrid[0:200, 0:200]
     free = (columns > 10) & (rows > 10) & (rows + 0.3 * columns < 150)
