@@ -1,7 +1,8 @@
 """The rows of a text file as they come, mended where what is meant is plain; what was mended is counted and told.
 
-Read as they are: other line ends, blank lines, a heading without '#', rows out of order, rows that are there twice, and
-a last row that was cut off. A row that is wrong in any other way is refused by its reader.
+Read as they are: other line ends, blank lines, a heading with or without '#', columns in the order that it names, words
+parted by white space, commas or semicolons, rows out of order, rows that are there twice, and a last row that was cut
+off. A row that is wrong in any other way is refused by its reader.
 """
 
 from __future__ import annotations
@@ -23,6 +24,16 @@ from tfg_drake.messages import FloatArray, IntArray
 HEADING = 4
 # The last rows that show how many decimals a file writes.
 DECIMALS_OF = 20
+# Other names of columns.
+_NAMES = {
+    "time": ("timestamp", "stamp", "t", "stamp_s", "time_s", "sec", "seconds"),
+    "heading": ("yaw", "theta", "orientation"),
+    **{axis: (f"t{axis}", f"p{axis}", f"p_{axis}", f"{axis}_m", f"pos_{axis}") for axis in "xyz"},
+    **{f"q{axis}": (f"q_{axis}", f"quat_{axis}") for axis in "xyzw"},
+}
+_NAMED = {other: name for name, others in _NAMES.items() for other in others}
+# Units that a heading may give; an angle in degrees has none of these.
+_UNIT = re.compile(r"[\[(](s|sec|ms|us|ns|m|rad|-|)[\])]")
 # What is left of a number that was cut off, and no number.
 _CUT_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d*)?([eE][+-]?)?")
 
@@ -42,7 +53,7 @@ class Rows:
         Raises:
             DatasetError: the file cannot be read.
         """
-        self.path, self._separator = path, separator
+        self.path, self._separator, self._comma = path, separator, False
         text = read_text(path).removeprefix("\ufeff")
         self._ended = text.endswith(("\n", "\r"))
         self._lines = text.splitlines()
@@ -61,6 +72,48 @@ class Rows:
     def first(self) -> tuple[int, list[str]]:
         """The number (from 1) and the words of the first line that is not blank; 0 and none of an empty file."""
         return next(self._split(), (0, []))
+
+    def sniff(self) -> None:
+        """Take the separator that the middle line has; decimal commas are read as points beside any other."""
+        lines = [line for line in self._lines if line.strip()]
+        line = lines[len(lines) // 2] if lines else ""
+        self._comma = re.search(r"\d,\d", line) is not None and (";" in line or "\t" in line)
+        self._separator = ";" if ";" in line else "," if "," in line and not self._comma else None
+        if self._comma:
+            self._mended.append("decimal commas read as points")
+
+    def columns(self, *layouts: tuple[str, ...]) -> tuple[tuple[str, ...], list[int], int]:
+        """Which of the layouts the rows have, where in a row each of its columns stands, and how many words a row has.
+
+        A heading before the first row tells if it names as many columns as the row has; else the number of words does,
+        or the first layout is taken.
+
+        Raises:
+            DatasetError: a heading names some columns of a layout and not all.
+        """
+        row: list[str] = []
+        headings: list[tuple[int, list[str]]] = []
+        for number, line in enumerate(self._lines, start=1):
+            row = self._words(line)
+            if not line.strip().startswith("#") and any(map(_is_number, row)):
+                break
+            names = [name.lower() for name in self._words(_UNIT.sub("", line.lstrip("\t #")))]
+            headings.append((number, [_NAMED.get(name, name) for name in names]))
+        headings = [(number, names) for number, names in headings if len(names) == len(row)]
+        for layout in layouts:
+            for _, names in headings:
+                if set(layout) <= set(names):
+                    if names[: len(layout)] != list(layout):
+                        self._mended.append(f"columns read as {', '.join(names)}")
+                    return layout, [names.index(column) for column in layout], len(row)
+        for number, names in headings:
+            nearest = min(layouts, key=lambda layout: len(set(layout) - set(names)))
+            missing = [column for column in nearest if column not in names]
+            if len(nearest) - len(missing) > 1 and not self._lines[number - 1].lstrip().startswith("#"):
+                found = f"{', '.join(missing)} not among the columns {', '.join(names)}"
+                raise DatasetError(f"{self.path}, line {number}: {found}; name them there")
+        layout = next((layout for layout in layouts if len(layout) == len(row)), layouts[0])
+        return layout, list(range(len(layout))), len(layout)
 
     def read(self, parse: Callable[[int, list[str]], Row | None], after: int = 0) -> list[Row]:
         """What parse makes of the number (from 1) and the words of every line; lines of which it makes None are no row.
@@ -123,7 +176,11 @@ class Rows:
     def _split(self) -> Iterator[tuple[int, list[str]]]:
         for number, line in enumerate(self._lines, start=1):
             if line.strip():
-                yield number, [word.strip() for word in line.strip().split(self._separator)]
+                yield number, self._words(line)
+
+    def _words(self, line: str) -> list[str]:
+        line = line.replace(",", ".") if self._comma else line
+        return [word.strip() for word in line.strip().split(self._separator)]
 
     def _cut_off(self, error: DatasetError, words: list[str]) -> bool:
         if isinstance(error, ShortRowError):
@@ -131,30 +188,31 @@ class Rows:
         return not self._ended and _CUT_NUMBER.fullmatch(words[-1]) is not None and not _is_number(words[-1])
 
 
-def read_table(
-    path: Path, columns: tuple[str, ...], timed: bool = True, separator: str | None = None
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Finite numbers (n, len(columns)) and what was mended, a line or none.
+def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tuple[FloatArray, tuple[str, ...]]:
+    """Finite numbers (n, columns of a layout) and what was mended, a line or none.
 
-    timed: the first column is time, s, and sorts the rows. separator: of the numbers; None: white space.
+    layouts: names of columns, of which the file has one set, see `Rows.columns`. timed: the first column is time, by
+    whatever unit, and sorts the rows.
 
     Raises:
         DatasetError: the file cannot be read, or a line of it is broken.
     """
-    rows = Rows(path, separator)
+    rows = Rows(path)
+    rows.sniff()
+    columns, at, width = rows.columns(*layouts)
     read, heading = False, 0
 
     def parse(number: int, words: list[str]) -> tuple[float, ...] | None:
         nonlocal read, heading
-        if not read and heading < HEADING and is_heading(words, len(columns)):
+        if not read and heading < HEADING and is_heading(words, width):
             heading += 1
             return None
-        if len(words) != len(columns):
-            complaint = f"{len(columns)} numbers expected ({', '.join(columns)}), {len(words)} found; mend the line"
-            kind = ShortRowError if len(words) < len(columns) else DatasetError
+        if len(words) != width:
+            complaint = f"{width} numbers expected ({', '.join(columns)}), {len(words)} found; mend the line"
+            kind = ShortRowError if len(words) < width else DatasetError
             raise kind(f"{path}, line {number}: {complaint}")
         read = True
-        return tuple(parse_numbers(path, number, words))
+        return tuple(parse_numbers(path, number, [words[i] for i in at]))
 
     found = rows.read(parse)
     if heading:

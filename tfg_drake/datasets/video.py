@@ -16,6 +16,7 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.rows import read_table
 from tfg_drake.messages import FloatArray, Odometry, TagDetections
+from tfg_drake.storage.clock_unit import in_seconds
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.frames import FrameError, frames
 from tfg_drake.vision.mount import CameraMount
@@ -31,6 +32,9 @@ PIECE_TIME = 2.0
 MOMENT = 1e-5
 
 _TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+_PLANAR = ("time", "x", "y", "heading")
+# A quaternion that is shorter says nothing; one that is farther from 1 was not only rounded.
+_NO_LENGTH, _ROUNDED = 1e-6, 0.01
 
 
 def wandering() -> OdometryConfig:
@@ -122,18 +126,24 @@ def _moving(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
 
 def _poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
     """Stamps (n,), s, poses (n, 3), and what was mended in the file."""
-    if path.suffix.lower() == ".csv":
-        table, mended = read_table(path, ("time", "x", "y", "heading"), separator=",")
-        X_OB = table[:, 1:]
+    table, mended = read_table(path, _TUM, _PLANAR)
+    stamps, told = in_seconds(table[:, 0])
+    mended += tuple(f"{path.name}: {line}" for line in told)
+    if table.shape[1] == len(_PLANAR):
+        heading = table[:, 3]
     else:
-        table, mended = read_table(path, _TUM)
-        X_OB = np.column_stack([table[:, 1:3], _heading(table[:, 4:])])
+        length = np.linalg.norm(table[:, 4:], axis=1)
+        if len(none := np.flatnonzero(length < _NO_LENGTH)):
+            raise DatasetError(f"{path}: the quaternion at {stamps[none[0]]:.3f} s has no length; leave its row out")
+        if (np.abs(length - 1.0) > _ROUNDED).any():
+            mended += (f"{path.name}: quaternions of length {length.min():.3g} to {length.max():.3g}, normalised",)
+        heading = _heading(table[:, 4:] / length[:, None])
     if len(table) < 2:
         raise DatasetError(f"{path}: fewer than two poses in it; name a TUM trajectory or a CSV file")
-    same = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    same = np.flatnonzero(np.diff(stamps) <= 0.0)
     if len(same):
-        raise DatasetError(f"{path}: two poses at {table[same[0], 0]:.3f} s; leave one of them out")
-    return table[:, 0], X_OB, mended
+        raise DatasetError(f"{path}: two poses at {stamps[same[0]]:.3f} s; leave one of them out")
+    return stamps, np.column_stack([table[:, 1:3], heading]), mended
 
 
 def _heading(quaternion: FloatArray) -> FloatArray:
