@@ -193,7 +193,7 @@ def _frames(source: str, most: int | None = None) -> Iterator[Frame]:
     from tfg_drake.vision.frames import FrameError, frames
 
     try:
-        for number, frame in enumerate(frames(source)):
+        for number, frame in enumerate(frames(source, lambda line: print(line, file=sys.stderr))):
             if most is not None and number >= most:
                 return
             yield frame

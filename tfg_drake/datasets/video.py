@@ -31,6 +31,8 @@ PIECE_TIME = 2.0
 # The map begins so long before the first frame, s: the estimator takes a frame when odometry lies to both sides of it.
 MOMENT = 1e-5
 
+# Bare H.264 and such say no times.
+_INTO_A_CONTAINER = "give it its rate, as in ffmpeg -r 30 -i in.h264 -c copy out.mp4, and name out.mp4"
 _TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PLANAR = ("time", "x", "y", "heading")
 # A quaternion that is shorter says nothing; one that is farther from 1 was not only rounded.
@@ -78,10 +80,12 @@ def load_video(
     detector, sizes = TagDetector(), TagSizes(tag_size)
     seen: list[TagDetections] = []
     remarks: dict[str, int] = {}
+    notes: list[str] = []
     try:
-        for count, frame in enumerate(frames(source), start=1):
+        for count, frame in enumerate(frames(source, notes.append), start=1):
             if seen and frame.stamp <= seen[-1].stamp:
-                raise DatasetError(f"{source}: frame {frame.name} is not later than the one before; number them anew")
+                anew = "number them anew" if Path(source).is_dir() else _INTO_A_CONTAINER
+                raise DatasetError(f"{source}: frame {frame.name} is not later than the one before; {anew}")
             sighting = sighted(detector.detect(frame.image), frame.stamp, calibration, sizes, mount)
             seen.append(sighting.detections)
             for remark in sighting.remarks:
@@ -89,9 +93,10 @@ def load_video(
             on_frame(count)
     except FrameError as error:
         raise DatasetError(str(error)) from None
-    notes = [f"{remark} ({number} frames)" for remark, number in sorted(remarks.items())]
+    left_out = [f"{remark} ({number} frames)" for remark, number in sorted(remarks.items())]
+    notes += left_out
     if not any(len(one.ids) for one in seen):
-        why = f": {notes[0]}" if notes else "; is it of the family tag36h11, and sharp?"
+        why = f": {left_out[0]}" if left_out else "; is it of the family tag36h11, and sharp?"
         raise DatasetError(f"{source}: no tag in {len(seen)} frames{why}")
     name = Path(source).resolve().name.partition(".")[0]
     if odometry is None:
