@@ -68,7 +68,7 @@ LAYOUTS = ("time", "x", "y", "heading"), ("time", "x", "y", "qz", "qw")
         ("time;x;y;heading", ";", (0, 1, 2, 3), "1 line of a heading without '#', skipped"),
         ("# time x y heading", " ", (0, 1, 2, 3), None),
         ("#timestamp [ns]\tyaw [rad]\tpx [m]\tpy [m]", "\t", (0, 3, 1, 2), "columns read as time, heading, x, y"),
-        ("Yaw, Stamp, Ty, Tx", ", ", (3, 0, 2, 1), "columns read as heading, time, y, x; 1 line of a heading"),
+        ("Yaw, Stamp, Ty, Tx", ", ", (3, 0, 2, 1), "columns read as heading, time, y, x"),
         (None, " ", (0, 1, 2, 3), None),
         ("# wheel odometry, 2 Hz", ";", (0, 1, 2, 3), None),
     ],

@@ -139,7 +139,7 @@ def test_broken_images_of_a_file_are_told(tmp_path):
     (tmp_path / "a.mjpeg").write_bytes(data[: size + 4] + b"\xff\xd9" + data[2 * size :])
     lines = []
     assert len(list(frames(str(tmp_path / "a.mjpeg"), lines.append))) == 4
-    assert lines[-1] == "a.mjpeg: 1 of 5 images are broken; left out"
+    assert lines[0] == "a.mjpeg: image 2 is broken, left out"
     data = motion(tmp_path / "a.tif", 5).read_bytes()
     (tmp_path / "a.tif").write_bytes(data[:-3000])
     lines.clear()

@@ -82,38 +82,42 @@ class Rows:
         if self._comma:
             self._mended.append("decimal commas read as points")
 
-    def columns(self, *layouts: tuple[str, ...]) -> tuple[tuple[str, ...], list[int], int]:
-        """Which of the layouts the rows have, where in a row each of its columns stands, and how many words a row has.
+    def columns(self, *layouts: tuple[str, ...]) -> tuple[tuple[str, ...], list[int], int, int]:
+        """Which of the layouts the rows have, where in a row each of its columns stands, how many words a row has, and
+        the number of the last line of the heading, 0 without any.
 
-        A heading before the first row tells if it names as many columns as the row has; else the number of words does,
-        or the first layout is taken.
+        A heading tells if it names as many columns as the first row has; else the number of words does, or the first
+        layout is taken.
 
         Raises:
             DatasetError: a heading names some columns of a layout and not all.
         """
         row: list[str] = []
-        headings: list[tuple[int, list[str]]] = []
-        for number, line in enumerate(self._lines, start=1):
-            row = self._words(line)
-            if not line.strip().startswith("#") and any(map(_is_number, row)):
+        plain: list[int] = []
+        named: list[tuple[int, list[str]]] = []
+        for number, row in self._split():
+            is_comment = row[0].startswith("#")
+            if not is_comment and (len(plain) == HEADING or not is_heading(row, [len(one) for one in layouts])):
                 break
-            names = [name.lower() for name in self._words(_UNIT.sub("", line.lstrip("\t #")))]
-            headings.append((number, [_NAMED.get(name, name) for name in names]))
-        headings = [(number, names) for number, names in headings if len(names) == len(row)]
-        for layout in layouts:
-            for _, names in headings:
-                if set(layout) <= set(names):
-                    if names[: len(layout)] != list(layout):
-                        self._mended.append(f"columns read as {', '.join(names)}")
-                    return layout, [names.index(column) for column in layout], len(row)
-        for number, names in headings:
+            plain += [] if is_comment else [number]
+            names = [name.lower() for name in self._words(_UNIT.sub("", self._lines[number - 1].lstrip("\t #")))]
+            named.append((number, [_NAMED.get(name, name) for name in names]))
+        told = f"{_count(len(plain), 'line')} of a heading without '#', skipped" if plain else ""
+        layout = next((layout for layout in layouts if len(layout) == len(row)), layouts[0])
+        at, width = list(range(len(layout))), len(layout)
+        for number, names in named:
             nearest = min(layouts, key=lambda layout: len(set(layout) - set(names)))
             missing = [column for column in nearest if column not in names]
-            if len(nearest) - len(missing) > 1 and not self._lines[number - 1].lstrip().startswith("#"):
+            if len(names) != len(row) or (missing and (number not in plain or len(missing) > len(nearest) - 2)):
+                continue
+            if missing:
                 found = f"{', '.join(missing)} not among the columns {', '.join(names)}"
                 raise DatasetError(f"{self.path}, line {number}: {found}; name them there")
-        layout = next((layout for layout in layouts if len(layout) == len(row)), layouts[0])
-        return layout, list(range(len(layout))), len(layout)
+            layout, at, width = nearest, [names.index(column) for column in nearest], len(row)
+            if at != list(range(len(at))):
+                told = f"columns read as {', '.join(names)}"
+        self._mended += [told] if told else []
+        return layout, at, width, max(plain, default=0)
 
     def read(self, parse: Callable[[int, list[str]], Row | None], after: int = 0) -> list[Row]:
         """What parse makes of the number (from 1) and the words of every line; lines of which it makes None are no row.
@@ -199,32 +203,24 @@ def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tup
     """
     rows = Rows(path)
     rows.sniff()
-    columns, at, width = rows.columns(*layouts)
-    read, heading = False, 0
+    columns, at, width, after = rows.columns(*layouts)
 
-    def parse(number: int, words: list[str]) -> tuple[float, ...] | None:
-        nonlocal read, heading
-        if not read and heading < HEADING and is_heading(words, width):
-            heading += 1
-            return None
+    def parse(number: int, words: list[str]) -> tuple[float, ...]:
         if len(words) != width:
             complaint = f"{width} numbers expected ({', '.join(columns)}), {len(words)} found; mend the line"
             kind = ShortRowError if len(words) < width else DatasetError
             raise kind(f"{path}, line {number}: {complaint}")
-        read = True
         return tuple(parse_numbers(path, number, [words[i] for i in at]))
 
-    found = rows.read(parse)
-    if heading:
-        rows.mended(f"{_count(heading, 'line')} of a heading without '#', skipped")
+    found = rows.read(parse, after)
     table = np.array(rows.once(found)).reshape(-1, len(columns))
     return (table[rows.in_order(table[:, 0])] if timed else table), rows.notes
 
 
-def is_heading(words: list[str], columns: int) -> bool:
-    """Whether the words of a line are names where numbers should be, so many of them."""
+def is_heading(words: list[str], columns: Collection[int]) -> bool:
+    """Whether the words of a line are names where numbers should be, as many as one of these."""
     numbers = [_is_number(word) for word in words]
-    return not any(numbers) or (not numbers[0] and len(words) != columns)
+    return not any(numbers) or (not numbers[0] and len(words) not in columns)
 
 
 def _is_number(word: str) -> bool:

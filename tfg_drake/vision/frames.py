@@ -6,7 +6,6 @@ import dataclasses
 import itertools
 import math
 import re
-import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,23 +16,12 @@ import PIL.Image
 
 from tfg_drake.messages import FloatArray
 from tfg_drake.storage.clock_unit import UNITS, clock_unit
-from tfg_drake.vision.image import Image, eight_bits
+from tfg_drake.vision.image import NO_IMAGE, Image, eight_bits
 
 # After what silence a stream is given up, s.
 SILENT = 3
-# Formats in which Pillow finds several images in one file, and what it says of bytes that are no image or no whole one.
+# Formats in which Pillow finds several images in one file.
 _SEVERAL = ("GIF", "PNG", "TIFF", "WEBP")
-_NO_IMAGE = (
-    OSError,
-    EOFError,
-    SyntaxError,
-    ValueError,
-    TypeError,
-    LookupError,
-    OverflowError,
-    struct.error,
-    PIL.Image.DecompressionBombError,
-)
 # Where in a file one JPEG ends and the next begins; no JPEG has more bytes. A photograph that has others for its own
 # use says so in the beginning.
 _JPEG, _NEXT_JPEG = b"\xff\xd8\xff", re.compile(rb"(?<=\xff\xd9)(?=\xff\xd8\xff)")
@@ -156,37 +144,35 @@ def _within(path: Path, tell: Tell) -> Iterator[tuple[Image, float]]:
     if is_jpeg:
         yield from _motion_jpeg(path, tell)
         return
-    if (several := _several(path)) == 1:
-        if (image := _decoded(np.fromfile(path, dtype=np.uint8))) is not None:
-            yield image, APART
-        return
-    count = 0
+    count, several = 0, 1
     try:
         with PIL.Image.open(path, formats=_SEVERAL) as image:
-            while count < several:
+            several = getattr(image, "n_frames", 1)
+            while count < several > 1:
                 image.seek(count)
                 is_deep = image.mode.startswith("I;16")
                 pixels = eight_bits(np.asarray(image if is_deep else image.convert("RGB")))
                 shown = 1e-3 * float(image.info.get("duration", 0.0)) or APART
                 yield np.stack([pixels] * 3, axis=-1) if is_deep else pixels, shown
                 count += 1
-            if "duration" not in image.info:
+            if count and "duration" not in image.info:
                 tell(f"{path.name}: tells no times of its images; taken as {APART:g} s apart")
-    except _NO_IMAGE as error:
-        tell(f"{path.name}: image {count} of {several} cannot be read, nor those after it: {error}")
+    except (*NO_IMAGE, PIL.Image.DecompressionBombError) as error:
+        if count:
+            tell(f"{path.name}: image {count} of {several} cannot be read, nor those after it: {error}")
+    if not count and (one := _decoded(np.fromfile(path, dtype=np.uint8))) is not None:
+        yield one, APART
 
 
 def _motion_jpeg(path: Path, tell: Tell) -> Iterator[tuple[Image, float]]:
-    count = broken = 0
-    for data in _jpegs(path):
-        image = _decoded(np.frombuffer(data, dtype=np.uint8))
-        if image is not None:
+    count = 0
+    for count, data in enumerate(_jpegs(path), start=1):
+        if (image := _decoded(np.frombuffer(data, dtype=np.uint8))) is not None:
             yield image, MOTION_APART
-        count, broken = count + 1, broken + (image is None)
+        elif count > 1:
+            tell(f"{path.name}: image {count} is broken, left out")
     if count > 1:
         tell(f"{path.name}: tells no times of its images; taken as {1.0 / MOTION_APART:g} a second")
-    if count > broken > 0:
-        tell(f"{path.name}: {broken} of {count} images are broken; left out")
 
 
 def _jpegs(path: Path) -> Iterator[bytes]:
@@ -194,21 +180,12 @@ def _jpegs(path: Path) -> Iterator[bytes]:
     kept = b""
     with path.open("rb") as file:
         while (block := file.read(_BLOCK)) and len(kept) < _LONGEST_JPEG:
-            if _OWN_USE in (block if not kept else b""):
+            if not kept and _OWN_USE in block:
                 yield block + file.read(_LONGEST_JPEG)
                 return
             *whole, kept = _NEXT_JPEG.split(kept + block)
             yield from whole
     yield kept
-
-
-def _several(file: Path) -> int:
-    """How many images Pillow finds in a file, 1 where it reads none."""
-    try:
-        with PIL.Image.open(file, formats=_SEVERAL) as image:
-            return int(getattr(image, "n_frames", 1))
-    except _NO_IMAGE:
-        return 1
 
 
 def _stamps(files: list[Path], tell: Tell) -> FloatArray:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 
+# What Pillow says of bytes that are no image, or no whole one.
+NO_IMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, struct.error)
 # ITU-R BT.601, as OpenCV has it.
 _WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import struct
 import warnings
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.storage.files import read_bytes
 from tfg_drake.storage.yaml_text import parse_yaml
+from tfg_drake.vision.image import NO_IMAGE
 from tfg_drake.world.world import WorldError
 
 # Walls may leave the cells' borders by this many cells: the staircases of slanted walls stay within one.
@@ -114,8 +114,7 @@ def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         complaint = f"has more than {_MOST_CELLS} cells; crop it to the building, or make its cells larger"
         raise WorldError(f"{path}: image: {file} {complaint}") from None
-    # What Pillow says of bytes that are no image, or no whole one.
-    except (OSError, EOFError, SyntaxError, ValueError, TypeError, LookupError, OverflowError, struct.error) as error:
+    except NO_IMAGE as error:
         raise WorldError(f"{path}: image: {file} is not a readable image: {' '.join(str(error).split())}") from None
     negate = tree.get("negate", 0)
     if negate not in (0, 1):
