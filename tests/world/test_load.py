@@ -73,6 +73,51 @@ def test_numbers_with_an_exponent(tmp_path, shared_data):
     assert load_map_server(shared_data("reports") / "maps" / "exp_res.yaml").resolution == 0.05
 
 
+def test_the_grey_of_savers_is_unknown(tmp_path, shared_data, caplog):
+    file = shared_data("reports") / "maps" / "partial.yaml"
+    with Image.open(file.with_suffix(".pgm")) as image:
+        white = np.asarray(image)[::-1] == 254
+    np.testing.assert_array_equal(load_map_server(file).free, white)
+    world = load_map(file, 0.2, 1.0, None, 0)
+    told = "grey 205 is below free_thresh 0.25; taken for unknown, as savers mean it"
+    assert f"{file}: {told}" in caplog.text
+    assert load_map_server(file).is_free(world.start[None, :2]).all()
+
+
+@pytest.mark.parametrize(("other", "free"), [(254, False), (230, True)])
+@pytest.mark.parametrize("suffix", ["pgm", "png"])
+def test_grey_205_among_other_levels_is_as_free_thresh_has_it(tmp_path, other, free, suffix):
+    level = np.full((40, 60), 254, dtype=np.uint8)
+    level[:, 30:] = 205
+    level[0, 0] = other
+    Image.fromarray(level).save(tmp_path / f"map.{suffix}")
+    file = tmp_path / "map.yaml"
+    file.write_text(f"image: map.{suffix}\nresolution: 0.05\nfree_thresh: 0.3\n")
+    found = load_map_server(file)
+    assert found.free[:, 30:].all() == found.free[:, 30:].any() == free
+    (note,) = found.notes
+    assert "taken for free; if it is unknown, set free_thresh: 0.196" in note or not free
+    file.write_text(file.read_text().replace("0.3", "0.196"))
+    assert not load_map_server(file).notes
+
+
+def test_specks_of_unknown_cells_are_free_and_told(tmp_path):
+    level = np.full((100, 100), 254, dtype=np.uint8)
+    level[5:95:10, 5:95:10] = 205  # 81 of one cell
+    level[50:52, 50:52] = 205  # 10 cm a side
+    level[70:73, 70:73] = 205  # 15 cm a side: it stays
+    level[20, 22] = 0  # the leg of a table: it stays
+    level[0, :50] = 205  # the edge of what was seen
+    Image.fromarray(level[::-1]).save(tmp_path / "map.png")
+    file = tmp_path / "map.yaml"
+    file.write_text("image: map.png\nresolution: 0.05\nfree_thresh: 0.196\n")
+    found = load_map_server(file)
+    assert found.notes == ("82 specks of unknown cells within free space taken for free",)
+    expected = np.ones((100, 100), dtype=bool)
+    expected[70:73, 70:73] = expected[20, 22] = expected[0, :50] = False
+    np.testing.assert_array_equal(found.free, expected)
+
+
 def test_slanted_walls_become_straight_and_stay_within_a_cell(tmp_path):
     rows, columns = np.mgrid[0:200, 0:200]
     free = (columns > 10) & (rows > 10) & (rows + 0.3 * columns < 150)

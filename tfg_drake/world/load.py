@@ -36,6 +36,8 @@ def load_map(
     elif path.suffix in (".yaml", ".yml"):
         occupancy = load_map_server(path)
         walls, is_free = occupancy.walls, occupancy.is_free
+        for note in occupancy.notes:
+            _log.warning("%s: %s", path, note)
     else:
         raise WorldError(f"{path}: unknown kind of map; give a scenario or map_server .yaml or a *.vectormap.txt")
     try:
