@@ -97,8 +97,8 @@ class Scenario:
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
 _BOUNDS: dict[str, tuple[float, float]] = {
     "robot.radius": (0.0, math.inf),
-    "robot.max_speed": (0.0, math.inf),
-    "robot.max_turn_rate": (0.0, math.inf),
+    "robot.max_speed": (0.0, 5.0),  # m/s: a run
+    "robot.max_turn_rate": (0.0, 15.0),  # rad/s: more is written in degrees
     "robot.max_acceleration": (0.0, math.inf),
     "robot.max_turn_acceleration": (0.0, math.inf),
     "tags.range": (0.0, math.inf),

@@ -320,3 +320,19 @@ def test_numbers_with_an_exponent_and_a_dumped_document():
     read = LoadScenario(data=text)
     assert (read.robot.radius, read.world.start) == (0.2, [1.0, 1.5, 0.0])
     assert ApplySettings(read, ["robot.radius=1e-1"]).robot.radius == 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("world: {start: [1, 1, 90]}", "world.start: 90 rad is more than a turn; write radians, not degrees"),
+        (
+            "world: {tags: [{id: 3, position: [1, 1], facing: -180}]}",
+            "world.tags[0].facing: -180 rad is more than a turn; write radians, not degrees",
+        ),
+        ("robot: {max_speed: 30}", "robot.max_speed: must be at most 5, is 30"),
+        ("robot: {max_turn_rate: 90}", "robot.max_turn_rate: must be at most 15, is 90"),
+    ],
+)
+def test_degrees_and_what_no_robot_does(text, told):
+    assert complaint(LoadScenario, data=text) == f"scenario: {told}"

@@ -118,6 +118,22 @@ def test_specks_of_unknown_cells_are_free_and_told(tmp_path):
     np.testing.assert_array_equal(found.free, expected)
 
 
+CLOSED = "0,0,6,0\n6,0,6,4\n6,4,0,4\n0,4,0,0\n"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_closed_building_is_begun_inside_and_an_open_one_anywhere(tmp_path, seed):
+    file = tmp_path / "room.vectormap.txt"
+    file.write_text(CLOSED)
+    x, y, _ = load_map(file, 0.2, 1.0, None, seed).start
+    assert 0.0 < x < 6.0
+    assert 0.0 < y < 4.0
+    # A cupboard within is not the building, though it is all that is shut.
+    file.write_text("0,0,4,0\n6,0,6,4\n6,4,0,4\n0,4,0,0\n3,0,3,2\n" + "1,2,2,2\n2,2,2,3\n2,3,1,3\n1,3,1,2\n")
+    x, y, _ = load_map(file, 0.2, 1.0, None, seed).start
+    assert not (1.0 < x < 2.0 and 2.0 < y < 3.0)
+
+
 def test_slanted_walls_become_straight_and_stay_within_a_cell(tmp_path):
     rows, columns = np.mgrid[0:200, 0:200]
     free = (columns > 10) & (rows > 10) & (rows + 0.3 * columns < 150)

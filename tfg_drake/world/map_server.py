@@ -31,7 +31,7 @@ _CELL_BYTES = 18
 _FORMATS = ("PNG", "PPM", "BMP", "JPEG")
 # What map savers write for occupied, unknown and free; white is free, too.
 _SAVED, _UNKNOWN = (0, 205, 254, 255), 205
-# Unknown cells that free ones enclose are a fault of the scan, not a pillar, where they cover no more, m^2: 10 cm a side.
+# Unknown cells that free ones enclose are a fault of the scan, not a pillar, where they cover no more, m^2.
 _SPECK = 0.011
 # No number in the .yaml is greater, whatever its unit.
 _GREATEST = 1e9
