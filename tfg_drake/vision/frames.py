@@ -16,6 +16,7 @@ import PIL.Image
 
 from tfg_drake.messages import FloatArray
 from tfg_drake.storage.clock_unit import UNITS, clock_unit
+from tfg_drake.storage.files import read_bytes
 from tfg_drake.vision.image import NO_IMAGE, Image, eight_bits
 
 # After what silence a stream is given up, s.
@@ -139,9 +140,7 @@ def _file(path: Path, tell: Tell) -> Iterator[Frame]:
 
 def _within(path: Path, tell: Tell) -> Iterator[tuple[Image, float]]:
     """The images in an image's file, and how long each is shown, s."""
-    with path.open("rb") as file:
-        is_jpeg = file.read(len(_JPEG)) == _JPEG
-    if is_jpeg:
+    if read_bytes(path, len(_JPEG)) == _JPEG:
         yield from _motion_jpeg(path, tell)
         return
     count, several = 0, 1

@@ -33,6 +33,4 @@ def grey(image: Image) -> Image:
 def eight_bits(image: NDArray[np.uint8] | NDArray[np.uint16]) -> Image:
     """An image of any shape with its upper eight bits; one of two bytes has as many as its brightest value takes: a
     camera's ten or twelve may be written into sixteen."""
-    if image.dtype == np.uint8:
-        return np.asarray(image, dtype=np.uint8)
     return (image >> max(int(image.max(initial=0)).bit_length() - 8, 0)).astype(np.uint8)
