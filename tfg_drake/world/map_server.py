@@ -135,8 +135,7 @@ def _free_cells(path: Path, tree: dict[str, object], resolution: float) -> tuple
     free_thresh = _number(path, tree, "free_thresh", 0.196)
     if not 0.0 < free_thresh <= 1.0:
         raise WorldError(f"{path}: free_thresh: must be greater than 0 and at most 1, is {free_thresh:g}")
-    shade = np.arange(white + 1) / white
-    occupancy = shade if negate else 1.0 - shade
+    occupancy = (np.arange(white + 1) if negate else np.arange(white, -1, -1)) / white
     is_free = occupancy < free_thresh  # by level: the image itself stays integers
     notes = []
     if white == 255 and not negate and is_free[_UNKNOWN] and (level == _UNKNOWN).any():
