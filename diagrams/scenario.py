@@ -40,7 +40,7 @@ from tfg_drake.config import (
     TagConfig,
     TagSensorConfig,
 )
-from tfg_drake.storage.yaml_text import parse_yaml
+from tfg_drake.storage.yaml_text import dump_yaml, parse_yaml
 from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
 from tfg_drake.world.world import World, WorldError, check_world
@@ -98,8 +98,8 @@ class Scenario:
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
 _BOUNDS: dict[str, tuple[float, float]] = {
     "robot.radius": (0.0, math.inf),
-    "robot.max_speed": (0.0, math.inf),
-    "robot.max_turn_rate": (0.0, math.inf),
+    "robot.max_speed": (0.0, 5.0),  # m/s: a run
+    "robot.max_turn_rate": (0.0, 15.0),  # rad/s: more is written in degrees
     "robot.max_acceleration": (0.0, math.inf),
     "robot.max_turn_acceleration": (0.0, math.inf),
     "tags.range": (0.0, math.inf),
@@ -249,10 +249,7 @@ def _Load(
             defaults = _LoadBase(one, path, source, above, defaults)
     if isinstance(tree.get("station"), dict) and tree["station"].get("eyes") == "camera":
         defaults = _WithCamera(defaults or Scenario(), tree.get("camera") or {})
-    # Unknown keys were refused above; what is left without a schema is `base`.
-    scenario = yaml_load_typed(
-        schema=Scenario, data=text, child_name=scenario_name, defaults=defaults, allow_yaml_with_no_schema=True
-    )
+    scenario = yaml_load_typed(schema=Scenario, data=dump_yaml(tree), defaults=defaults)
     assert isinstance(scenario, Scenario)
     _CheckWorld(scenario, source)
     return scenario
@@ -462,31 +459,25 @@ def _General(place: str) -> str:
 
 def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> None:
     kind = "a whole number" if schema is int else "a number"
-    number = value
-    if isinstance(value, str) and schema is float:
-        try:  # YAML 1.1 takes 1e-3 for text; Drake's loader and we do not.
-            number = float(value)
-        except ValueError:
-            number = None
-    if isinstance(number, bool) or not isinstance(number, int if schema is int else int | float):
+    if isinstance(value, bool) or not isinstance(value, int if schema is int else int | float):
         raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
-    if not abs(number) <= sys.float_info.max:
-        found = number if isinstance(number, float) else "too large"
+    if not abs(value) <= sys.float_info.max:
+        found = value if isinstance(value, float) else "too large"
         raise ScenarioError(f"{source}: {place}: must be finite, is {found}")
-    if schema is int and not 0 <= number <= _MOST:
-        raise ScenarioError(f"{source}: {place}: must be between 0 and {_MOST}, is {number}")
+    if schema is int and not 0 <= value <= _MOST:
+        raise ScenarioError(f"{source}: {place}: must be between 0 and {_MOST}, is {value}")
     general = _General(place)
     if general.startswith(_SIGNED):
         return
     unbounded = 1.0 if general.endswith("_probability") else math.inf
     least, greatest = _BOUNDS.get(general, (-math.inf, unbounded))
-    if general not in _BOUNDS and number < 0:
-        raise ScenarioError(f"{source}: {place}: must not be negative, is {number:g}")
-    if number < least or (number == least == 0.0):
+    if general not in _BOUNDS and value < 0:
+        raise ScenarioError(f"{source}: {place}: must not be negative, is {value:g}")
+    if value < least or (value == least == 0.0):
         relation = "greater than 0" if least == 0.0 else f"at least {least:g}"
-        raise ScenarioError(f"{source}: {place}: must be {relation}, is {number:g}")
-    if number > greatest:
-        raise ScenarioError(f"{source}: {place}: must be at most {greatest:.6g}, is {number:g}")
+        raise ScenarioError(f"{source}: {place}: must be {relation}, is {value:g}")
+    if value > greatest:
+        raise ScenarioError(f"{source}: {place}: must be at most {greatest:.6g}, is {value:g}")
 
 
 # What of the section reality is rendered, too; the rest says what ideal sensors do.

@@ -6,6 +6,7 @@ import fcntl
 import os
 import signal
 import time
+from pathlib import Path
 
 # Before anything loads BLAS, and for every process that a test starts: small dense operations are many times slower
 # when each of several processes spreads them over all cores.
@@ -68,6 +69,23 @@ def compiled():
             with contextlib.closing(kernels.Compilation()) as compilation:
                 while not compilation.ended:
                     time.sleep(0.1)
+
+
+# Beside the project, where there is one; nothing of it is the project's own.
+SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """A folder of recorded data by name; the test is skipped where it is not there."""
+
+    def folder(name):
+        path = SHARED_DATA / name
+        if not path.is_dir():
+            pytest.skip(f"no recorded data in {path}")
+        return path
+
+    return folder
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def check(
     told: set[str] = set()
     live, count, seen, spent, begin, drawn = is_live(source), 0, 0, 0.0, time.monotonic(), -math.inf
     try:
-        for frame in itertools.islice(all_frames(source), frames):
+        for frame in itertools.islice(all_frames(source, _tell), frames):
             started = time.perf_counter()
             tags = detector.detect(frame.image)
             sighting = sighted(tags, frame.stamp, known, TagSizes(tag_size), where, least_margin=margin)
@@ -187,6 +187,10 @@ def _need_packages() -> None:
         bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
 
 
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr)
+
+
 def _views(source: str, columns: int, rows: int) -> tuple[list[FloatArray], tuple[int, int]]:
     """The corners of the board in each view that shows it anew, and the size of the images, pixels."""
     from tfg_drake.vision.chessboard import MOST_VIEWS, board_corners, is_new_view
@@ -195,7 +199,7 @@ def _views(source: str, columns: int, rows: int) -> tuple[list[FloatArray], tupl
     views: list[FloatArray] = []
     size, looked, live = (0, 0), -math.inf, is_live(source)
     try:
-        for frame in frames(source):
+        for frame in frames(source, _tell):
             if live and time.monotonic() - looked < LIVE_EVERY:
                 continue
             looked = time.monotonic()

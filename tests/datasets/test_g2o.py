@@ -206,7 +206,7 @@ def test_a_fixed_pose_stays(tmp_path):
             f"EDGE_SE2 0 {10**16} 1 0 0 1 0 0 1 0 1",
             f"line 1: '{10**16}' is not an id; ids are whole numbers of at most 16 digits",
         ),
-        ("EDGE_SE2 0 1 inf 0 0 1 0 0 1 0 1", "line 1: 'inf' is not a finite number below 1e+18; mend the line"),
+        ("EDGE_SE2 0 1 inf 0 0 1 0 0 1 0 1", "line 1: 'inf' is not a finite number below 1e+19; mend the line"),
         (
             "EDGE_SE2 0 1 1 0 0 1 0 0 0 0 1",
             "line 1: the information matrix is not positive definite; mend the line",

@@ -70,6 +70,20 @@ def test_a_robot_whose_rows_are_missing_has_not_turned_all_the_while(folder):
     np.testing.assert_allclose(run.odometry[-1].X_OB, expected, atol=1e-9)
 
 
+def test_stamps_that_count_in_ns(folder):
+    clean = load_mrclam(folder, 1)
+    for file, text in (("Odometry.dat", ODOMETRY), ("Groundtruth.dat", TRUTH), ("Measurement.dat", MEASUREMENT)):
+        head, *rows = text.splitlines()
+        cells = [row.split(" ", 1) for row in rows]
+        lines = [head, *(f"{1e9 * float(stamp):.0f} {rest}" for stamp, rest in cells)]
+        (folder / f"Robot1_{file}").write_text("\n".join(lines))
+    run = load_mrclam(folder, 1)
+    assert [one.stamp for one in run.odometry] == pytest.approx([one.stamp for one in clean.odometry])
+    assert [one.stamp for one in run.detections] == pytest.approx([one.stamp for one in clean.detections])
+    assert run.truth.stamps.tolist() == pytest.approx(clean.truth.stamps.tolist())
+    assert run.notes == ("Robot1_Odometry.dat: stamps of all files read as ns", *clean.notes)
+
+
 def test_commands_are_integrated_exactly_on_arcs(folder):
     run = load_mrclam(folder, 1)
     assert (SPEED_SCALE, TURN_SCALE) == (1.05, 1.09)
@@ -119,18 +133,18 @@ def test_without_truth_there_is_none(folder):
         (
             "Robot1_Odometry.dat",
             "1.0 0.1 x\n",
-            "{}/Robot1_Odometry.dat, line 1: 'x' is not a finite number below 1e+18; mend the line",
+            "{}/Robot1_Odometry.dat, line 1: 'x' is not a finite number below 1e+19; mend the line",
         ),
         (
             "Robot1_Odometry.dat",
             "1.0 0.1 nan\n",
-            "{}/Robot1_Odometry.dat, line 1: 'nan' is not a finite number below 1e+18; mend the line",
+            "{}/Robot1_Odometry.dat, line 1: 'nan' is not a finite number below 1e+19; mend the line",
         ),
         ("Robot1_Odometry.dat", "# empty\n", "{}/Robot1_Odometry.dat: no odometry in it; copy it again"),
         (
             "Robot1_Odometry.dat",
             "1.0 0 0\n2.0 x 0\n3.0 0 0\n",
-            "{}/Robot1_Odometry.dat, line 2: 'x' is not a finite number below 1e+18; mend the line",
+            "{}/Robot1_Odometry.dat, line 2: 'x' is not a finite number below 1e+19; mend the line",
         ),
         (
             "Robot1_Odometry.dat",

@@ -1,11 +1,13 @@
 """Files whose rows are not as they should be: what is mended, and what is said of it."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.scan_logs import RAYS, load_breezyslam, load_carmen
+from tests.mutations import assert_refused_or_read
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.g2o import read_g2o
 from tfg_drake.datasets.recording import DatasetError
@@ -55,17 +57,68 @@ def test_the_table_is_the_same_and_one_line_says_what_was_mended(tmp_path, text,
     assert notes == (() if note is None else (f"t.dat: {note}",))
 
 
+POSES = [(0.5 * k, 0.1 * k, -0.2 * k, 0.25 * k) for k in range(12)]
+LAYOUTS = ("time", "x", "y", "heading"), ("time", "x", "y", "qz", "qw")
+
+
+@pytest.mark.parametrize(
+    ("heading", "separator", "order", "note"),
+    [
+        ("time,x,y,heading", ",", (0, 1, 2, 3), "1 line of a heading without '#', skipped"),
+        ("time;x;y;heading", ";", (0, 1, 2, 3), "1 line of a heading without '#', skipped"),
+        ("# time x y heading", " ", (0, 1, 2, 3), None),
+        ("#timestamp [ns]\tyaw [rad]\tpx [m]\tpy [m]", "\t", (0, 3, 1, 2), "columns read as time, heading, x, y"),
+        ("Yaw, Stamp, Ty, Tx", ", ", (3, 0, 2, 1), "columns read as heading, time, y, x"),
+        (None, " ", (0, 1, 2, 3), None),
+        ("# wheel odometry, 2 Hz", ";", (0, 1, 2, 3), None),
+    ],
+)
+def test_columns_are_read_by_their_names(tmp_path, heading, separator, order, note):
+    rows = [separator.join(f"{row[i]:.3f}" for i in order) for row in POSES]
+    (tmp_path / "t.csv").write_text("\n".join([*([heading] if heading else []), *rows]))
+    table, notes = read_table(tmp_path / "t.csv", *LAYOUTS)
+    np.testing.assert_allclose(table, POSES)
+    assert len(notes) == (note is not None)
+    assert all(line.startswith(f"t.csv: {note}") for line in notes)
+
+
+def test_other_columns_are_left_alone_and_decimal_commas_read(tmp_path):
+    rows = [f"{k};{t:.2f};{y:.2f};{x:.2f};0;1".replace(".", ",") for k, (t, x, y, _) in enumerate(POSES)]
+    (tmp_path / "t.csv").write_text("\n".join(["frame;t;ty;tx;qz;qw", *rows]) + "\n")
+    table, notes = read_table(tmp_path / "t.csv", *LAYOUTS)
+    np.testing.assert_allclose(table[:, :3], np.array(POSES)[:, :3])
+    assert table[:, 3:].tolist() == [[0.0, 1.0]] * len(POSES)
+    assert notes[0].startswith("t.csv: decimal commas read as points; columns read as frame, time, y, x, qz, qw")
+
+
+@pytest.mark.parametrize("name", ["yaw_deg", "yaw [deg]", "angle"])
+def test_a_column_that_is_not_named_is_asked_for(tmp_path, name):
+    (tmp_path / "t.csv").write_text(f"time,x,y,{name}\n0,1,2,90\n1,1,2,90\n")
+    complaint = f"t.csv, line 1: heading not among the columns time, x, y, {name}; name them there"
+    with pytest.raises(DatasetError, match=re.escape(complaint)):
+        read_table(tmp_path / "t.csv", *LAYOUTS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_a_mutated_table_is_refused_or_read(tmp_path, separator):
+    rows = [separator.join(f"{number:.3f}" for number in row) for row in POSES]
+    file = tmp_path / "t.csv"
+    file.write_text("\n".join([separator.join(LAYOUTS[0]), *rows]) + "\n")
+    assert_refused_or_read(file, lambda: read_table(file, *LAYOUTS), DatasetError, count=1000)
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("1.0 0.1\n2.0 x\n3.0 0.3\n", "line 2: 'x' is not a finite number below 1e+18; mend the line"),
-        ("1.0 0.1\n2.0 x", "line 2: 'x' is not a finite number below 1e+18; mend the line"),
-        ("1.0 0.1\n2.0 nan", "line 2: 'nan' is not a finite number below 1e+18; mend the line"),
-        ("1.0 0.1\n2.0 -\n", "line 2: '-' is not a finite number below 1e+18; mend the line"),
+        ("1.0 0.1\n2.0 x\n3.0 0.3\n", "line 2: 'x' is not a finite number below 1e+19; mend the line"),
+        ("1.0 0.1\n2.0 x", "line 2: 'x' is not a finite number below 1e+19; mend the line"),
+        ("1.0 0.1\n2.0 nan", "line 2: 'nan' is not a finite number below 1e+19; mend the line"),
+        ("1.0 0.1\n2.0 -\n", "line 2: '-' is not a finite number below 1e+19; mend the line"),
         ("1.0 0.1\n2.0\n3.0 0.3\n", "line 2: 2 numbers expected (time, x), 1 found; mend the line"),
         ("1.0 0.1\n2.0 0.2 0.3", "line 2: 2 numbers expected (time, x), 3 found; mend the line"),
         ("1.0\n", "line 1: 2 numbers expected (time, x), 1 found; mend the line"),
-        ("a b\n" * 5, "line 5: 'a' is not a finite number below 1e+18; mend the line"),
+        ("a b\n" * 5, "line 5: 'a' is not a finite number below 1e+19; mend the line"),
     ],
 )
 def test_what_cannot_be_true_is_refused(tmp_path, text, complaint):

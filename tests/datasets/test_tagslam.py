@@ -143,7 +143,7 @@ def test_tables_without_header_and_out_of_order_are_read(folder):
         (
             "tag_corners.csv",
             ("0.000000,left,3,0", "0.000000,left,three,0"),
-            "{}/tag_corners.csv, line 2: 'three' is not a finite number below 1e+18; mend the line",
+            "{}/tag_corners.csv, line 2: 'three' is not a finite number below 1e+19; mend the line",
         ),
         (
             "tag_corners.csv",
@@ -231,7 +231,7 @@ def test_a_mutated_file_is_refused_or_read(folder, name):
             "cannot convert float infinity to integer",
         ),
         ("tagslam.yaml", "id: 3", f"id: {2**70}", "Python int too large to convert to C long"),
-        ("cameras.yaml", "- 500.0", "- 1.0e300", "4 finite numbers below 1e+18 expected"),
+        ("cameras.yaml", "- 500.0", "- 1.0e300", "4 finite numbers below 1e+19 expected"),
         ("cameras.yaml", "radtan", "!!int radtan", "the tag tag:yaml.org,2002:int is not read, leave it out; mend it"),
     ],
 )

@@ -313,3 +313,26 @@ def test_what_reality_leaves_out_is_as_the_data_sheet_says():
     assert complaint(ApplySettings, scenario, ["reality.scan.dropout_probability=1.5"]) == (
         "--set reality.scan.dropout_probability=1.5: reality.scan.dropout_probability: must be at most 1, is 1.5"
     )
+
+
+def test_numbers_with_an_exponent_and_a_dumped_document():
+    text = "base: paper\nrobot: {radius: 2e-1}\nworld: {start: [1e0, 15e-1, 0e0]}\n---\n"
+    read = LoadScenario(data=text)
+    assert (read.robot.radius, read.world.start) == (0.2, [1.0, 1.5, 0.0])
+    assert ApplySettings(read, ["robot.radius=1e-1"]).robot.radius == 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("world: {start: [1, 1, 90]}", "world.start: 90 rad is more than a turn; write radians, not degrees"),
+        (
+            "world: {tags: [{id: 3, position: [1, 1], facing: -180}]}",
+            "world.tags[0].facing: -180 rad is more than a turn; write radians, not degrees",
+        ),
+        ("robot: {max_speed: 30}", "robot.max_speed: must be at most 5, is 30"),
+        ("robot: {max_turn_rate: 90}", "robot.max_turn_rate: must be at most 15, is 90"),
+    ],
+)
+def test_degrees_and_what_no_robot_does(text, told):
+    assert complaint(LoadScenario, data=text) == f"scenario: {told}"

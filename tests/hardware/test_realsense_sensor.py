@@ -11,7 +11,12 @@ from tfg_drake.hardware import realsense_sensor
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.realsense_sensor import RealsenseDriver
 
-rs = pytest.importorskip("pyrealsense2", reason="pyrealsense2 is not installed: pip install -e '.[realsense]'")
+# Its wheel needs the system's libusb.
+rs = pytest.importorskip(
+    "pyrealsense2",
+    reason="pyrealsense2 or its libusb-1.0 is not installed: pip install -e '.[realsense]', apt install libusb-1.0-0",
+    exc_type=ImportError,
+)
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 40.0
 # A wall so far ahead, m, and a column of pixels without an answer.

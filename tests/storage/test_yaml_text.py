@@ -3,12 +3,29 @@
 import pytest
 import yaml
 
-from tfg_drake.storage.yaml_text import parse_yaml
+from tfg_drake.storage.yaml_text import dump_yaml, parse_yaml
 
 
 def test_plain_yaml_is_read():
     assert parse_yaml("a: [1, 2.5, {b: yes}]\nc: text\n") == {"a": [1, 2.5, {"b": True}], "c": "text"}
     assert parse_yaml("") is None
+
+
+@pytest.mark.parametrize("text", ["5e-2", "1e-05", "6e2", "-3E-7", "+1.e3", ".5E+1", "1.5e300", "2e400"])
+def test_numbers_with_an_exponent_are_numbers(text):
+    assert parse_yaml(f"a: {text}") == {"a": float(text)}
+    assert parse_yaml(dump_yaml({"a": float(text)})) == {"a": float(text)}
+
+
+@pytest.mark.parametrize("text", ["1e3x", "e5", "e-5", "'1e3'", "1e", "1e3 m", "1_0e3", "v1e3"])
+def test_what_only_looks_like_a_number_is_text(text):
+    assert parse_yaml(f"a: {text}") == {"a": text.strip("'")}
+
+
+def test_empty_documents_beside_one_do_not_count():
+    assert parse_yaml("---\na: 1\n---\n") == {"a": 1}
+    with pytest.raises(yaml.YAMLError, match="2 documents, parted by ---; keep one of them"):
+        parse_yaml("a: 1\n---\na: 2\n")
 
 
 @pytest.mark.parametrize(

@@ -118,3 +118,10 @@ def test_a_file_that_is_not_there(tmp_path):
     told = f"{path}: cannot be read: No such file or directory; name a calibration's YAML file"
     with pytest.raises(CalibrationError, match="^" + re.escape(told) + "$"):
         load_calibration(path)
+
+
+def test_numbers_with_an_exponent(tmp_path, shared_data):
+    exponents = ROS.replace("-0.1, 0.02, 0.001, -0.0005, 0.003", "-1e-1, 2e-2, 1E-3, -5e-04, 3.e-3")
+    np.testing.assert_array_equal(load_calibration(write(tmp_path / "mine.yaml", exponents)).coefficients, BROWN)
+    found = load_calibration(shared_data("reports") / "calibrations" / "ros_exp.yaml")
+    assert found.coefficients.tolist() == [1e-05, -2e-06, 1e-7, -3e-7, 0.0]

@@ -65,6 +65,75 @@ def test_the_origin_turns_the_map(tmp_path):
     np.testing.assert_allclose([x.min(), x.max(), y.min(), y.max()], [0.0, 1.0, 2.0, 4.0], atol=1e-9)
 
 
+def test_numbers_with_an_exponent(tmp_path, shared_data):
+    file = write_grid(tmp_path, np.ones((10, 20), dtype=bool), origin="[1e0, 2E0, 0]")
+    file.write_text(file.read_text().replace("0.1\n", "1e-1\n"))
+    walls = load_map_server(file).walls
+    assert [walls.min(), walls.max()] == pytest.approx([1.0, 3.0])
+    assert load_map_server(shared_data("reports") / "maps" / "exp_res.yaml").resolution == 0.05
+
+
+def test_the_grey_of_savers_is_unknown(tmp_path, shared_data, caplog):
+    file = shared_data("reports") / "maps" / "partial.yaml"
+    with Image.open(file.with_suffix(".pgm")) as image:
+        white = np.asarray(image)[::-1] == 254
+    np.testing.assert_array_equal(load_map_server(file).free, white)
+    world = load_map(file, 0.2, 1.0, None, 0)
+    told = "grey 205 is below free_thresh 0.25; taken for unknown, as savers mean it"
+    assert f"{file}: {told}" in caplog.text
+    assert load_map_server(file).is_free(world.start[None, :2]).all()
+
+
+@pytest.mark.parametrize(("other", "free"), [(254, False), (230, True)])
+@pytest.mark.parametrize("suffix", ["pgm", "png"])
+def test_grey_205_among_other_levels_is_as_free_thresh_has_it(tmp_path, other, free, suffix):
+    level = np.full((40, 60), 254, dtype=np.uint8)
+    level[:, 30:] = 205
+    level[0, 0] = other
+    Image.fromarray(level).save(tmp_path / f"map.{suffix}")
+    file = tmp_path / "map.yaml"
+    file.write_text(f"image: map.{suffix}\nresolution: 0.05\nfree_thresh: 0.3\n")
+    found = load_map_server(file)
+    assert found.free[:, 30:].all() == found.free[:, 30:].any() == free
+    (note,) = found.notes
+    assert "taken for free; if it is unknown, set free_thresh: 0.196" in note or not free
+    file.write_text(file.read_text().replace("0.3", "0.196"))
+    assert not load_map_server(file).notes
+
+
+def test_specks_of_unknown_cells_are_free_and_told(tmp_path):
+    level = np.full((100, 100), 254, dtype=np.uint8)
+    level[5:95:10, 5:95:10] = 205  # 81 of one cell
+    level[50:52, 50:52] = 205  # 10 cm a side
+    level[70:73, 70:73] = 205  # 15 cm a side: it stays
+    level[20, 22] = 0  # the leg of a table: it stays
+    level[0, :50] = 205  # the edge of what was seen
+    Image.fromarray(level[::-1]).save(tmp_path / "map.png")
+    file = tmp_path / "map.yaml"
+    file.write_text("image: map.png\nresolution: 0.05\nfree_thresh: 0.196\n")
+    found = load_map_server(file)
+    assert found.notes == ("82 specks of unknown cells within free space taken for free",)
+    expected = np.ones((100, 100), dtype=bool)
+    expected[70:73, 70:73] = expected[20, 22] = expected[0, :50] = False
+    np.testing.assert_array_equal(found.free, expected)
+
+
+CLOSED = "0,0,6,0\n6,0,6,4\n6,4,0,4\n0,4,0,0\n"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_closed_building_is_begun_inside_and_an_open_one_anywhere(tmp_path, seed):
+    file = tmp_path / "room.vectormap.txt"
+    file.write_text(CLOSED)
+    x, y, _ = load_map(file, 0.2, 1.0, None, seed).start
+    assert 0.0 < x < 6.0
+    assert 0.0 < y < 4.0
+    # A cupboard within is not the building, though it is all that is shut.
+    file.write_text("0,0,4,0\n6,0,6,4\n6,4,0,4\n0,4,0,0\n3,0,3,2\n" + "1,2,2,2\n2,2,2,3\n2,3,1,3\n1,3,1,2\n")
+    x, y, _ = load_map(file, 0.2, 1.0, None, seed).start
+    assert not (1.0 < x < 2.0 and 2.0 < y < 3.0)
+
+
 def test_slanted_walls_become_straight_and_stay_within_a_cell(tmp_path):
     rows, columns = np.mgrid[0:200, 0:200]
     free = (columns > 10) & (rows > 10) & (rows + 0.3 * columns < 150)

@@ -16,6 +16,7 @@ from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, m
 from tfg_drake.datasets.rows import read_table
 from tfg_drake.datasets.text import find_file
 from tfg_drake.messages import FloatArray, Odometry
+from tfg_drake.storage.clock_unit import UNITS, clock_unit
 
 # Subjects 1 to 5 are robots, 6 to 20 landmarks.
 ROBOTS = range(1, 6)
@@ -55,6 +56,10 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
     odometry, mended = read_table(odometry_file, ("time", "forward speed", "turn rate"))
     if not len(odometry):
         raise DatasetError(f"{odometry_file}: no odometry in it; copy it again")
+    unit = clock_unit(odometry[:, 0])
+    if unit != "s":
+        notes.append(f"{odometry_file.name}: stamps of all files read as {unit}")
+    odometry[:, 0] *= UNITS[unit]
     odometry, missing = _without_long_turns(odometry)
     if missing:
         mended = ("; ".join([*mended, missing]),) if mended else (f"{odometry_file.name}: {missing}",)
@@ -71,7 +76,7 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
     unknown = int(np.count_nonzero(subject == 0))
     if unknown:
         notes.append(f"{unknown} measurements of barcodes that Barcodes.dat does not list were left out")
-    stamps = sightings[:, 0]
+    stamps = sightings[:, 0] * UNITS[unit]
     kept = np.isin(subject, LANDMARKS) & (stamps >= messages[0].stamp) & (stamps <= messages[-1].stamp)
     kept &= sightings[:, 2] > 0.0
     ones = np.ones(int(kept.sum()))
@@ -83,7 +88,7 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
         SIGMA_RANGE * ones,
         SIGMA_BEARING * ones,
     )
-    truth, told = _truth(folder, robot)
+    truth, told = _truth(folder, robot, UNITS[unit])
     notes += told
     return Recording(
         name=f"{folder.resolve().name}-robot{robot}",
@@ -135,8 +140,8 @@ def _without_long_turns(rows: FloatArray) -> tuple[FloatArray, str]:
     return np.insert(rows, holes + 1, straight, axis=0), f"no rows for {at}{more}; the motion then is a guess"
 
 
-def _truth(folder: Path, robot: int) -> tuple[GroundTruth | None, list[str]]:
-    """What is known of it, and what was mended in its files."""
+def _truth(folder: Path, robot: int, unit: float) -> tuple[GroundTruth | None, list[str]]:
+    """What is known of it, and what was mended in its files. unit: of its stamps, s."""
     notes: list[str] = []
     stamps, X_WB = np.empty(0), np.empty((0, 3))
     ids, p_WL = np.empty(0, dtype=np.int64), np.empty((0, 2))
@@ -144,7 +149,7 @@ def _truth(folder: Path, robot: int) -> tuple[GroundTruth | None, list[str]]:
         file = find_file(folder, f"Robot{robot}_Groundtruth.dat")
         poses, mended = read_table(file, ("time", "x", "y", "heading"))
         notes += mended
-        stamps, X_WB = poses[:, 0], poses[:, 1:]
+        stamps, X_WB = unit * poses[:, 0], poses[:, 1:]
     if any((folder / f"Landmark_Groundtruth.dat{end}").is_file() for end in ("", ".gz")):
         file = find_file(folder, "Landmark_Groundtruth.dat")
         landmarks, mended = read_table(file, ("subject", "x", "y", "sigma x", "sigma y"), timed=False)

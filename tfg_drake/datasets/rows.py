@@ -1,7 +1,8 @@
 """The rows of a text file as they come, mended where what is meant is plain; what was mended is counted and told.
 
-Read as they are: other line ends, blank lines, a heading without '#', rows out of order, rows that are there twice, and
-a last row that was cut off. A row that is wrong in any other way is refused by its reader.
+Read as they are: other line ends, blank lines, a heading with or without '#', columns in the order that it names, words
+parted by white space, commas or semicolons, rows out of order, rows that are there twice, and a last row that was cut
+off. A row that is wrong in any other way is refused by its reader.
 """
 
 from __future__ import annotations
@@ -23,6 +24,16 @@ from tfg_drake.messages import FloatArray, IntArray
 HEADING = 4
 # The last rows that show how many decimals a file writes.
 DECIMALS_OF = 20
+# Other names of columns.
+_NAMES = {
+    "time": ("timestamp", "stamp", "t", "stamp_s", "time_s", "sec", "seconds"),
+    "heading": ("yaw", "theta", "orientation"),
+    **{axis: (f"t{axis}", f"p{axis}", f"p_{axis}", f"{axis}_m", f"pos_{axis}") for axis in "xyz"},
+    **{f"q{axis}": (f"q_{axis}", f"quat_{axis}") for axis in "xyzw"},
+}
+_NAMED = {other: name for name, others in _NAMES.items() for other in others}
+# Units that a heading may give; an angle in degrees has none of these.
+_UNIT = re.compile(r"[\[(](s|sec|ms|us|ns|m|rad|-|)[\])]")
 # What is left of a number that was cut off, and no number.
 _CUT_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d*)?([eE][+-]?)?")
 
@@ -42,7 +53,7 @@ class Rows:
         Raises:
             DatasetError: the file cannot be read.
         """
-        self.path, self._separator = path, separator
+        self.path, self._separator, self._comma = path, separator, False
         text = read_text(path).removeprefix("\ufeff")
         self._ended = text.endswith(("\n", "\r"))
         self._lines = text.splitlines()
@@ -61,6 +72,52 @@ class Rows:
     def first(self) -> tuple[int, list[str]]:
         """The number (from 1) and the words of the first line that is not blank; 0 and none of an empty file."""
         return next(self._split(), (0, []))
+
+    def sniff(self) -> None:
+        """Take the separator that the middle line has; decimal commas are read as points beside any other."""
+        lines = [line for line in self._lines if line.strip()]
+        line = lines[len(lines) // 2] if lines else ""
+        self._comma = re.search(r"\d,\d", line) is not None and (";" in line or "\t" in line)
+        self._separator = ";" if ";" in line else "," if "," in line and not self._comma else None
+        if self._comma:
+            self._mended.append("decimal commas read as points")
+
+    def columns(self, *layouts: tuple[str, ...]) -> tuple[tuple[str, ...], list[int], int, int]:
+        """Which of the layouts the rows have, where in a row each of its columns stands, how many words a row has, and
+        the number of the last line of the heading, 0 without any.
+
+        A heading tells if it names as many columns as the first row has; else the number of words does, or the first
+        layout is taken.
+
+        Raises:
+            DatasetError: a heading names some columns of a layout and not all.
+        """
+        row: list[str] = []
+        plain: list[int] = []
+        named: list[tuple[int, list[str]]] = []
+        for number, row in self._split():
+            is_comment = row[0].startswith("#")
+            if not is_comment and (len(plain) == HEADING or not is_heading(row, [len(one) for one in layouts])):
+                break
+            plain += [] if is_comment else [number]
+            names = [name.lower() for name in self._words(_UNIT.sub("", self._lines[number - 1].lstrip("\t #")))]
+            named.append((number, [_NAMED.get(name, name) for name in names]))
+        told = f"{_count(len(plain), 'line')} of a heading without '#', skipped" if plain else ""
+        layout = next((layout for layout in layouts if len(layout) == len(row)), layouts[0])
+        at, width = list(range(len(layout))), len(layout)
+        for number, names in named:
+            nearest = min(layouts, key=lambda layout: len(set(layout) - set(names)))
+            missing = [column for column in nearest if column not in names]
+            if len(names) != len(row) or (missing and (number not in plain or len(missing) > len(nearest) - 2)):
+                continue
+            if missing:
+                found = f"{', '.join(missing)} not among the columns {', '.join(names)}"
+                raise DatasetError(f"{self.path}, line {number}: {found}; name them there")
+            layout, at, width = nearest, [names.index(column) for column in nearest], len(row)
+            if at != list(range(len(at))):
+                told = f"columns read as {', '.join(names)}"
+        self._mended += [told] if told else []
+        return layout, at, width, max(plain, default=0)
 
     def read(self, parse: Callable[[int, list[str]], Row | None], after: int = 0) -> list[Row]:
         """What parse makes of the number (from 1) and the words of every line; lines of which it makes None are no row.
@@ -123,7 +180,11 @@ class Rows:
     def _split(self) -> Iterator[tuple[int, list[str]]]:
         for number, line in enumerate(self._lines, start=1):
             if line.strip():
-                yield number, [word.strip() for word in line.strip().split(self._separator)]
+                yield number, self._words(line)
+
+    def _words(self, line: str) -> list[str]:
+        line = line.replace(",", ".") if self._comma else line
+        return [word.strip() for word in line.strip().split(self._separator)]
 
     def _cut_off(self, error: DatasetError, words: list[str]) -> bool:
         if isinstance(error, ShortRowError):
@@ -131,42 +192,35 @@ class Rows:
         return not self._ended and _CUT_NUMBER.fullmatch(words[-1]) is not None and not _is_number(words[-1])
 
 
-def read_table(
-    path: Path, columns: tuple[str, ...], timed: bool = True, separator: str | None = None
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Finite numbers (n, len(columns)) and what was mended, a line or none.
+def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tuple[FloatArray, tuple[str, ...]]:
+    """Finite numbers (n, columns of a layout) and what was mended, a line or none.
 
-    timed: the first column is time, s, and sorts the rows. separator: of the numbers; None: white space.
+    layouts: names of columns, of which the file has one set, see `Rows.columns`. timed: the first column is time, by
+    whatever unit, and sorts the rows.
 
     Raises:
         DatasetError: the file cannot be read, or a line of it is broken.
     """
-    rows = Rows(path, separator)
-    read, heading = False, 0
+    rows = Rows(path)
+    rows.sniff()
+    columns, at, width, after = rows.columns(*layouts)
 
-    def parse(number: int, words: list[str]) -> tuple[float, ...] | None:
-        nonlocal read, heading
-        if not read and heading < HEADING and is_heading(words, len(columns)):
-            heading += 1
-            return None
-        if len(words) != len(columns):
-            complaint = f"{len(columns)} numbers expected ({', '.join(columns)}), {len(words)} found; mend the line"
-            kind = ShortRowError if len(words) < len(columns) else DatasetError
+    def parse(number: int, words: list[str]) -> tuple[float, ...]:
+        if len(words) != width:
+            complaint = f"{width} numbers expected ({', '.join(columns)}), {len(words)} found; mend the line"
+            kind = ShortRowError if len(words) < width else DatasetError
             raise kind(f"{path}, line {number}: {complaint}")
-        read = True
-        return tuple(parse_numbers(path, number, words))
+        return tuple(parse_numbers(path, number, [words[i] for i in at]))
 
-    found = rows.read(parse)
-    if heading:
-        rows.mended(f"{_count(heading, 'line')} of a heading without '#', skipped")
+    found = rows.read(parse, after)
     table = np.array(rows.once(found)).reshape(-1, len(columns))
     return (table[rows.in_order(table[:, 0])] if timed else table), rows.notes
 
 
-def is_heading(words: list[str], columns: int) -> bool:
-    """Whether the words of a line are names where numbers should be, so many of them."""
+def is_heading(words: list[str], columns: Collection[int]) -> bool:
+    """Whether the words of a line are names where numbers should be, as many as one of these."""
     numbers = [_is_number(word) for word in words]
-    return not any(numbers) or (not numbers[0] and len(words) != columns)
+    return not any(numbers) or (not numbers[0] and len(words) not in columns)
 
 
 def _is_number(word: str) -> bool:

@@ -15,8 +15,8 @@ _LONGEST = 64 * 2**20
 # does not matter.
 _ZIPPED = 100
 _ANY = 2**20
-# No number that was measured is greater, whatever its unit; what is computed from it stays finite.
-GREATEST = 1e18
+# No number that was measured is greater, nor the ns since 1970; what is computed from it stays finite.
+GREATEST = 1e19
 
 
 def find_file(folder: Path, name: str) -> Path:

@@ -16,6 +16,7 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.rows import read_table
 from tfg_drake.messages import FloatArray, Odometry, TagDetections
+from tfg_drake.storage.clock_unit import in_seconds
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.frames import FrameError, frames
 from tfg_drake.vision.mount import CameraMount
@@ -30,7 +31,12 @@ PIECE_TIME = 2.0
 # The map begins so long before the first frame, s: the estimator takes a frame when odometry lies to both sides of it.
 MOMENT = 1e-5
 
+# Bare H.264 and such say no times.
+_INTO_A_CONTAINER = "give it its rate, as in ffmpeg -r 30 -i in.h264 -c copy out.mp4, and name out.mp4"
 _TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+_PLANAR = ("time", "x", "y", "heading")
+# A quaternion that is shorter says nothing; one that is farther from 1 was not only rounded.
+_NO_LENGTH, _ROUNDED = 1e-6, 0.01
 
 
 def wandering() -> OdometryConfig:
@@ -74,10 +80,12 @@ def load_video(
     detector, sizes = TagDetector(), TagSizes(tag_size)
     seen: list[TagDetections] = []
     remarks: dict[str, int] = {}
+    notes: list[str] = []
     try:
-        for count, frame in enumerate(frames(source), start=1):
+        for count, frame in enumerate(frames(source, notes.append), start=1):
             if seen and frame.stamp <= seen[-1].stamp:
-                raise DatasetError(f"{source}: frame {frame.name} is not later than the one before; number them anew")
+                anew = "number them anew" if Path(source).is_dir() else _INTO_A_CONTAINER
+                raise DatasetError(f"{source}: frame {frame.name} is not later than the one before; {anew}")
             sighting = sighted(detector.detect(frame.image), frame.stamp, calibration, sizes, mount)
             seen.append(sighting.detections)
             for remark in sighting.remarks:
@@ -85,9 +93,10 @@ def load_video(
             on_frame(count)
     except FrameError as error:
         raise DatasetError(str(error)) from None
-    notes = [f"{remark} ({number} frames)" for remark, number in sorted(remarks.items())]
+    left_out = [f"{remark} ({number} frames)" for remark, number in sorted(remarks.items())]
+    notes += left_out
     if not any(len(one.ids) for one in seen):
-        why = f": {notes[0]}" if notes else "; is it of the family tag36h11, and sharp?"
+        why = f": {left_out[0]}" if left_out else "; is it of the family tag36h11, and sharp?"
         raise DatasetError(f"{source}: no tag in {len(seen)} frames{why}")
     name = Path(source).resolve().name.partition(".")[0]
     if odometry is None:
@@ -122,18 +131,24 @@ def _moving(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
 
 def _poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
     """Stamps (n,), s, poses (n, 3), and what was mended in the file."""
-    if path.suffix.lower() == ".csv":
-        table, mended = read_table(path, ("time", "x", "y", "heading"), separator=",")
-        X_OB = table[:, 1:]
+    table, mended = read_table(path, _TUM, _PLANAR)
+    stamps, told = in_seconds(table[:, 0])
+    mended += tuple(f"{path.name}: {line}" for line in told)
+    if table.shape[1] == len(_PLANAR):
+        heading = table[:, 3]
     else:
-        table, mended = read_table(path, _TUM)
-        X_OB = np.column_stack([table[:, 1:3], _heading(table[:, 4:])])
+        length = np.linalg.norm(table[:, 4:], axis=1)
+        if len(none := np.flatnonzero(length < _NO_LENGTH)):
+            raise DatasetError(f"{path}: the quaternion at {stamps[none[0]]:.3f} s has no length; leave its row out")
+        if (np.abs(length - 1.0) > _ROUNDED).any():
+            mended += (f"{path.name}: quaternions of length {length.min():.3g} to {length.max():.3g}, normalised",)
+        heading = _heading(table[:, 4:] / length[:, None])
     if len(table) < 2:
         raise DatasetError(f"{path}: fewer than two poses in it; name a TUM trajectory or a CSV file")
-    same = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    same = np.flatnonzero(np.diff(stamps) <= 0.0)
     if len(same):
-        raise DatasetError(f"{path}: two poses at {table[same[0], 0]:.3f} s; leave one of them out")
-    return table[:, 0], X_OB, mended
+        raise DatasetError(f"{path}: two poses at {stamps[same[0]]:.3f} s; leave one of them out")
+    return stamps, np.column_stack([table[:, 1:3], heading]), mended
 
 
 def _heading(quaternion: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ def realigned(
     them. They are returned as they were where no part is adrift or the observation does not tell its place."""
     keyframes = graph.keyframes
     loose = [j for j, one in enumerate(keyframes) if not len(one.ids) and one.information[2, 2] <= OPEN_HEADING**-2]
-    if not loose:
+    if not loose or not len(graph.ids):
         return graph, estimate
     j = loose[-1]
     before, since = _seen_by(graph, keyframes[:j]), _seen_by(graph, keyframes[j + 1 :])

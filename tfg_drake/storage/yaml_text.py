@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import yaml
 
 # Lists and sections within one another; the parser's own stack ends at some 10 000, and the process with it.
@@ -9,15 +11,23 @@ _DEEPEST = 100
 # Characters of one value; a whole number of more than 4300 digits cannot even be shown.
 _LONGEST = 1000
 
-_Loader: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# Numbers with an exponent as YAML 1.2 has them; YAML 1.1, PyYAML's, asks for a point and the exponent's sign.
+_EXPONENT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$")
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """PyYAML's, which reads such numbers, too."""
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
 
 
 def parse_yaml(text: str) -> object:
-    """The value of a YAML document.
+    """The value of a YAML document; empty ones before and after it, as a dumped message has, do not count.
 
     Raises:
         yaml.YAMLError: it is broken, too deep, holds a value too long, a tag such as !!int, or an alias: a few of
-            those, one within the other, stand for billions of values.
+            those, one within the other, stand for billions of values; or there is more than one document.
         ValueError: something looks like a date or a number and is none.
     """
     depth = 0
@@ -26,7 +36,15 @@ def parse_yaml(text: str) -> object:
         problem = _problem(event, depth)
         if problem:
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
-    return yaml.load(text, Loader=_Loader)
+    documents = [one for one in yaml.load_all(text, Loader=_Loader) if one is not None]
+    if len(documents) > 1:
+        raise yaml.MarkedYAMLError(problem=f"{len(documents)} documents, parted by ---; keep one of them")
+    return documents[0] if documents else None
+
+
+def dump_yaml(value: object) -> str:
+    """A parsed value as YAML: what every reader takes as `parse_yaml` has."""
+    return str(yaml.dump(value, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper)))
 
 
 def _problem(event: yaml.Event, depth: int) -> str:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 
+# What Pillow says of bytes that are no image, or no whole one.
+NO_IMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, struct.error)
 # ITU-R BT.601, as OpenCV has it.
 _WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
@@ -24,3 +28,9 @@ def grey(image: Image) -> Image:
     if image.ndim == 2 or image.shape[2] == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
     return np.ascontiguousarray((image[..., :3] @ _WEIGHTS + 0.5).astype(np.uint8))
+
+
+def eight_bits(image: NDArray[np.uint8] | NDArray[np.uint16]) -> Image:
+    """An image of any shape with its upper eight bits; one of two bytes has as many as its brightest value takes: a
+    camera's ten or twelve may be written into sixteen."""
+    return (image >> max(int(image.max(initial=0)).bit_length() - 8, 0)).astype(np.uint8)

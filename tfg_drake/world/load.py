@@ -12,7 +12,7 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.world.map_server import load_map_server
 from tfg_drake.world.start import draw_start
 from tfg_drake.world.tag_placement import place_tags
-from tfg_drake.world.vectormap import load_vectormap
+from tfg_drake.world.vectormap import FENCE_DISTANCE, load_vectormap
 from tfg_drake.world.world import World, WorldError, check_extent, check_world
 
 _log = logging.getLogger(__name__)
@@ -28,19 +28,22 @@ def load_map(
     """
     if not path.is_file():
         raise WorldError(f"{path}: no such file")
-    is_free = None
+    is_free = p_WY = None
     if path.name.endswith(".vectormap.txt"):
         walls, dropped = load_vectormap(path)
+        p_WY = walls[-4, :2] + 0.5 * FENCE_DISTANCE
         if dropped:
             _log.warning("%s: dropped %d walls of zero length", path, dropped)
     elif path.suffix in (".yaml", ".yml"):
         occupancy = load_map_server(path)
         walls, is_free = occupancy.walls, occupancy.is_free
+        for note in occupancy.notes:
+            _log.warning("%s: %s", path, note)
     else:
         raise WorldError(f"{path}: unknown kind of map; give a scenario or map_server .yaml or a *.vectormap.txt")
     try:
         check_extent(walls)
-        X_WS = draw_start(walls, robot_radius, seed, is_free) if start is None else np.array(start, dtype=float)
+        X_WS = draw_start(walls, robot_radius, seed, is_free, p_WY) if start is None else np.array(start, dtype=float)
         world = World(
             walls=walls, tag_ids=np.zeros(0, dtype=np.int64), p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=X_WS
         )

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 import yaml
 from PIL import Image, UnidentifiedImageError
+from scipy import ndimage
 
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.storage.files import read_bytes
 from tfg_drake.storage.yaml_text import parse_yaml
+from tfg_drake.vision.image import NO_IMAGE
 from tfg_drake.world.world import WorldError
 
 # Walls may leave the cells' borders by this many cells: the staircases of slanted walls stay within one.
@@ -28,6 +29,10 @@ _MOST_SIDES = 200_000
 _HEADER_BYTES = 2**20
 _CELL_BYTES = 18
 _FORMATS = ("PNG", "PPM", "BMP", "JPEG")
+# What map savers write for occupied, unknown and free; white is free, too.
+_SAVED, _UNKNOWN = (0, 205, 254, 255), 205
+# Unknown cells that free ones enclose are a fault of the scan, not a pillar, where they cover no more, m^2.
+_SPECK = 0.011
 # No number in the .yaml is greater, whatever its unit.
 _GREATEST = 1e9
 
@@ -35,12 +40,15 @@ _GREATEST = 1e9
 @dataclasses.dataclass(frozen=True)
 class OccupancyMap:
     """walls: (m, 4) in W, m, between the free cells and all others (occupied, unknown, beyond the image), free cells on
-    the left. free: (rows, columns), row 0 lowest. resolution: m per cell. X_WI: (3,) the image's lower left corner."""
+    the left. free: (rows, columns), row 0 lowest. resolution: m per cell. X_WI: (3,) the image's lower left corner.
+    notes: a line for each thing that was assumed.
+    """
 
     walls: FloatArray
     free: BoolArray
     resolution: float
     X_WI: FloatArray
+    notes: tuple[str, ...]
 
     def is_free(self, p_WP: FloatArray) -> BoolArray:
         """Which points (n, 2) in W lie in free cells (n,)."""
@@ -65,7 +73,7 @@ def load_map_server(path: Path) -> OccupancyMap:
     origin = tree.get("origin", [0.0, 0.0, 0.0])
     if not (isinstance(origin, list) and len(origin) == 3 and all(_is_number(value) for value in origin)):
         raise WorldError(f"{path}: origin: expected [x, y, yaw] of the image's lower left corner, found {origin!r}")
-    free = _free_cells(path, tree)
+    free, notes = _free_cells(path, tree, resolution)
     if not free.any():
         raise WorldError(f"{path}: no free space in the image; check negate and free_thresh")
     sides = np.count_nonzero(free[1:] != free[:-1]) + np.count_nonzero(free[:, 1:] != free[:, :-1])
@@ -77,7 +85,7 @@ def load_map_server(path: Path) -> OccupancyMap:
     corners = _distinct(np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in polylines])) * resolution
     X_WI = np.array(origin, dtype=float)
     walls = np.column_stack([transform(X_WI, corners[:, :2]), transform(X_WI, corners[:, 2:])])
-    return OccupancyMap(walls=walls, free=free, resolution=resolution, X_WI=X_WI)
+    return OccupancyMap(walls=walls, free=free, resolution=resolution, X_WI=X_WI, notes=notes)
 
 
 def _distinct(segments: FloatArray) -> FloatArray:
@@ -102,8 +110,11 @@ def _number(path: Path, tree: dict[str, object], key: str, default: float | None
     return float(value)
 
 
-def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
-    """The free cells, row 0 lowest, as map_server reads them: occupancy p below free_thresh, transparent is unknown."""
+def _free_cells(path: Path, tree: dict[str, object], resolution: float) -> tuple[BoolArray, tuple[str, ...]]:
+    """The free cells, row 0 lowest, as map_server reads them: occupancy p below free_thresh, transparent is unknown.
+
+    But for the grey that savers write for unknown, and for specks of unknown cells; of both a line tells.
+    """
     file = path.parent / str(tree["image"])
     try:
         level, white, known = _levels(file)
@@ -114,8 +125,7 @@ def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
     except (Image.DecompressionBombWarning, Image.DecompressionBombError):
         complaint = f"has more than {_MOST_CELLS} cells; crop it to the building, or make its cells larger"
         raise WorldError(f"{path}: image: {file} {complaint}") from None
-    # What Pillow says of bytes that are no image, or no whole one.
-    except (OSError, EOFError, SyntaxError, ValueError, TypeError, LookupError, OverflowError, struct.error) as error:
+    except NO_IMAGE as error:
         raise WorldError(f"{path}: image: {file} is not a readable image: {' '.join(str(error).split())}") from None
     negate = tree.get("negate", 0)
     if negate not in (0, 1):
@@ -125,9 +135,23 @@ def _free_cells(path: Path, tree: dict[str, object]) -> BoolArray:
     free_thresh = _number(path, tree, "free_thresh", 0.196)
     if not 0.0 < free_thresh <= 1.0:
         raise WorldError(f"{path}: free_thresh: must be greater than 0 and at most 1, is {free_thresh:g}")
-    shade = np.arange(white + 1) / white
-    is_free = (shade if negate else 1.0 - shade) < free_thresh  # by level: the image itself stays integers
-    return np.asarray(is_free[level] & known)[::-1]
+    occupancy = (np.arange(white + 1) if negate else np.arange(white, -1, -1)) / white
+    is_free = occupancy < free_thresh  # by level: the image itself stays integers
+    notes = []
+    if white == 255 and not negate and is_free[_UNKNOWN] and (level == _UNKNOWN).any():
+        is_free[_UNKNOWN] = not np.isin(level, _SAVED).all()
+        taken = "free; if it is unknown, set free_thresh: 0.196" if is_free[_UNKNOWN] else "unknown, as savers mean it"
+        notes.append(f"grey {_UNKNOWN} is below free_thresh {free_thresh:g}; taken for {taken}")
+    free = is_free[level] & known
+    occupied = (occupancy > _number(path, tree, "occupied_thresh", 0.65))[level] & known
+    labels, count = ndimage.label(np.pad(~free, 1, constant_values=True), np.ones((3, 3)))
+    inner = labels[1:-1, 1:-1]
+    specks = np.bincount(labels.ravel(), minlength=count + 1) * resolution**2 <= _SPECK
+    specks[[0, labels[0, 0]]] = False
+    specks[inner[occupied]] = False
+    if specks.any():
+        notes.append(f"{np.count_nonzero(specks)} specks of unknown cells within free space taken for free")
+    return np.asarray(free | specks[inner])[::-1], tuple(notes)
 
 
 def _levels(file: Path) -> tuple[IntArray, int, BoolArray]:

@@ -13,12 +13,18 @@ from tfg_drake.world.world import World, WorldError
 
 
 def draw_start(
-    walls: FloatArray, robot_radius: float, seed: int, is_free: Callable[[FloatArray], BoolArray] | None = None
+    walls: FloatArray,
+    robot_radius: float,
+    seed: int,
+    is_free: Callable[[FloatArray], BoolArray] | None = None,
+    p_WY: FloatArray | None = None,
 ) -> FloatArray:
     """A start pose X_WS (3,) drawn from the seed in the connected free region with the most wall length.
 
     walls: (m, 4), m. robot_radius: m. is_free: tells of points (n, 2) in W whether the map calls them free (the walls
-    of a grid enclose its solid blocks as well as its rooms); without it all space inside the walls is. Regions are
+    of a grid enclose its solid blocks as well as its rooms); without it all space inside the walls is. p_WY: (2,) a
+    place in the yard between a building and its fence, the last four walls: of the region there the fence and as much
+    wall do not count, so that a closed building is begun inside. Regions are
     those of a disc of robot_radius + MARGIN on the 5 cm grid; a region's wall length is that of the wall right beside
     it. A world without walls begins at the origin. Raises WorldError if the robot fits nowhere inside the walls.
     """
@@ -38,6 +44,9 @@ def draw_start(
     for side in (beside, -beside):
         row, column = grid.cell(pieces + side * normals)
         length += np.bincount(labels[row, column], minlength=count + 1)
+    if p_WY is not None:
+        yard = labels[grid.cell(p_WY[None])]
+        length[yard] = np.maximum(length[yard] - 2 * len(cut_walls(walls[-4:])[0]), 1)
     length[0] = 0
     if not length.any():
         raise WorldError(f"no free space inside the walls for a robot of radius {robot_radius:g} m; check the scale")

@@ -34,6 +34,8 @@ LARGEST = 5e4
 FARTHEST = 1e8
 # A robot that starts farther outside the walls, m, sees none of them.
 OUTSIDE = 10.0
+# Whoever writes a greater angle, rad, thinks of degrees.
+_TURN = 2.0 * np.pi + 0.01
 
 
 def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
@@ -76,6 +78,10 @@ def check_world(world: World, robot_radius: float) -> None:
     check_extent(world.walls)
     if not np.isfinite(world.start).all():
         raise WorldError("world.start: not a finite number; write [x, y, yaw] in metres and radians")
+    angles = {"world.start": world.start[2], **{f"world.tags[{i}].facing": a for i, a in enumerate(world.tag_facing)}}
+    for place, angle in angles.items():
+        if abs(angle) > _TURN:
+            raise WorldError(f"{place}: {angle:g} rad is more than a turn; write radians, not degrees")
     if len(world.walls):
         corners = world.walls.reshape(-1, 2)
         low, high = corners.min(axis=0), corners.max(axis=0)

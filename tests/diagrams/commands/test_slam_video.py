@@ -110,6 +110,55 @@ def test_odometry_is_used_where_there_is_any(call, video, tmp_path, kind):
     assert errors(load_map(tmp_path / "run" / "map.npz")).max() < 0.03
 
 
+def test_images_a_second_apart_by_their_count(call, video, tmp_path):
+    """Nothing is known of the way from one image to the next."""
+    (tmp_path / "images").mkdir()
+    for k in range(0, FRAMES, 2):
+        (tmp_path / "images" / f"p{k}.png").symlink_to(video / "images" / f"{0.1 * k:.1f}.png")
+    calibration = ["--calibration", video / "camera.yaml", "--tag-size", SIZE]
+    code, printed, said = call("slam", tmp_path / "images", *calibration, "--out", tmp_path / "run")
+    assert (code, said) == (0, "")
+    assert "names tell no time; images taken as 1 s apart" in printed
+    saved = load_map(tmp_path / "run" / "map.npz")
+    assert saved.ids.tolist() == list(TAGS)
+    assert errors(saved).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["one_second_apart", "a.gif"])
+def test_the_images_found_give_a_map(name, call, shared_data, tmp_path):
+    folder = shared_data("reports") / "video"
+    calibration = ["--calibration", folder / "cal.yaml", "--tag-size", SIZE]
+    code, _, said = call("slam", folder / name, *calibration, "--out", tmp_path / "run")
+    assert (code, said) == (0, "")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["landmarks_mapped"] > 0
+    assert summary["measurements_rejected"] == 0
+
+
+def test_a_video_without_times_is_told_how_to_get_them(monkeypatch, tmp_path):
+    """Bare H.264, of which OpenCV says 0 for every frame."""
+    path = str(tmp_path / "film.avi")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (320, 240))
+    for k in range(3):
+        writer.write(cv2.cvtColor(frame(k), cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+    class Capture:
+        def __init__(self, source):
+            self._capture = real(source)
+
+        def get(self, _key):
+            return 0.0
+
+        def __getattr__(self, name):
+            return getattr(self._capture, name)
+
+    real = cv2.VideoCapture
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    with pytest.raises(DatasetError, match=r"frame 1 is not later .*; give it its rate, as in ffmpeg -r 30 -i in.h264"):
+        load_video(path, CALIBRATION, SIZE, CameraMount())
+
+
 def test_odometry_of_another_clock_is_refused(video):
     write_tum(video / "late.tum", 1000.0 + np.arange(3.0), np.zeros((3, 3)))
     with pytest.raises(DatasetError, match=r"reaches from 1000.0 to 1002.0 s, the frames from 0.0 to 5.9 s"):

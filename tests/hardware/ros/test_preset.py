@@ -90,6 +90,12 @@ def test_mistakes_are_named(tmp_path, keys, value, line):
     assert str(error.value) == f"{path}: {line}"
 
 
+def test_numbers_with_an_exponent(tmp_path):
+    path = changed(tmp_path, "limits", "speed", value="FAST")
+    path.write_text(path.read_text().replace("FAST", "2e-1"))
+    assert load_preset(path).limits.speed == 0.2
+
+
 def test_what_is_missing_is_named(tmp_path):
     for keys, line in [
         (("topics", "scan"), "topics.scan: missing"),
