@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ class RealsenseDriver(SensorReader):
             ) from None
         self._rs: Any = pyrealsense2
         self._device = device
-        self._mount = CameraMount(mount.x, mount.y, mount.z, mount.yaw, mount.pitch)
+        self._mount = CameraMount(mount.x, mount.y, mount.z, mount.yaw, mount.pitch, math.pi if mount.flip else 0.0)
         try:
             limits = mount.low, mount.high, LEAST_DEPTH, MOST_DEPTH, MOST_DEPTH
             self._config = DepthScanConfig(*limits, SIGMA, noise=NOISE)

@@ -48,6 +48,7 @@ class LaserScanner(LeafSystem):
         self.has_ray_faults = reality.dropout_probability > 0.0 or reality.mixed_probability > 0.0
         # A message's own, which every other shares.
         self._angles = replace(no_scan(config), angles=ray_angles(config)).angles
+        self._towards = replace(no_scan(config), angles=-self._angles).angles if reality.flip else self._angles
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
         self._ray_faults = self.DeclareVectorInputPort("ray_faults", len(self._angles), RandomDistribution.kUniform)
@@ -63,11 +64,12 @@ class LaserScanner(LeafSystem):
         noise, stamp = self._noise.Eval(context), context.get_time() + self._reality.clock_offset
         walls = world_now(self._changing, context, self._world).walls
         discs = people_at(self._people, context)
-        sheets = (stamp, self._angles, noise, self._config, self._stated, discs)
+        sheets = (stamp, self._towards, noise, self._config, self._stated, discs)
         if sweep_time > 0.0:
             message = swept(walls, robot, self._X_BS, sweep_time, *sheets)
         else:
             message = scan(walls, compose(robot[:3], self._X_BS) if self._X_BS.any() else robot[:3], *sheets)
+        message = replace(message, angles=self._angles)
         if self.has_ray_faults:
             message = spoilt(message, self._ray_faults.Eval(context), self._reality)
         set_state_message(state, self._message, message)

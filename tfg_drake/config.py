@@ -183,6 +183,8 @@ class RobotScannerConfig:
     z: float = 0.3
     yaw: float = 0.0
     pitch: float = 0.0
+    # Whether it is mounted upside down: what it has on its left is on the robot's right.
+    flip: bool = False
     # A depth camera's scan is of what stands in this band of heights above the floor, m.
     low: float = 0.05
     high: float = 0.5
@@ -323,6 +325,8 @@ class ScanRealityConfig:
     yaw: float = 0.0
     ahead: float = 0.0
     left: float = 0.0
+    # Whether it is mounted upside down; it is believed not to be.
+    flip: bool = False
     # From the first ray to the last, s, while the robot moves on; a scan is stamped with the first. 0: all at once.
     sweep_time: float = 0.0
     # The scanner's clock less the base's, s.

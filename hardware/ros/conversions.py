@@ -149,7 +149,8 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
 
     n = len(ranges)
     after_middle = np.asarray((np.arange(n) - 0.5 * (n - 1)) * between, dtype=float)
-    directions = np.asarray(first + step * np.arange(n) + scanner.yaw, dtype=float)
+    from_ahead = first + step * np.arange(n)
+    directions = np.asarray(scanner.yaw + (-from_ahead if scanner.flip else from_ahead), dtype=float)
     middle = stamp - (float(after_middle[0]) if n else 0.0)
     return scan_of(Sweep(middle, directions, ranges, after_middle, scanner.x, scanner.y, greatest, scanner.sigma), V_B)
 

@@ -47,12 +47,14 @@ class Topics:
 class Scanner:
     """X_BS, the pose of the scan's frame in base_link (m, rad), and the standard deviation of a range (m).
 
-    unanswered: what a ray says that gives no answer, one of UNANSWERED. least_range: nothing nearer is seen, m.
+    flip: it is mounted upside down. unanswered: what a ray says that gives no answer, one of UNANSWERED. least_range:
+    nothing nearer is seen, m.
     """
 
     x: float = 0.0
     y: float = 0.0
     yaw: float = 0.0
+    flip: bool = False
     sigma: float = 0.015
     unanswered: str = "unknown"
     least_range: float = 0.0
@@ -187,6 +189,10 @@ def _read(value: Any, schema: Any, place: str) -> Any:
         if place == "scanner.least_range" and value < 0.0:
             raise PresetError(f"{place}: expected a number of 0 or more, found {value!r}")
         return float(value)
+    if schema is bool:
+        if not isinstance(value, bool):
+            raise PresetError(f"{place}: expected true or false, found {value!r}")
+        return value
     if not isinstance(value, str) or not value:
         raise PresetError(f"{place}: expected text, found {value!r}")
     return value

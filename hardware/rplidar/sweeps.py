@@ -75,7 +75,7 @@ class SweepMaker:
         ranges[ranges > self._range_max] = math.inf
         return Sweep(
             stamp=stamp,
-            directions=self._mount.yaw - angles,
+            directions=self._mount.yaw + (angles if self._mount.flip else -angles),
             ranges=ranges,
             after=period * (angles - middle) / (2.0 * math.pi),
             x=self._mount.x,

@@ -76,6 +76,17 @@ def test_a_recording_gives_scans(recording):
     assert 0.0 <= time.monotonic() - scan.stamp < 60.0
 
 
+def test_a_camera_upside_down_has_its_left_on_the_robots_right(recording):
+    silent = []
+    for flip in (False, True):
+        driver = RealsenseDriver(recording, RobotScannerConfig(z=0.3, flip=flip))
+        (scan, *_) = driver.take()
+        driver.close()
+        silent.append(scan.angles[np.isnan(scan.ranges)])
+    assert silent[0] > 0.1
+    np.testing.assert_allclose(silent[1], -silent[0])
+
+
 def test_a_camera_that_falls_silent_is_opened_again(recording, monkeypatch):
     monkeypatch.setattr(realsense_sensor, "SILENT", 0.2)
     driver = RealsenseDriver(recording, RobotScannerConfig())

@@ -229,22 +229,26 @@ def test_an_empty_world_has_no_goal_but_a_verdict():
     assert (goal.verdict, goal.gain.max()) == ("complete", 0.0)
 
 
-def test_where_nothing_was_ever_seen_the_mission_ends():
-    estimate, tfg = (dataclasses.replace(message, stage=5) for message in (empty_map(), empty_tfg()))
+@pytest.mark.parametrize(("driven", "verdict"), [(11.0, "complete"), (49.0, "complete"), (51.0, "stuck")])
+def test_where_nothing_was_seen_on_a_long_way_the_mission_ends(driven, verdict):
+    """However many views there were of it: most are glances on the way."""
+    estimate, tfg = (dataclasses.replace(message, stage=9) for message in (empty_map(), empty_tfg()))
     selector = Selector()
-    estimate = dataclasses.replace(estimate, covariance=np.eye(3) * 1e-4, X_MA=np.zeros((5, 3)))
-    mission = MissionStatus(phase="choose", stage=5, since=0.0)
-    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(5), mission=mission)
+    estimate = dataclasses.replace(estimate, covariance=np.eye(3) * 1e-4, X_MA=np.zeros((9, 3)))
+    mission, there = MissionStatus(phase="choose", stage=9, since=0.0), dataclasses.replace(roadmap(9), driven=driven)
+    selector.ready(map=estimate, tfg=tfg, roadmap=there, mission=mission)
     goal = selector.goal()
-    assert (goal.verdict, goal.node) == ("stuck", -1)
-    assert goal.reason == "Neither a landmark nor a surface was seen from 5 goals: there is nothing to map."
+    assert (goal.verdict, goal.node) == (verdict, -1)
+    nothing = "Neither a landmark nor a surface was seen on 51 m of way: there is nothing to map."
+    assert (goal.reason == nothing) == (verdict == "stuck")
 
 
 def test_where_nothing_was_ever_seen_the_robot_comes_home_all_the_same():
     selector, X_MD = Selector(return_home=True), np.array([2.0, 0.0, 0.0])
     estimate, tfg = (dataclasses.replace(message, stage=5) for message in (empty_map(), empty_tfg()))
     estimate = dataclasses.replace(estimate, covariance=np.eye(3) * 1e-4, X_MA=np.zeros((5, 3)), X_MD=X_MD)
-    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(5), mission=MissionStatus("choose", 5, 0.0))
+    selector.ready(map=estimate, tfg=tfg, roadmap=dataclasses.replace(roadmap(5), driven=60.0),
+                   mission=MissionStatus("choose", 5, 0.0))  # fmt: skip
     goal = selector.goal()
     assert (goal.verdict, goal.node >= 0) == ("stuck", True)
     np.testing.assert_array_equal(goal.p_MG, [0.0, 0.0])

@@ -27,8 +27,9 @@ from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
 
-# After this many goals without a landmark or a surface there is no building here.
-NOTHING_AFTER = 5
+# After so many times the tag sensor's range of way without a landmark or a surface there is no building here. Views say
+# nothing of that: most are glances a metre apart.
+NOTHING_WITHIN = 5.0
 # Where frames tell less than they seem to, the first look has up to so many times its turns.
 MOST_FIRST_TURNS = 2.0
 
@@ -72,7 +73,8 @@ def choose(
     none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`) and looks
     again at tags that are doubtful (`tfg_drake.planning.doubtful_tags`).
     """
-    if estimate.stage >= NOTHING_AFTER and len(estimate.ids) == 0 and len(tfg.segments) == 0:
+    is_empty = len(estimate.ids) == 0 and len(tfg.segments) == 0
+    if is_empty and roadmap.driven >= NOTHING_WITHIN * parameters.sensor.range:
         return _nothing_to_map(estimate, roadmap, previous, parameters.explorer)
     now = Situation(estimate, tfg, roadmap, parameters)
     robot, explorer = parameters.robot, parameters.explorer
@@ -150,7 +152,7 @@ def _nothing_to_map(
     estimate: MapEstimate, roadmap: Roadmap, previous: GoalChoice, explorer: ExplorerConfig
 ) -> GoalChoice:
     """The end of a mission that has seen nothing."""
-    reason = f"Neither a landmark nor a surface was seen from {estimate.stage} goals: there is nothing to map."
+    reason = f"Neither a landmark nor a surface was seen on {roadmap.driven:.0f} m of way: there is nothing to map."
     node, verdict, looked = -1, "stuck", previous.looked_again
     if explorer.return_home:
         node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)

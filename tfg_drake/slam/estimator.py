@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +45,7 @@ from tfg_drake.slam.doubt import (
     with_doubts,
 )
 from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, camera_prior, instant, opened, unknown_way
+from tfg_drake.slam.first_look import Message, held_against_odometry, told
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
@@ -87,6 +90,8 @@ SAME_PLACE = 0.004
 NEARLY_THERE = 0.05
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
+# Messages of the first look that are kept, at most: two minutes of them.
+MOST_KEPT = 5000
 NO_MAP = empty_map()
 
 _log = logging.getLogger("tfg_drake.slam")
@@ -97,6 +102,7 @@ _remarks = logging.getLogger("tfg_drake.slam.sensors")
 def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorState:
     """The state after one odometry message; one that is not newer than the last is ignored."""
     if state.newest is None:
+        state = _kept(state, odometry)
         first = first_reckoning(odometry)
         state = replace(
             state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
@@ -105,7 +111,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
     if odometry.stamp <= state.newest.stamp:
         return state
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
-    state = replace(state, newest=odometry, odometry=(*state.odometry, reckoning))
+    state = replace(_kept(state, odometry), newest=odometry, odometry=(*state.odometry, reckoning))
     state = _process_pending(state)
     before = state.odometry[-2].stamp
     if before - state.stamp > LONGEST_STEP:
@@ -116,6 +122,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
 def process_detections(state: EstimatorState, detections: TagDetections) -> EstimatorState:
     """The state after one frame of tags, or with the frame waiting for odometry; one older than the filters is
     ignored."""
+    state = _kept(state, detections)
     detections = replace(detections, stamp=detections.stamp - state.camera.offset)
     if not detections.stamp >= state.stamp:
         return state
@@ -132,7 +139,7 @@ def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
     """The state with one more scan to compare the frame of its instant with."""
     if not math.isfinite(scan.stamp) or (state.scans and scan.stamp <= state.scans[-1].stamp):
         return state
-    return replace(state, scans=(*state.scans, scan)[-SCANS:])
+    return replace(_kept(state, scan), scans=(*state.scans, scan)[-SCANS:])
 
 
 def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -157,7 +164,7 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     """
     if state.turn is None:
         raise ValueError("No turn is open.")
-    state = _step_to(state, stamp)
+    state = _step_to(_first_looked(state), stamp)
     turn = state.turn
     assert turn is not None
     return _add_view(state, turn, SPREAD if explored else 0)
@@ -242,6 +249,36 @@ def finished_map(state: EstimatorState) -> EstimatorState:
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
     estimate = with_doubts(estimate, evidence, graph)
     return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
+
+
+def _kept(state: EstimatorState, message: Message) -> EstimatorState:
+    """The state with a message more in its first look, unless that is over."""
+    look = state.look
+    if look is None:
+        return state
+    return replace(state, look=replace(look, messages=(*look.messages, message)[-MOST_KEPT:]))
+
+
+def _first_looked(state: EstimatorState) -> EstimatorState:
+    """The state when its first turn is over: what is wrong with the sensors is told. Where that is the camera's clock,
+    all is taken in anew by the right one: filters that lost the robot by the wrong one cannot be mended."""
+    look, turn = state.look, state.turn
+    if look is None or turn is None:
+        return state
+    camera = look.start.camera
+    tags, scan = held_against_odometry(look.messages, camera.offset)
+    for line in told(tags, scan):
+        _remarks.warning("%.2f s: %s", state.stamp, line)
+    if tags.ahead:
+        process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
+        process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
+        mean = camera.mean + np.array([0.0, tags.ahead])
+        state = replace(look.start, look=None, camera=replace(camera, mean=mean))
+        for message in look.messages:
+            state = process[type(message)](state, message)
+            if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
+                state = begin_turn(state, turn.begin.stamp)
+    return replace(state, look=None)
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
@@ -404,11 +441,11 @@ def _with_scale_told(state: EstimatorState) -> EstimatorState:
     if not share:
         return state
     _remarks.warning(
-        "%.2f s: the tags' ranges are %.0f %% %s than the scan's: see whether the calibration is of this camera and "
-        "the tags are as large as was said",
+        "%.2f s: the tags' ranges are %.3g times the scan's: are the tags %.2g times as large as was said "
+        "(camera.tag_size), or is the calibration another camera's?",
         state.stamp,
-        100.0 * abs(share),
-        "longer" if share > 0.0 else "shorter",
+        1.0 + share,
+        1.0 / (1.0 + share),
     )
     return replace(state, compared=replace(state.compared, told=True))
 

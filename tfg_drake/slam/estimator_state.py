@@ -17,6 +17,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel, exact_camera
 from tfg_drake.slam.doubt import Evidence, Sighted, no_evidence
+from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.missing_tags import TagWatch, no_watch
@@ -45,6 +46,14 @@ class OpenObservation:
 
 
 @message
+class FirstLook:
+    """The newest messages before the first turn is over, in the order of their arrival, and the state before any."""
+
+    start: EstimatorState
+    messages: tuple[Message, ...] = ()
+
+
+@message
 class EstimatorState:
     """All the estimator knows.
 
@@ -60,6 +69,7 @@ class EstimatorState:
     when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
     view. rejected: (r,) ids of known tags left out of the newest view, dropped: sightings left out of its turn.
     evidence: for the places where it has its tags, and against them. watch: which of them should have been seen since.
+    look: the first look, None once it is over.
     """
 
     model: OdometryModel
@@ -91,6 +101,7 @@ class EstimatorState:
     watch: TagWatch
     rejected: IntArray
     dropped: int
+    look: FirstLook | None = None
 
 
 def initial_state(
@@ -104,7 +115,7 @@ def initial_state(
     """
     model, camera = odometry_model(config), camera or exact_camera()
     yaw = np.array([camera.yaw, camera.sigma[0]])
-    return EstimatorState(
+    state = EstimatorState(
         model=model,
         camera=camera,
         correlation=no_correlation(),
@@ -135,6 +146,7 @@ def initial_state(
         rejected=np.empty(0, dtype=np.int64),
         dropped=0,
     )
+    return replace(state, look=FirstLook(state))
 
 
 def known_camera(state: EstimatorState) -> CameraModel:

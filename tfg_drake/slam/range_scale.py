@@ -29,8 +29,11 @@ SIGNIFICANT = 4.0
 # camera. So many pairs must say so where they agree with no scale that may well be.
 TOLD = 0.03
 MANY = 100
-# They are counted by their share, in bins this wide, up to as much more or less as MOST.
-BIN, MOST = 0.02, 0.5
+# They are counted by the logarithm of range over range, in bins this wide, up to as much more or less as MOST, a factor
+# of 50. Half of all pairs must lie this near together, whichever is the more: so many bins, or so large a share of what
+# is told.
+BIN, MOST = 0.02, 3.92
+NEAR, NEARLY = 3, 0.25
 # Surfaces seen more slantwise than this are left out (tangent of 60 degrees): a bearing error becomes a range error.
 STEEPEST = 1.75
 # Neighbouring rays belong to one surface when their ranges differ by less than this share; the surface is the line
@@ -62,8 +65,8 @@ class RangeScale:
 class Compared:
     """What tags' own errors would do to the scale. ids: (t,), ascending. pull: (t, 2) derivative of vector on each.
 
-    apart: (b,) how many of the pairs that do not agree have ranges that are longer than to the surface by a share of
-    -MOST to -MOST + BIN, ... told: whether somebody was told of a `great_error`.
+    apart: (b,) how many of the pairs that do not agree have ranges whose logarithm is greater than that of the range to
+    the surface by -MOST to -MOST + BIN, ... told: whether somebody was told of a `great_error`.
     """
 
     ids: IntArray
@@ -184,9 +187,9 @@ def _compare(
         predicted += information[0, 0] * lever**2
         error = range_[k] - distance - r * distance - o * lever
         if error * error > GATE**2 * (variance + predicted / determinant):
-            share = range_[k] / distance - 1.0
-            if abs(share) < MOST:
-                apart[others] = int((share + MOST) / BIN)
+            longer = math.log(range_[k] / distance)
+            if abs(longer) < MOST:
+                apart[others] = int((longer + MOST) / BIN)
                 others += 1
             continue
         more[0, 0] += distance * distance / variance
@@ -213,13 +216,18 @@ def correction(scale: RangeScale, compared: Compared) -> float:
 
 def great_error(scale: RangeScale, compared: Compared) -> float:
     """The share by which the tags' ranges are longer than the scan's where that is more than TOLD and beyond doubt,
-    else 0: one that is corrected, or one so great that most pairs do not agree, and nearly alike."""
+    else 0: one that is corrected, where most pairs agree, or one so great that most do not, and nearly alike."""
     r, _, sigma = _moments(scale.information, scale.vector)
-    if abs(r) > TOLD + SIGNIFICANT * sigma:
+    apart = int(compared.apart.sum())
+    if scale.pairs > apart and abs(r) > TOLD + SIGNIFICANT * sigma:
         return float(r)
-    window = np.convolve(compared.apart, np.ones(3, dtype=np.int64), "valid")
-    share = BIN * (int(np.argmax(window)) + 1.5) - MOST
-    says_so = window.max() > max(MANY, 0.5 * (scale.pairs + compared.apart.sum()))
+    most = max(MANY, (scale.pairs + apart) // 2)
+    counted = np.append(0, np.cumsum(compared.apart))
+    width = np.searchsorted(counted, counted + most, side="right") - np.arange(len(counted))
+    first = int(np.argmin(np.where(counted + most < counted[-1], width, len(counted))))
+    middle = BIN * (first + 0.5 * width[first]) - MOST
+    says_so = counted[first] + most < counted[-1] and width[first] <= max(NEAR, NEARLY * abs(middle) / BIN)
+    share = math.expm1(middle)
     return share if says_so and abs(share) > TOLD else 0.0
 
 

@@ -130,6 +130,13 @@ def test_a_scan_is_seen_from_the_body():
     np.testing.assert_allclose(scan.angles, angles, atol=1e-12)
 
 
+def test_a_scanner_upside_down_has_its_left_on_the_robots_right():
+    scanner = Scanner(yaw=0.25 * math.pi, flip=True)
+    scan = conversions.laser_scan(scan_message([1.0, 2.0, 3.0], -0.5, 0.5), 0.0, scanner, STILL)
+    assert scan.angles.tolist() == pytest.approx((0.25 * math.pi + np.array([-0.5, 0.0, 0.5])).tolist())
+    assert scan.ranges.tolist() == pytest.approx([3.0, 2.0, 1.0])
+
+
 def test_a_sweep_is_told_as_of_its_middle():
     # The robot turns at 1 rad/s and drives at 0.2 m/s; a wall point 2 m ahead of the middle pose, met 0.05 s before
     # and after by rays that point elsewhere then.

@@ -67,6 +67,7 @@ def test_a_file_of_ones_own(tmp_path):
         (("limits", "speed"), "fast", "limits.speed: expected a number, found 'fast'"),
         (("limits", "speed"), -0.1, "limits.speed: expected a number above 0, found -0.1"),
         (("scanner", "unanswered"), "far", "scanner.unanswered: unknown value far; known are unknown, free"),
+        (("scanner", "flip"), 1, "scanner.flip: expected true or false, found 1"),
         (("scanner", "least_range"), -0.1, "scanner.least_range: expected a number of 0 or more, found -0.1"),
         (("camera", "x"), 10**400, f"camera.x: expected a number, found {10**400}"),
         (("scanner", "yaw"), float("nan"), "scanner.yaw: expected a number, found nan"),

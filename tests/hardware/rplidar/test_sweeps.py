@@ -1,5 +1,6 @@
 """Sweeps of a robot that drives and turns among walls, its rays cast one by one: the scans are those of one instant."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -26,21 +27,24 @@ def pose(t, V_B):
     return np.array([chord * math.cos(0.5 * turned), chord * math.sin(0.5 * turned), turned])
 
 
-def cast(t, angle, V_B):
-    """The range of a ray, m, at an angle clockwise from where the scanner looks."""
+def cast(t, angle, V_B, flip=False):
+    """The range of a ray, m, at an angle clockwise from where the scanner looks, as seen from its own top."""
     x, y, theta = compose(pose(t, V_B), X_BS)
-    c, s = math.cos(theta - angle), math.sin(theta - angle)
+    towards = theta + angle if flip else theta - angle
+    c, s = math.cos(towards), math.sin(towards)
     along = [(RIGHT - x) / c if c > 0.0 else (LEFT - x) / c, (ABOVE - y) / s if s > 0.0 else (BELOW - y) / s]
     return min(along)
 
 
+@pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize("turn_rate", [0.0, 1.2, -1.2])
-def test_scans_of_a_moving_robot(turn_rate):
-    V_B, maker, sweeps = np.array([0.3, turn_rate]), SweepMaker(MOUNT, 1), []
+def test_scans_of_a_moving_robot(turn_rate, flip):
+    mount = dataclasses.replace(MOUNT, flip=flip)
+    V_B, maker, sweeps = np.array([0.3, turn_rate]), SweepMaker(mount, 1), []
     for k in range(6 * RAYS):
         t = PERIOD * k / RAYS
         angle = 2.0 * math.pi * (k % RAYS) / RAYS
-        sweeps += maker.add([Node(k % RAYS == 0, angle, cast(t, angle, V_B))], t)
+        sweeps += maker.add([Node(k % RAYS == 0, angle, cast(t, angle, V_B, flip))], t)
     assert [sweep.stamp for sweep in sweeps] == pytest.approx(PERIOD * np.arange(1.5, 5.1, 0.5), abs=1e-9)
     for sweep in sweeps:
         scan = scan_of(sweep, V_B)

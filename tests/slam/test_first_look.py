@@ -1,0 +1,153 @@
+"""What sensors say of each other in the first look: turns of a simulated robot, by sensors that are mounted or stamped
+wrong."""
+
+import numpy as np
+import pytest
+
+from tfg_drake.geometry.visibility import cast_rays
+from tfg_drake.messages import LaserScan, Odometry, TagDetections
+from tfg_drake.slam.first_look import (
+    Agreement,
+    agreement,
+    held_against_odometry,
+    told,
+    turn_between,
+    turns_of_scans,
+    turns_of_tags,
+)
+
+# A room that looks another from each side, and tags in it.
+WALLS = np.array([[4.0, -3.0, 4.0, 5.0], [4.0, 5.0, -6.0, 5.0], [-6.0, 5.0, -6.0, -3.0], [-6.0, -3.0, 4.0, -3.0]])
+TAGS = np.array([[3.9, 0.5], [3.9, 4.0], [-2.0, 4.9], [-5.9, 1.0], [-1.0, -2.9], [2.0, -2.9]])
+NARROW, ALL_ROUND = np.deg2rad(np.arange(-62.0, 62.1, 0.5)), np.deg2rad(np.arange(-180.0, 180.0, 0.5))
+# It stands until then, turns round twice with the usual rates and stands again, s, rad/s, rad/s^2.
+BEGIN, END, RATE, ACCELERATION = 4.0, 4.0 + 4.0 * np.pi / 1.2, 1.2, 3.5
+
+
+def heading(t):
+    """rad, of the robot at times (n,), s."""
+    fine = np.arange(0.0, 20.0, 0.001)
+    rate = np.clip(ACCELERATION * np.minimum(fine - BEGIN, END - fine), 0.0, RATE)
+    return np.interp(t, fine, 0.001 * np.cumsum(rate))
+
+
+def scan(t, angles, rng, flip=False):
+    ranges = cast_rays(WALLS, np.zeros(2), (-angles if flip else angles) + float(heading(t)), 8.0)
+    return LaserScan(t, angles, ranges + 0.015 * rng.normal(size=len(angles)), 8.0, 0.015)
+
+
+def frame(t, rng, mirrored=False):
+    r = np.hypot(*TAGS.T)
+    bearing = np.arctan2(TAGS[:, 1], TAGS[:, 0]) - heading(t) + 0.01 * rng.normal(size=len(r))
+    bearing = np.pi - np.mod(np.pi - bearing, 2.0 * np.pi)
+    seen = np.flatnonzero(np.abs(bearing) < 1.08)
+    bearing = -bearing[seen] if mirrored else bearing[seen]
+    return TagDetections(t, seen, r[seen], bearing, np.full(len(seen), 0.05), np.full(len(seen), 0.01))
+
+
+def messages(seed=0, angles=NARROW, flip=False, mirrored=False, scan_ahead=0.0, tags_ahead=0.0, turned=1.0):
+    """All of a first look. ahead: clocks, s. turned: the odometry's turn as a share of the true one."""
+    rng = np.random.default_rng(seed)
+    result = [
+        Odometry(t, np.array([0.0, 0.0, np.angle(np.exp(1j * turned * heading(t)))]), np.zeros(2))
+        for t in np.arange(0.0, 17.0, 1 / 16)
+    ]
+    for t in np.arange(0.03, 17.0, 0.1):
+        seen = scan(t, angles, rng, flip), frame(t, rng, mirrored)
+        result += [
+            LaserScan(t + scan_ahead, angles, seen[0].ranges, 8.0, 0.015),
+            TagDetections(t + tags_ahead, *(getattr(seen[1], name) for name in list(vars(seen[1]))[1:])),
+        ]
+    return result
+
+
+@pytest.mark.parametrize("angles", [NARROW, ALL_ROUND])
+@pytest.mark.parametrize("turn", [-0.3, -0.12, 0.0, 0.07, 0.12, 0.31])
+def test_the_turn_between_two_scans(angles, turn):
+    rng = np.random.default_rng(3)
+    for at in np.linspace(0.0, 6.0, 7):
+        before, after = (cast_rays(WALLS, np.zeros(2), angles + h, 8.0) for h in (at, at + turn))
+        scans = [LaserScan(0.0, angles, r + 0.015 * rng.normal(size=len(r)), 8.0, 0.015) for r in (before, after)]
+        assert turn_between(*scans) == pytest.approx(turn, abs=0.011)
+        upside_down = [LaserScan(0.0, -angles[::-1], one.ranges[::-1], 8.0, 0.015) for one in scans]
+        assert turn_between(*upside_down) == pytest.approx(-turn, abs=0.011)
+
+
+def test_scans_that_show_nothing_tell_no_turn():
+    nothing = LaserScan(0.0, NARROW, np.full(len(NARROW), np.inf), 8.0, 0.015)
+    assert np.isnan(turn_between(nothing, nothing))
+    one_ray = LaserScan(0.0, NARROW[:1], np.ones(1), 8.0, 0.015)
+    assert np.isnan(turn_between(one_ray, nothing))
+    empty = LaserScan(0.0, np.zeros(0), np.zeros(0), 8.0, 0.015)
+    assert turns_of_scans([nothing, nothing, empty]).shape == turns_of_scans([]).shape == (0, 3)
+
+
+def test_the_turn_between_two_frames_is_that_of_most_tags():
+    bearings = np.array([0.1, 3.1, -0.5, 0.7])
+    after = bearings - 0.2
+    after[0] = 1.0
+    one, other = np.full(4, 1.0), np.full(4, 0.1)
+    frames = [TagDetections(float(t), np.arange(4), one, b, other, other) for t, b in ((1, bearings), (2, after))]
+    np.testing.assert_allclose(turns_of_tags(frames), [[1.0, 2.0, 0.2]])
+    none = np.zeros(0)
+    frames.insert(1, TagDetections(1.5, none.astype(int), none, none, none, none))
+    np.testing.assert_allclose(turns_of_tags(frames), [[1.0, 2.0, 0.2]])
+    assert turns_of_tags(frames[:1]).shape == (0, 3)
+
+
+@pytest.mark.parametrize("angles", [NARROW, ALL_ROUND])
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_sensor_that_is_upside_down_turns_against_the_robot(angles, flip, mirrored):
+    for seed in range(3):
+        seen = messages(seed, angles, flip, mirrored)
+        assert [vars(one) for one in held_against_odometry(seen)] == [
+            {"against": mirrored, "ahead": 0.0},
+            {"against": flip, "ahead": 0.0},
+        ]
+    # It is no scanner that is upside down where it is the odometry that turns the other way.
+    other = held_against_odometry(messages(3, angles, flip, mirrored, turned=-1.0))
+    assert [one.against for one in other] == [not mirrored, not flip]
+
+
+@pytest.mark.parametrize("ahead", [0.3, -0.2, 0.5, -0.7])
+def test_a_wrong_clock_is_found(ahead):
+    for seed in range(3):
+        tags, scans = held_against_odometry(messages(seed, tags_ahead=ahead))
+        assert (tags.ahead, scans.ahead) == (pytest.approx(ahead, abs=0.03), 0.0)
+        tags, scans = held_against_odometry(messages(seed, scan_ahead=ahead, flip=True))
+        assert (tags.ahead, scans.ahead) == (0.0, pytest.approx(ahead, abs=0.03))
+        assert scans.against
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.05, -0.08])
+def test_what_is_learnt_with_the_map_is_no_fault(ahead):
+    assert [one.ahead for one in held_against_odometry(messages(1, tags_ahead=ahead, scan_ahead=ahead))] == [0.0, 0.0]
+
+
+def test_where_nothing_is_told_nothing_is_wrong():
+    none = [vars(Agreement())] * 2
+    stands = [one for one in messages() if one.stamp < BEGIN]
+    for seen in (stands, [one for one in messages() if isinstance(one, Odometry)], messages(turned=0.0), []):
+        assert [vars(one) for one in held_against_odometry(seen)] == none
+    # Turns that no clock explains.
+    rng = np.random.default_rng(0)
+    stamps = np.arange(0.0, 17.0, 0.1)
+    seen = np.column_stack([stamps[:-1], stamps[1:], rng.uniform(-0.3, 0.3, len(stamps) - 1)])
+    assert vars(agreement(seen, stamps, heading(stamps))) == none[0]
+
+
+def test_each_finding_is_a_line_with_the_key_to_set():
+    right, against = Agreement(), Agreement(against=True)
+    assert told(right, right) == []
+    (line,) = told(right, against)
+    assert line.startswith("the scan turns against the robot")
+    assert "hardware.scanner.flip" in line
+    (line,) = told(against, right)
+    assert line.startswith("the tags turn against the robot")
+    (line,) = told(against, against)
+    assert "odometry" in line
+    camera, scanner = told(Agreement(ahead=0.3), Agreement(ahead=-0.2))
+    assert "0.30 s ahead of the base's" in camera
+    assert "hardware.camera.latency" in camera
+    assert "0.20 s behind the base's" in scanner

@@ -1,0 +1,153 @@
+"""The first look: scan and tags held against odometry while the robot turns round where it stands.
+
+A sensor that is mounted upside down, or whose clock is wrong, shows it before anything is mapped: it says by itself how
+far the robot has turned from one of its messages to the next, and odometry says so of any two instants. Mirrored, all
+turns against the robot; by a wrong clock, it begins and ends to turn too soon or too late. (Whether the tags' ranges
+are those of the scan is the subject of `tfg_drake.slam.range_scale`.)
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, message
+from tfg_drake.slam.sightings import sanitized
+
+# Clocks are compared up to so much before or after each other, in steps of so much, s.
+MOST_OFFSET, OFFSET_STEP = 1.0, 0.02
+# A clock that is wrong by no more than this is no fault, s: the camera's is learnt with the map, and a scan may be
+# stamped with its first ray.
+LEAST_OFFSET = 0.1
+# A turn that differs from the odometry's by more than this says no more than that, rad: it is no turn at all.
+OUTLIER = 0.06
+# Turns of more than this, rad, must have been seen so often.
+LEAST_TURN, LEAST_TURNS = 0.03, 15
+# What explains the turns has less than this share of the cost of what does not, and of outliers alone.
+EXPLAINS = 0.5
+# A clock is wrong when what is seen is so many deviations less likely with a right one.
+SIGNIFICANT = 5.0
+# Least standard deviation of a turn seen, rad: scans are compared in such steps.
+STEP = 0.01
+# The greatest turn looked for from one scan to the next, rad, and the greatest difference of two ranges (of their
+# logarithms) that counts. So large a share of the rays must overlap.
+MOST_TURN, MOST_APART, OVERLAP = 0.4, 0.2, 0.3
+
+# What explains that tags, the scan or both turn against the robot.
+AGAINST = {
+    (False, True): "the scan turns against the robot: is the scanner mounted upside down? "
+    "Set hardware.scanner.flip, on ROS the preset's scanner.flip",
+    (True, False): "the tags turn against the robot: is the camera mounted upside down, or its image mirrored? "
+    "Set hardware.camera.roll, or mend the image",
+    (True, True): "tags and scan turn against the robot: its odometry counts turns to the right, not to the left",
+}
+
+Message = Odometry | TagDetections | LaserScan
+
+
+@message
+class Agreement:
+    """How a sensor's turns agree with the odometry's. against: they go the other way. ahead: its clock less the
+    odometry's, s, 0 where that is no fault."""
+
+    against: bool = False
+    ahead: float = 0.0
+
+
+def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tuple[Agreement, Agreement]:
+    """What the tags and what the scans of a first look say, one that says nothing like one that agrees. known: s, how
+    far the camera's clock is ahead of the odometry's as far as is known: `ahead` comes on top."""
+    odometry = [one for one in messages if isinstance(one, Odometry)]
+    stamps = np.array([one.stamp for one in odometry])
+    heading = np.unwrap([one.X_OB[2] for one in odometry])
+    frames = [sanitized(one)[0] for one in messages if isinstance(one, TagDetections)]
+    scans = [one for one in messages if isinstance(one, LaserScan)]
+    by_tags = turns_of_tags(frames) - [known, known, 0.0]
+    return agreement(by_tags, stamps, heading), agreement(turns_of_scans(scans), stamps, heading)
+
+
+def told(tags: Agreement, scan: Agreement) -> list[str]:
+    """What somebody can mend, a line each."""
+    lines = [AGAINST[tags.against, scan.against]] if tags.against or scan.against else []
+    if tags.ahead:
+        lines.append(
+            f"the camera's clock is {_off(tags.ahead)} the base's, which is corrected: mend hardware.camera.latency, "
+            "on ROS the clocks"
+        )
+    if scan.ahead:
+        lines.append(
+            f"the scanner's clock is {_off(scan.ahead)} the base's, which smears the map: mend how its scans are "
+            "stamped, on ROS the clocks"
+        )
+    return lines
+
+
+def _off(ahead: float) -> str:
+    return f"{abs(ahead):.2f} s {'ahead of' if ahead > 0.0 else 'behind'}"
+
+
+def turns_of_tags(frames: Sequence[TagDetections]) -> FloatArray:
+    """Stamps (s) of two frames one after the other and how far the robot has turned between them (rad), (n, 3): the
+    median of all tags in both. Ids are unique in each frame."""
+    seen = []
+    for before, after in itertools.pairwise([frame for frame in frames if len(frame.ids)]):
+        _, i, j = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
+        if len(i):
+            turn = np.median(wrap_angle(before.bearing[i] - after.bearing[j]))
+            seen.append((before.stamp, after.stamp, float(turn)))
+    return np.array(seen).reshape(-1, 3)
+
+
+def turns_of_scans(scans: Sequence[LaserScan]) -> FloatArray:
+    """As `turns_of_tags`, of scans that show something."""
+    pairs = itertools.pairwise(scan for scan in scans if len(scan.angles))
+    turns = [(one.stamp, other.stamp, turn_between(one, other)) for one, other in pairs]
+    seen = np.array(turns).reshape(-1, 3)
+    return np.asarray(seen[np.isfinite(seen[:, 2])])
+
+
+def turn_between(before: LaserScan, after: LaserScan) -> float:
+    """By how much, rad, the second scan fits best on the first if the robot has turned so far to the left; nan where
+    they show too little."""
+    first, last = max(before.angles[0], after.angles[0]), min(before.angles[-1], after.angles[-1])
+    grid = np.arange(first, last, STEP)
+    met = [np.where((scan.ranges > 0.0) & (scan.ranges < np.inf), scan.ranges, np.nan) for scan in (before, after)]
+    then, now = (np.interp(grid, scan.angles, np.log(r)) for scan, r in zip((before, after), met, strict=True))
+    most = round(MOST_TURN / STEP)
+    shifted = np.lib.stride_tricks.sliding_window_view(np.pad(then, most, constant_values=np.nan), len(grid))
+    apart = np.minimum(np.abs(shifted - now), MOST_APART)
+    overlap = np.isfinite(apart).sum(axis=1)
+    enough = overlap > OVERLAP * len(grid)
+    if not enough.any():
+        return math.nan
+    mean = np.where(enough, np.nansum(apart, axis=1) / np.maximum(overlap, 1), np.inf)
+    return STEP * (int(np.argmin(mean)) - most)
+
+
+def agreement(seen: FloatArray, stamps: FloatArray, heading: FloatArray) -> Agreement:
+    """How turns seen (n, 3), see `turns_of_tags`, agree with the odometry's heading (m,), rad and not wrapped, at its
+    stamps (m,), s."""
+    if not len(seen) or not len(stamps):
+        return Agreement()
+    steps = round(MOST_OFFSET / OFFSET_STEP)
+    offsets = OFFSET_STEP * np.arange(-steps, steps + 1)
+    turned = np.array([np.subtract(*(np.interp(seen[:, k] - o, stamps, heading) for k in (1, 0))) for o in offsets])
+    cost = np.array([_cost(seen[:, 2] - turned), _cost(seen[:, 2] + turned)])
+    least = cost.min(axis=1)
+    way = int(np.argmin(least))
+    best = int(np.argmin(cost[way]))
+    turns = np.count_nonzero(np.abs(turned[best]) > LEAST_TURN)
+    if turns < LEAST_TURNS or least[way] > EXPLAINS * min(least[1 - way], len(seen) * OUTLIER**2):
+        return Agreement()
+    variance = max(least[way] / len(seen), STEP**2)
+    is_wrong = cost[way, steps] - least[way] > SIGNIFICANT**2 * variance and abs(offsets[best]) > LEAST_OFFSET
+    return Agreement(way == 1, float(offsets[best]) if is_wrong else 0.0)
+
+
+def _cost(error: FloatArray) -> FloatArray:
+    """Of errors (k, n), rad, the sum (k,) of squares, that of an outlier bounded."""
+    return np.asarray(np.minimum(wrap_angle(error) ** 2, OUTLIER**2).sum(axis=1))
