@@ -42,8 +42,8 @@ def stages_of(scenario: Scenario, max_time: float) -> list[Stage]:
     stages: list[Stage] = []
     grow = planner.grow
 
-    def noted(state, working, parameters):  # type: ignore[no-untyped-def]
-        state = grow(state, working, parameters)
+    def noted(state, working, parameters, **options):  # type: ignore[no-untyped-def]
+        state = grow(state, working, parameters, **options)
         stages.append((working.estimate, working.tfg, state.nodes))
         return state
 

@@ -53,8 +53,8 @@ def test_odometry_errors_are_the_seeds(tmp_path):
         ("hello\n", "a.log: fewer than two FLASER lines in it; is it a CARMEN log?"),
         ("FLASER 4 1.0\n", "a.log, line 1: not a whole FLASER line; copy the file again"),
         ("FLASER\n", "a.log, line 1: not a whole FLASER line; copy the file again"),
-        (flaser(0, 0, 0, "x"), "a.log, line 1: 'x' is not a finite number below 1e+18; mend the line"),
-        (flaser(0, 0, 0, 1, "1 2 nan 3"), "a.log, line 1: 'nan' is not a finite number below 1e+18; mend the line"),
+        (flaser(0, 0, 0, "x"), "a.log, line 1: 'x' is not a finite number below 1e+19; mend the line"),
+        (flaser(0, 0, 0, 1, "1 2 nan 3"), "a.log, line 1: 'nan' is not a finite number below 1e+19; mend the line"),
     ],
 )
 def test_complaints_about_carmen_logs(tmp_path, text, complaint):
@@ -83,7 +83,7 @@ def test_a_rover_log(tmp_path):
     ("text", "complaint"),
     [
         ("1 2 3\n", ", line 1: 706 columns expected, 3 found; mend it"),
-        (rover("x", 0, 0), ", line 1: 'x' is not a finite number below 1e+18; mend the line"),
+        (rover("x", 0, 0), ", line 1: 'x' is not a finite number below 1e+19; mend the line"),
         (rover(2, 0, 0) + rover(2, 1, 0), ": two different scans at 2 us; leave one of them out"),
         ("", ": fewer than two scans in it; copy it again"),
     ],

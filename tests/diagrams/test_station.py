@@ -145,7 +145,7 @@ def test_a_mission_is_paused_after_a_wheel_drop_until_it_is_enabled_anew():
         return MakeTurtlebotStation(scenario, plant=plant)
 
     requests = []
-    diagram, _, _ = MakeMissionDiagram(
+    diagram, *_ = MakeMissionDiagram(
         scenario, world, robot=Robot("odd", MakeStation, world_known=True), operated=[lambda: requests]
     )
     simulator = Simulator(diagram)

@@ -150,7 +150,7 @@ def test_a_missing_file_is_one_line(tool, tmp_path, name):
         ("explorer.stop_gain=much", "expected a number, found text ('much')"),
         ("explorer.gain=best", "explorer.gain"),
         ("robot.max_speed=-1", "robot.max_speed: must be greater than 0, is -1"),
-        ("tags.range=nan", "tags.range: must be finite, is nan"),
+        ("tags.range=.nan", "tags.range: must be finite, is nan"),
         ("explorer=5", "explorer"),
         ("=5", "expected KEY=VALUE"),
     ],
