@@ -25,10 +25,12 @@ HALF = 24
 CELLS = 2 * HALF
 # What was seen is believed for this long, s: a turn all round takes half of it.
 MEMORY = 10.0
+# The same where the base drives backwards: a turn that the gyro tells by a hundredth wrong moves what lies behind.
+_MEMORY_BEHIND = 4.0
 # Where few of the rays that came there met something it counts as met so long before the scan, s: the memory tells of it.
 _HARDLY_OLDER = 1e-6
 # What was met may reach so much farther than where it was, m.
-_REACHES = 0.75 * CELL
+_REACHES = 0.6 * CELL
 # A ray is followed in steps of this many cells; those beside it meet the corners that it cuts.
 _STEP = 0.75
 # Fewer lost rays side by side than this say nothing; more may be something that is too near to be seen.
@@ -165,6 +167,8 @@ def _remembered(
                 occupied[a, b] = True
             elif passed[cell] > lost[cell] and not (occupied[a, b] and stands[a, b]):
                 after[a, b], occupied[a, b] = stamp, False
+            elif x * x + y * y < (radius / CELL) ** 2 and not occupied[a, b]:
+                after[a, b] = stamp
     return np.array([i0, j0]), after, occupied, where
 
 
@@ -197,18 +201,25 @@ def _without_noise(ranges: FloatArray) -> FloatArray:
 
 
 def open_distance(
-    space: SeenSpace, X_OB: FloatArray, curvature: float, radius: float, reach: float, newest: float
+    space: SeenSpace,
+    X_OB: FloatArray,
+    curvature: float,
+    radius: float,
+    reach: float,
+    newest: float,
+    backwards: bool = False,
 ) -> float:
     """How far (m) a round base may drive along an arc until its outline meets what is not known to be free.
 
     X_OB: (3,) its pose. curvature: of the arc, 1/m. radius: of the base, m. reach: farther than this (m) makes no
     difference. newest: stamp of the newest scan in the memory, s: what that one met is left to who has its exact place.
     inf if nothing within reach is in doubt. Cells that were never seen, or not for MEMORY, count if they lie one cell
-    within the outline's way: beside it a wall may stand that no ray passes. What was met may reach half a cell farther
-    than where it was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see.
+    within the outline's way: beside it a wall may stand that no ray passes. What was met may reach farther than where it
+    was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see. backwards: where no
+    scanner may look, the way has to be wider by a cell on either side, and free a moment ago.
     """
     distance: float = open_distance_among(
-        space.corner, space.seen, space.met, space.p_OM, X_OB, curvature, radius, reach, newest
+        space.corner, space.seen, space.met, space.p_OM, X_OB, curvature, radius, reach, newest, backwards
     )
     return distance
 
@@ -224,8 +235,10 @@ def open_distance_among(
     radius: float,
     reach: float,
     newest: float,
+    backwards: bool,
 ) -> float:
     """As open_distance, of a memory's arrays."""
+    wider, memory = (CELL, _MEMORY_BEHIND) if backwards else (0.0, MEMORY)
     span = radius + reach + 2.0 * CELL
     cosine, sine = math.cos(X_OB[2]), math.sin(X_OB[2])
     least = np.inf
@@ -235,13 +248,13 @@ def open_distance_among(
         for j in range(first_j, math.floor((X_OB[1] + span) / CELL) + 1):
             b = b + 1 if b + 1 < CELLS else 0
             dx, dy = (i + 0.5) * CELL - X_OB[0], (j + 0.5) * CELL - X_OB[1]
-            outline, corridor = radius, radius - CELL
+            outline, corridor = radius, radius - CELL + wider
             if 0 <= i - corner[0] < CELLS and 0 <= j - corner[1] < CELLS:
-                if seen[a, b] == newest or (seen[a, b] >= newest - MEMORY and not met[a, b]):
+                if seen[a, b] == newest or (seen[a, b] >= newest - memory and not met[a, b]):
                     continue
                 if met[a, b]:
                     dx, dy = p_OM[a, b, 0] - X_OB[0], p_OM[a, b, 1] - X_OB[1]
-                    outline = corridor = radius + _REACHES
+                    outline, corridor = radius + _REACHES, radius + _REACHES + wider
             # What is beneath the base is free.
             if radius * radius < dx * dx + dy * dy < span * span:
                 x, y = cosine * dx + sine * dy, cosine * dy - sine * dx

@@ -246,7 +246,7 @@ def _let_through(
             ahead = _facing(X_SB, speed)
             clear = free_distance(angles, ranges, ahead, curvature, radius, side_margin, reach + CELL)
             ahead = _facing(advance(X_OB, V_B[0], V_B[1], since), speed)
-            known = open_distance_among(corner, seen, met, p_OM, ahead, curvature, radius, reach, newest)
+            known = open_distance_among(corner, seen, met, p_OM, ahead, curvature, radius, reach, newest, speed < 0.0)
             room = min(clear - stop_distance, known - stop_distance, backing)
         speed = _bounded(speed, _speed_allowed(room, acceleration, period))
     base = _towards(base_before, speed, step)
