@@ -13,7 +13,16 @@ from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
-from tfg_drake.safety.velocity_filter import SPEED, STATE_SIZE, filter_command, held, stopped
+from tfg_drake.safety.velocity_filter import (
+    MOST_REFLEXES,
+    PRESSED,
+    REFLEXES,
+    SPEED,
+    STATE_SIZE,
+    filter_command,
+    held,
+    stopped,
+)
 from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
@@ -88,7 +97,10 @@ class SafetyFilter(LeafSystem):
         wanted = float(self._enable.Eval(context)[0]) if self._enable.HasValue(context) else math.inf
         spent = self._Spent(context, wanted)
         enabled = wanted not in (0.0, spent)
-        after = self._Filtered(context) if enabled else stopped(self._State(context), self._robot, PERIOD)
+        before = self._State(context)
+        after = self._Filtered(context) if enabled else stopped(before, self._robot, PERIOD)
+        if before[REFLEXES] <= MOST_REFLEXES < after[REFLEXES]:
+            _log.warning("%.2f s: the base stands: %s", context.get_time(), PRESSED)
         for group, value in enumerate((after, after[:2], [enabled], [spent])):
             update.set_value(group, value)
 
@@ -129,17 +141,18 @@ class SafetyFilter(LeafSystem):
                 _log.warning("%.2f s: the base stands: %s", now, after.doubt)
             else:
                 _log.info("%.2f s: the scan is believed again", now)
-        if self._WantsAhead(context) and held(after, X_OB, self._robot, self._safety):
+        wanted = self._Wanted(context)
+        if abs(wanted) > 0.0 and held(after, X_OB, wanted, self._robot, self._safety):
             after = replace(after, held=before.held + 1)
             if after.held == _HELD_SCANS:
                 _log.warning("%.2f s: the base stands: %s", context.get_time(), HELD)
         set_state_message(state, self._watch, after)
         return EventStatus.Succeeded()
 
-    def _WantsAhead(self, context: Context) -> bool:
-        """Whether the base is told to drive ahead and stands."""
+    def _Wanted(self, context: Context) -> float:
+        """The speed, m/s, at which the base is told to drive while it stands, else 0."""
         stands = self._State(context)[SPEED] == 0.0
-        return stands and self._command.HasValue(context) and self._command.Eval(context)[0] > 0.0
+        return float(self._command.Eval(context)[0]) if stands and self._command.HasValue(context) else 0.0
 
 
 def _pose_at(odometry: Odometry, time: float) -> FloatArray:

@@ -25,6 +25,13 @@ CLEAR = LaserScan(0.0, ray_angles(SCAN), np.full(249, np.inf), 10.0, 0.015)
 ORIGIN = np.zeros(3)
 
 
+def moving(speed, turn_rate=0.0):
+    """The filter's state of a base that drives so."""
+    state = np.zeros(STATE_SIZE)
+    state[[SPEED, TURN_RATE, BASE_SPEED]] = speed, turn_rate, speed
+    return state
+
+
 def watch_of(scan, X_OB=ORIGIN, watch=None):
     """What is believed after a scan taken at X_OB (3,), by default of a robot that has looked round and met nothing."""
     if watch is None:
@@ -167,7 +174,7 @@ def test_where_a_turn_would_take_it_nearer_the_base_brakes_on_its_arc(side):
     least, _ = drive_by((0.326, 0.164), [0.0, side * 1.3], -side * 0.8)
     assert least > 0.03
     walls = np.array([[0.326, 0.164 * side, 0.326, 0.5 * side]])
-    state = np.array([0.5, -side * 0.8, 0.0, 0.0, 0.5])
+    state = moving(0.5, -side * 0.8)
     state = filtered_command(state, 0.0, [0.0, side * 1.3], NONE, scan_of(walls))
     assert state[TURN_RATE] == pytest.approx(-side * 0.8 * state[BASE_SPEED] / 0.5)
 
@@ -176,7 +183,7 @@ def test_where_a_turn_would_take_it_nearer_the_base_brakes_on_its_arc(side):
 def test_a_base_that_is_too_near_already_turns_away(side):
     """The wall is .03 m from the outline, beside its front; its arc takes it nearer, the turn that is asked for off."""
     walls = np.array([[0.2, side * 0.08, 0.6, side * 0.08]])
-    state = np.array([0.3, side * 0.2, 0.0, 0.0, 0.3])
+    state = moving(0.3, side * 0.2)
     state = filtered_command(state, 0.0, [0.0, -side * 1.3], NONE, scan_of(walls))
     assert state[TURN_RATE] == pytest.approx(side * (0.2 - ROBOT.max_turn_acceleration * PERIOD))
 
@@ -197,7 +204,7 @@ def drive_by(spike, command, turn_rate, cliff=0):
     side = np.sign(command[1])
     (x, y), base = spike, drive.initial_state(np.zeros(3), np.zeros((0, 4)), ROBOT)
     base[drive.SPEED], base[drive.TURN_RATE] = ROBOT.max_speed, turn_rate
-    state = np.array([ROBOT.max_speed, turn_rate, 0.0, 0.0, ROBOT.max_speed])
+    state = moving(ROBOT.max_speed, turn_rate)
     walls = np.array([[x, y * side, x + 0.1, (y + 0.3) * side], [x, y * side, x - 0.1, (y + 0.3) * side]])
     turned, watch = 0.0, None
     for k in range(64):

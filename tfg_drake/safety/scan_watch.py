@@ -27,7 +27,9 @@ EMPTY = (
     "the scan shows nothing where there were walls a moment ago: see whether something covers the scanner; of one that "
     "sees nothing near, set scan.least_range"
 )
-HELD = "what lies ahead was not seen: see whether the scanner works, or turn the robot; it goes on when it has seen"
+HELD = (
+    "what lies in its way was not seen: see whether the scanner works, or turn the robot; it goes on when it has seen"
+)
 
 
 @message

@@ -13,8 +13,10 @@ import math
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
 from tfg_drake.safety.corridor import touch_distance
+from tfg_drake.safety.edge_on import may_stand
 
 # Side of a cell, m: a chair's leg covers half of one, and rays of 1 degree meet each cell within 2 m.
 CELL = 0.04
@@ -23,8 +25,12 @@ HALF = 24
 CELLS = 2 * HALF
 # What was seen is believed for this long, s: a turn all round takes half of it.
 MEMORY = 10.0
-# A cell in which more than this share of a scan's rays ended, of those that came there, is not free.
-_MET_SHARE = 0.12
+# The same where the base drives backwards: a turn that the gyro tells by a hundredth wrong moves what lies behind.
+_MEMORY_BEHIND = 4.0
+# Where few of the rays that came there met something it counts as met so long before the scan, s: the memory tells of it.
+_HARDLY_OLDER = 1e-6
+# What was met may reach so much farther than where it was, m.
+_REACHES = 0.6 * CELL
 # A ray is followed in steps of this many cells; those beside it meet the corners that it cuts.
 _STEP = 0.75
 # Fewer lost rays side by side than this say nothing; more may be something that is too near to be seen.
@@ -32,7 +38,7 @@ _GAP = 3
 # Rays as near to each other as this many, whose ranges differ by no more than this, m, met the same surface: a straight
 # piece of it takes most of the noise out of where it stands. Memory would keep the nearest of what noise made of a wall
 # that the robot passes, and in a narrow place that seems to stand in its way.
-_BESIDE, _SAME_SURFACE = 3, 0.06
+_BESIDE, _SAME_SURFACE = 3, 0.1
 # A ray says nothing of the last bit before what it met, m: its range is not exact.
 _BEFORE_RETURN = 0.5 * CELL
 
@@ -60,11 +66,24 @@ def nothing_seen() -> SeenSpace:
 
 def remembered(space: SeenSpace, scan: LaserScan, X_OB: FloatArray, radius: float) -> SeenSpace:
     """The memory with a scan taken at X_OB (3,) by a round robot of this radius (m), which stands on free ground."""
+    angles, ranges = _all_round(scan)
+    ranges = _without_noise(ranges)
+    cells = np.nonzero(space.met)
+    age, stands = scan.stamp - space.seen[cells], space.met.copy()
+    p_BM = transform(inverse(X_OB), space.p_OM[cells])
+    stands[cells] = may_stand(p_BM, age, angles, ranges) & (age <= MEMORY)
     return SeenSpace(
-        *_remembered(
-            space.corner, space.seen, space.met, space.p_OM, scan.angles, scan.ranges, scan.stamp, X_OB, radius
-        )
+        *_remembered(space.corner, space.seen, space.met, space.p_OM, stands, angles, ranges, scan.stamp, X_OB, radius)
     )
+
+
+def _all_round(scan: LaserScan) -> tuple[FloatArray, FloatArray]:
+    """Angles and ranges (n,) of a scan; where it closes a circle, those at its end are at its beginning, too."""
+    angles, ranges, turn = scan.angles, scan.ranges, 2.0 * math.pi
+    closed = len(angles) > 2 * _BESIDE and turn - angles[-1] + angles[0] < _GAP * turn / len(angles)
+    begin, end = (_BESIDE, len(angles) - _BESIDE) if closed else (0, len(angles))
+    angles = np.concatenate([angles[end:] - turn, angles, angles[:begin] + turn])
+    return angles, np.concatenate([ranges[end:], ranges, ranges[:begin]])
 
 
 @njit(cache=True)
@@ -73,14 +92,15 @@ def _remembered(
     seen: FloatArray,
     met: BoolArray,
     p_OM: FloatArray,
+    stands: BoolArray,
     angles: FloatArray,
     ranges: FloatArray,
     stamp: float,
     X_OB: FloatArray,
     radius: float,
 ) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
+    """The memory's arrays after a scan. stands: (CELLS, CELLS) what was met there may stand there yet."""
     after, occupied, where = seen.copy(), met.copy(), p_OM.copy()
-    ranges = _without_noise(ranges)
     i0, j0 = math.floor(X_OB[0] / CELL) - HALF, math.floor(X_OB[1] / CELL) - HALF
     # Where the robot is in the window, in cells; (u, v) count cells from its corner.
     u_B, v_B = X_OB[0] / CELL - i0, X_OB[1] / CELL - j0
@@ -138,12 +158,17 @@ def _remembered(
                 # Past the edge of what is too near to be seen rays pass, or end in what noise has moved away; odometry
                 # errs by a cell there.
                 continue
-            elif ended[cell] > _MET_SHARE * (passed[cell] + ended[cell]):
-                after[a, b], occupied[a, b] = stamp, True
+            elif ended[cell] > 0:
+                # A few rays do not tell where a thing ends: what was met before counts, too.
+                after[a, b] = stamp if ended[cell] >= passed[cell] else stamp - _HARDLY_OLDER
                 for axis in range(2):
-                    where[a, b, axis] = total[cell, axis] / ended[cell]
-            elif passed[cell] > lost[cell]:
+                    mean = total[cell, axis] / ended[cell]
+                    where[a, b, axis] = 0.5 * (where[a, b, axis] + mean) if occupied[a, b] else mean
+                occupied[a, b] = True
+            elif passed[cell] > lost[cell] and not (occupied[a, b] and stands[a, b]):
                 after[a, b], occupied[a, b] = stamp, False
+            elif x * x + y * y < (radius / CELL) ** 2 and not occupied[a, b]:
+                after[a, b] = stamp
     return np.array([i0, j0]), after, occupied, where
 
 
@@ -176,18 +201,25 @@ def _without_noise(ranges: FloatArray) -> FloatArray:
 
 
 def open_distance(
-    space: SeenSpace, X_OB: FloatArray, curvature: float, radius: float, reach: float, newest: float
+    space: SeenSpace,
+    X_OB: FloatArray,
+    curvature: float,
+    radius: float,
+    reach: float,
+    newest: float,
+    backwards: bool = False,
 ) -> float:
     """How far (m) a round base may drive along an arc until its outline meets what is not known to be free.
 
     X_OB: (3,) its pose. curvature: of the arc, 1/m. radius: of the base, m. reach: farther than this (m) makes no
     difference. newest: stamp of the newest scan in the memory, s: what that one met is left to who has its exact place.
     inf if nothing within reach is in doubt. Cells that were never seen, or not for MEMORY, count if they lie one cell
-    within the outline's way: beside it a wall may stand that no ray passes. What was met may reach half a cell farther
-    than where it was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see.
+    within the outline's way: beside it a wall may stand that no ray passes. What was met may reach farther than where it
+    was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see. backwards: where no
+    scanner may look, the way has to be wider by a cell on either side, and free a moment ago.
     """
     distance: float = open_distance_among(
-        space.corner, space.seen, space.met, space.p_OM, X_OB, curvature, radius, reach, newest
+        space.corner, space.seen, space.met, space.p_OM, X_OB, curvature, radius, reach, newest, backwards
     )
     return distance
 
@@ -203,8 +235,10 @@ def open_distance_among(
     radius: float,
     reach: float,
     newest: float,
+    backwards: bool,
 ) -> float:
     """As open_distance, of a memory's arrays."""
+    wider, memory = (CELL, _MEMORY_BEHIND) if backwards else (0.0, MEMORY)
     span = radius + reach + 2.0 * CELL
     cosine, sine = math.cos(X_OB[2]), math.sin(X_OB[2])
     least = np.inf
@@ -214,13 +248,13 @@ def open_distance_among(
         for j in range(first_j, math.floor((X_OB[1] + span) / CELL) + 1):
             b = b + 1 if b + 1 < CELLS else 0
             dx, dy = (i + 0.5) * CELL - X_OB[0], (j + 0.5) * CELL - X_OB[1]
-            outline, corridor = radius, radius - CELL
+            outline, corridor = radius, radius - CELL + wider
             if 0 <= i - corner[0] < CELLS and 0 <= j - corner[1] < CELLS:
-                if seen[a, b] == newest or (seen[a, b] >= newest - MEMORY and not met[a, b]):
+                if seen[a, b] == newest or (seen[a, b] >= newest - memory and not met[a, b]):
                     continue
                 if met[a, b]:
                     dx, dy = p_OM[a, b, 0] - X_OB[0], p_OM[a, b, 1] - X_OB[1]
-                    outline = corridor = radius + 0.5 * CELL
+                    outline, corridor = radius + _REACHES, radius + _REACHES + wider
             # What is beneath the base is free.
             if radius * radius < dx * dx + dy * dy < span * span:
                 x, y = cosine * dx + sine * dy, cosine * dy - sine * dx

@@ -15,11 +15,16 @@ from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
 from tfg_drake.simulation.differential_drive import advance
 
 # Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
-# (0: none) and the time left to it (s), and the speed that the base has then, which brakes no harder than it can (m/s).
-SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT, BASE_SPEED = range(5)
-STATE_SIZE = 5
+# (0: none) and the time left to it (s), the speed that the base has then, which brakes no harder than it can (m/s), and
+# since it last drove ahead how many reflexes there were, and how far they backed away (m).
+SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT, BASE_SPEED, REFLEXES, BACKED = range(7)
+STATE_SIZE = 7
 
 _RIGHT, _CENTRE, _LEFT = 1, 2, 4
+# A bumper that stays pressed, or is pressed again before the base has driven ahead, makes so many reflexes at most, and
+# they back away no farther than this together, m.
+MOST_REFLEXES, MOST_BACKED = 3, 0.2
+PRESSED = "the bumper stays pressed: see what it pushes against; it drives ahead again when the bumper is released"
 # A scan that is not believed may be a single one that was garbled: the base drives on for so long, s.
 _DOUBTED = 0.25
 
@@ -105,7 +110,8 @@ def _reflex(bits: int, safety: SafetyConfig) -> tuple[float, float]:
 
 def stopped(state: FloatArray, robot: RobotConfig, period: float) -> FloatArray:
     """The filter's state (STATE_SIZE,) one period (s) later where the base is told to stand: it still brakes."""
-    after = np.zeros(STATE_SIZE)
+    after = np.array(state)
+    after[[SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT]] = 0.0
     after[BASE_SPEED] = _towards(float(state[BASE_SPEED]), 0.0, robot.max_acceleration * period)
     return after
 
@@ -130,29 +136,33 @@ def filter_command(
     - A command that is not finite is zero.
     - A cliff or a dropped wheel stops the base at once.
     - A bumper starts a reflex of reflex_time: back away, turning away from the side that was hit. It starts again as
-      long as the bumper is still pressed when it ends.
+      long as the bumper is still pressed when it ends, up to MOST_REFLEXES and MOST_BACKED; then the base does not
+      drive ahead until the bumper is released.
     - Speed, turn rate and their rates stay within the robot's limits.
-    - Forward speed leaves room to stop stop_distance before the first scan return in the way (free_distance), and
-      before the first place in the way that is not known to be free (open_distance). Without a scan younger than
-      scan_timeout, and without one younger than a quarter of a second that is believed, there is no forward speed.
-      Turning in place and backing away stay allowed.
+    - Speed, ahead or backwards, leaves room to stop stop_distance before the first scan return in the way
+      (free_distance), and before the first place in the way that is not known to be free (open_distance). Without a
+      scan younger than scan_timeout, and without one younger than a quarter of a second that is believed, there is
+      none. Turning in place stays allowed.
     - While the base is faster than it should be, it brakes. Meanwhile it turns as it is told, unless that would take it
       nearer to a return than stop_distance, and nearer than its present arc does: then it brakes on that arc.
     """
     if hazards.cliff or hazards.wheel_drop:
         return stopped(state, robot, period)
-    left = float(state[REFLEX_LEFT]) - period
+    left, reflexes = float(state[REFLEX_LEFT]) - period, float(state[REFLEXES])
     bits = int(state[REFLEX_BITS]) | hazards.bumper if left > 0.0 else hazards.bumper
-    if bits:
-        speed, turn_rate = _reflex(bits, safety)
-        base = _towards(float(state[BASE_SPEED]), speed, robot.max_acceleration * period)
-        return np.array([speed, turn_rate, bits, left if left > 0.0 else safety.reflex_time, base])
-
+    if bits and not left > 0.0:
+        left, reflexes = safety.reflex_time, min(reflexes, MOST_REFLEXES) + 1.0
+    backing = math.inf
+    if bits and reflexes <= MOST_REFLEXES:
+        command, backing = np.array(_reflex(bits, safety)), MOST_BACKED - float(state[BACKED])
+    elif bits:
+        command, left = np.array([min(command[0], 0.0), command[1]]), 0.0
     trusted = not watch.doubt or stamp - watch.believed.stamp <= _DOUBTED
     space = watch.space
     after: FloatArray = _let_through(
         state,
         command,
+        backing,
         scan.angles,
         scan.ranges,
         stamp - scan.stamp,
@@ -175,6 +185,11 @@ def filter_command(
         safety.scan_timeout,
         period,
     )
+    if bits:
+        after[REFLEX_BITS], after[REFLEX_LEFT] = bits, left
+    elif after[BASE_SPEED] > 0.0:
+        reflexes, after[BACKED] = 0.0, 0.0
+    after[REFLEXES] = reflexes
     return after
 
 
@@ -182,6 +197,7 @@ def filter_command(
 def _let_through(
     state: FloatArray,
     command: FloatArray,
+    backing: float,
     angles: FloatArray,
     ranges: FloatArray,
     age: float,
@@ -204,52 +220,65 @@ def _let_through(
     scan_timeout: float,
     period: float,
 ) -> FloatArray:
-    """filter_command where no bumper is pressed. age: of the scan, s. trusted: it, or one of a moment ago, is believed.
-    corner, seen, met, p_OM, newest: the memory of what was seen. X_OB, V_B: odometry, and since: its age, s."""
+    """filter_command where there is no cliff. backing: how far a reflex may back away yet, m, inf: the command is none.
+    age: of the scan, s. trusted: it, or one of a moment ago, is believed. corner, seen, met, p_OM, newest: the memory
+    of what was seen. X_OB, V_B: odometry, and since: its age, s."""
+    reflex = backing < math.inf
     step, turn_step = acceleration * period, turn_acceleration * period
     base_before, turn_before = state[BASE_SPEED], state[TURN_RATE]
     wanted, turn_wanted = command[0], command[1]
     if not (math.isfinite(wanted) and math.isfinite(turn_wanted)):
         wanted, turn_wanted = 0.0, 0.0
-    speed = _towards(state[SPEED], _bounded(wanted, max_speed), step)
     turn_wanted = _bounded(turn_wanted, max_turn_rate)
-    turn_rate = _towards(turn_before, turn_wanted, turn_step)
+    # A reflex begins at once.
+    speed = wanted if reflex else _towards(state[SPEED], _bounded(wanted, max_speed), step)
+    turn_rate = turn_wanted if reflex else _towards(turn_before, turn_wanted, turn_step)
     young = age <= scan_timeout
     # The base has moved on since the scan; its velocity changed little in that time.
     X_SB = advance(np.zeros(3), base_before, turn_before, age) if young else np.zeros(3)
-    if speed > 0.0:
+    if speed != 0.0:
         room = 0.0
         if young and trusted:
             # Where it has more room than to stop in, it makes no difference how much.
-            curvature = turn_rate / speed
-            reach = stop_distance + speed * 2.0 * period + 0.5 * speed * speed / acceleration
-            clear = free_distance(angles, ranges, X_SB, curvature, radius, side_margin, reach + CELL)
-            X_OB = advance(X_OB, V_B[0], V_B[1], since)
-            known = open_distance_among(corner, seen, met, p_OM, X_OB, curvature, radius, reach, newest)
-            room = min(clear - stop_distance, known - stop_distance)
-        speed = min(speed, _speed_allowed(room, acceleration, period))
+            fast = abs(speed)
+            curvature = turn_rate / fast
+            reach = stop_distance + fast * 2.0 * period + 0.5 * fast * fast / acceleration
+            ahead = _facing(X_SB, speed)
+            clear = free_distance(angles, ranges, ahead, curvature, radius, side_margin, reach + CELL)
+            ahead = _facing(advance(X_OB, V_B[0], V_B[1], since), speed)
+            known = open_distance_among(corner, seen, met, p_OM, ahead, curvature, radius, reach, newest, speed < 0.0)
+            room = min(clear - stop_distance, known - stop_distance, backing)
+        speed = _bounded(speed, _speed_allowed(room, acceleration, period))
     base = _towards(base_before, speed, step)
-    if young and base_before > 0.0 and base > max(0.0, min(speed, wanted)):
+    way = math.copysign(1.0, base_before)
+    if young and not reflex and base_before != 0.0 and base * way > max(0.0, min(speed * way, wanted * way)):
         # It brakes.
         limits, near = np.array([acceleration, turn_acceleration]), radius + stop_distance
-        velocity = np.array([base_before, turn_before])
-        nearest = _nearest_while_braking(angles, ranges, X_SB, velocity, turn_wanted, limits, near, period)
+        velocity, ahead = np.array([abs(base_before), turn_before]), _facing(X_SB, base_before)
+        nearest = _nearest_while_braking(angles, ranges, ahead, velocity, turn_wanted, limits, near, period)
         if nearest != near and not nearest >= _nearest_while_braking(
-            angles, ranges, X_SB, velocity, math.nan, limits, near, period
+            angles, ranges, ahead, velocity, math.nan, limits, near, period
         ):
             turn_rate = _towards(turn_before, turn_before / base_before * base, turn_step)
-    return np.array([speed, turn_rate, 0.0, 0.0, base])
+    backed = state[BACKED] - speed * period if reflex else state[BACKED]
+    return np.array([speed, turn_rate, 0.0, 0.0, base, 0.0, backed])
 
 
-def held(watch: ScanWatch, X_OB: FloatArray, robot: RobotConfig, safety: SafetyConfig) -> bool:
-    """Whether the base at X_OB (3,) may not drive straight ahead because it has not seen what lies there."""
-    near = safety.stop_distance
-    return not watch.doubt and open_distance(watch.space, X_OB, 0.0, robot.radius, near, watch.newest) <= near
+@njit(cache=True)
+def _facing(pose: FloatArray, speed: float) -> FloatArray:
+    """The pose (3,) of a base that drives ahead where one at this pose drives at a speed: backwards is turned round."""
+    return pose if speed >= 0.0 else np.array([pose[0], pose[1], pose[2] + math.pi])
+
+
+def held(watch: ScanWatch, X_OB: FloatArray, speed: float, robot: RobotConfig, safety: SafetyConfig) -> bool:
+    """Whether the base at X_OB (3,) may not drive straight on at a speed (m/s) because it has not seen its way."""
+    ahead, near = _facing(X_OB, speed), safety.stop_distance
+    return not watch.doubt and open_distance(watch.space, ahead, 0.0, robot.radius, near, watch.newest) <= near
 
 
 @njit(cache=True)
 def _speed_allowed(room: float, acceleration: float, period: float) -> float:
-    """The greatest forward speed (m/s) from which the base can stop within some room (m)."""
+    """The greatest speed (m/s) from which the base can stop within some room (m)."""
     if room == math.inf:
         return math.inf
     # Speed v needs v * delay + v^2 / (2 a): the command takes effect a period later, and the next one too.

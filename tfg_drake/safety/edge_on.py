@@ -1,0 +1,69 @@
+"""Whether what was met somewhere may stand there yet where rays pass by: a wall or a door leaf that is seen edge-on.
+
+A thin thing whose plane leads through the scanner is met by no ray, or by few and far behind its end. So what was met
+has not gone because a ray has passed. It has where rays pass what was met beside it, too: no plane through both is seen
+edge-on. And it stands somewhere else where it is seen right behind.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
+
+# Places nearer to each other than that may be of one thing, m; how they lie to each other is known to so much, m.
+_ONE_THING, _KNOWN = 0.12, 0.02
+# A ray that comes as near to a place tells of it, and what it meets no farther behind is what was met there, m.
+_NEAR = 0.06
+# So many others in line with a place make a plane. Where there are fewer, it is gone after this long, s.
+_PLANE, _ALONE = 2, 1.5
+
+_UNKNOWN, _BEHIND, _PASSED = range(3)
+
+
+@njit(cache=True)
+def may_stand(p_BM: FloatArray, age: FloatArray, angles: FloatArray, ranges: FloatArray) -> BoolArray:
+    """Whether something may stand yet at each place (n,) where it was met.
+
+    p_BM: (n, 2) the places in the scanner's frame, m. age: (n,) how long ago it was met, s. angles, ranges: (m,) of the
+    newest scan, rad and m.
+    """
+    told = np.array([_told(p_BM[i], angles, ranges) for i in range(len(p_BM))], dtype=np.int64)
+    stands = told != _BEHIND
+    for i in range(len(p_BM)):
+        if told[i] == _PASSED:
+            in_line = _in_line(i, p_BM, told)
+            stands[i] = in_line >= _PLANE or (in_line >= 0 and age[i] <= _ALONE)
+    return stands
+
+
+@njit(cache=True)
+def _in_line(i: int, p_BM: FloatArray, told: IntArray) -> int:
+    """How many other places near the i-th are in line with it; -1 if rays pass one that is not."""
+    x, y = p_BM[i]
+    count = 0
+    for j in range(len(p_BM)):
+        dx, dy = p_BM[j, 0] - x, p_BM[j, 1] - y
+        if _KNOWN < math.hypot(dx, dy) < _ONE_THING:
+            if abs(x * dy - y * dx) <= _KNOWN * math.hypot(x, y):
+                count += 1
+            elif told[j] == _PASSED:
+                return -1
+    return count
+
+
+@njit(cache=True)
+def _told(p_BM: FloatArray, angles: FloatArray, ranges: FloatArray) -> int:
+    """What the nearest rays on both sides of a place (2,) say of it: _PASSED, _BEHIND or, if they disagree, _UNKNOWN."""
+    bearing, away = math.atan2(p_BM[1], p_BM[0]), math.hypot(p_BM[0], p_BM[1])
+    first, passed = np.searchsorted(angles, bearing), 0
+    for k, step in ((first - 1, -1), (first, 1)):
+        while 0 <= k < len(ranges) and not ranges[k] >= 0.0:
+            k += step
+        if not 0 <= k < len(ranges) or abs(angles[k] - bearing) * away > _NEAR or ranges[k] < away:
+            return _UNKNOWN
+        passed += ranges[k] > away + _NEAR
+    return (_BEHIND, _UNKNOWN, _PASSED)[passed]
