@@ -14,10 +14,10 @@ those of `paper`. Prints a row a kind of loss: contacts, how near the outline ca
 that were let drive at all.
 
 edge: after a look round the robot drives an arc, on which it sees the end of a wall of 0.2 to 3 m, of a door leaf of
-0.8 m, or a cross of 5 cm, and goes on straight towards it, along the wall; a fifth of the rays is lost, or none. behind:
-it drives ahead and turns, or has looked round before, and is told to drive backwards among walls. bumper: it drives into
-a bar that no scanner sees, and the bumper stays pressed; how far it backs is printed, too. The scanner sees all round, or
-as far as that of `paper`.
+0.8 m, or a cross of 5 cm, and goes on straight towards it, along the wall; a fifth of the rays is lost, or none.
+behind: it drives ahead and turns, or has looked round before, and is told to drive backwards among walls. bumper: it
+drives into a bar that no scanner sees, and the bumper stays pressed; how far it backs is printed, too. The scanner sees
+all round, or as far as that of `paper`.
 """
 
 from __future__ import annotations

@@ -9,6 +9,9 @@ from tfg_drake.messages import Hazards, LaserScan, Odometry
 from tfg_drake.safety.scan_watch import no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     BASE_SPEED,
+    MOST_BACKED,
+    MOST_REFLEXES,
+    REFLEXES,
     SPEED,
     STATE_SIZE,
     TURN_RATE,
@@ -92,8 +95,64 @@ def test_the_bumper_reflex_lasts_its_time(bits, turn_rate):
     assert state[SPEED] == pytest.approx(-SAFETY.reflex_speed + ROBOT.max_acceleration * PERIOD)
 
 
-def test_a_bumper_that_stays_pressed_keeps_the_base_backing():
-    assert run([0.5, 0.0], 5.0, Hazards(0.0, 2, 0, 0))[:2].tolist() == [-0.1, 0.0]
+def backed(hazards, state, scan=CLEAR, command=(0.5, 0.0)):
+    """How far (m) the base backs away in ten seconds, and the filter's state then."""
+    watch, way = watch_of(scan), 0.0
+    for k in range(320):
+        state = filtered_command(state, 0.0, list(command), hazards(k * PERIOD), scan, watch)
+        way -= state[SPEED] * PERIOD
+    return way, state
+
+
+def test_a_bumper_that_stays_pressed_ends_the_reflex_after_so_many_metres():
+    way, state = backed(lambda _: Hazards(0.0, 2, 0, 0), np.zeros(STATE_SIZE))
+    assert 0.15 < way <= MOST_BACKED + 1e-9
+    assert state[SPEED] == 0.0
+    assert state[REFLEXES] > MOST_REFLEXES
+    # Released, it drives ahead again.
+    assert run([0.5, 0.0], state=state)[SPEED] == 0.5
+
+
+def test_after_three_reflexes_in_a_row_the_base_stands():
+    """A bumper that is pressed for a moment, again and again, by something that comes after it."""
+    often = SafetyConfig(reflex_time=0.25, reflex_speed=0.05)
+    state, begun, watch = np.zeros(STATE_SIZE), 0, watch_of(CLEAR)
+    for k in range(320):
+        hazards, before = Hazards(0.0, 2 * (k % 16 == 0), 0, 0), state[SPEED]
+        odometry = Odometry(0.0, ORIGIN, np.zeros(2), at_rest=True)
+        state = filter_command(state, 0.0, np.zeros(2), hazards, CLEAR, watch, odometry, ROBOT, often, PERIOD)
+        begun += state[SPEED] < 0.0 <= before
+    assert begun == MOST_REFLEXES
+
+
+def all_round(walls):
+    """A scan of 360 degrees at the origin."""
+    config = ScanConfig(field_of_view=2.0 * np.pi - 0.01)
+    angles = ray_angles(config)
+    zeros = np.zeros(len(angles))
+    return scan(np.array(walls, dtype=float).reshape(-1, 4), ORIGIN, 0.0, angles, zeros, config)
+
+
+@pytest.mark.parametrize("command", [[-0.3, 0.0], [-0.3, 0.5]])
+def test_backwards_the_base_stands_off_from_what_the_scan_shows(command):
+    behind = all_round([[-0.2, -3.0, -0.2, 3.0]])
+    assert run(command, scan=behind)[SPEED] == pytest.approx(0.0, abs=1e-9)
+    assert run(command, scan=all_round([[-3.0, -3.0, -3.0, 3.0]]))[SPEED] == pytest.approx(-0.3)
+    # Nor does a reflex, which lasts for 0.1 m.
+    assert run([0.0, 0.0], 0.5, Hazards(0.0, 2, 0, 0), behind)[SPEED] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_backwards_the_base_drives_only_where_it_has_seen_or_been():
+    """With a scanner that sees ahead only."""
+    watch, speeds = no_watch(scan_of([])), []
+    for k in range(20):
+        there = np.array([0.04 * k, 0.0, 0.0])
+        seen = scan_of([[3.0, -9.0, 3.0, 9.0]], there, 0.1 * k)
+        watch = watched(watch, seen, there, False, ROBOT.radius, 0.0)
+        still = np.zeros(STATE_SIZE)
+        speeds.append(filtered_command(still, 0.1 * k, [-0.3, 0.0], NONE, seen, watch, there)[SPEED])
+    assert speeds[0] == 0.0
+    assert speeds[-1] < 0.0
 
 
 def free(scan, X_SB, curvature):

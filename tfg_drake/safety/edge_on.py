@@ -35,13 +35,13 @@ def may_stand(p_BM: FloatArray, age: FloatArray, angles: FloatArray, ranges: Flo
     stands = told != _BEHIND
     for i in range(len(p_BM)):
         if told[i] == _PASSED:
-            in_line = _in_line(i, p_BM, told)
+            in_line = _in_line(i, p_BM, age, told)
             stands[i] = in_line >= _PLANE or (in_line >= 0 and age[i] <= _ALONE)
     return stands
 
 
 @njit(cache=True)
-def _in_line(i: int, p_BM: FloatArray, told: IntArray) -> int:
+def _in_line(i: int, p_BM: FloatArray, age: FloatArray, told: IntArray) -> int:
     """How many other places near the i-th are in line with it; -1 if rays pass one that is not."""
     x, y = p_BM[i]
     count = 0
@@ -50,14 +50,14 @@ def _in_line(i: int, p_BM: FloatArray, told: IntArray) -> int:
         if _KNOWN < math.hypot(dx, dy) < _ONE_THING:
             if abs(x * dy - y * dx) <= _KNOWN * math.hypot(x, y):
                 count += 1
-            elif told[j] == _PASSED:
+            elif told[j] == _PASSED and abs(age[j] - age[i]) <= _ALONE:
                 return -1
     return count
 
 
 @njit(cache=True)
 def _told(p_BM: FloatArray, angles: FloatArray, ranges: FloatArray) -> int:
-    """What the nearest rays on both sides of a place (2,) say of it: _PASSED, _BEHIND or, if they disagree, _UNKNOWN."""
+    """What the nearest rays on both sides of a place (2,) say of it: _PASSED, _BEHIND, or _UNKNOWN if they disagree."""
     bearing, away = math.atan2(p_BM[1], p_BM[0]), math.hypot(p_BM[0], p_BM[1])
     first, passed = np.searchsorted(angles, bearing), 0
     for k, step in ((first - 1, -1), (first, 1)):

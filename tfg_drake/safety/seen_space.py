@@ -27,7 +27,7 @@ CELLS = 2 * HALF
 MEMORY = 10.0
 # The same where the base drives backwards: a turn that the gyro tells by a hundredth wrong moves what lies behind.
 _MEMORY_BEHIND = 4.0
-# Where few of the rays that came there met something it counts as met so long before the scan, s: the memory tells of it.
+# Where few of the rays that came there met something it counts as met so long before the scan, s: that memory tells.
 _HARDLY_OLDER = 1e-6
 # What was met may reach so much farther than where it was, m.
 _REACHES = 0.6 * CELL
@@ -214,9 +214,9 @@ def open_distance(
     X_OB: (3,) its pose. curvature: of the arc, 1/m. radius: of the base, m. reach: farther than this (m) makes no
     difference. newest: stamp of the newest scan in the memory, s: what that one met is left to who has its exact place.
     inf if nothing within reach is in doubt. Cells that were never seen, or not for MEMORY, count if they lie one cell
-    within the outline's way: beside it a wall may stand that no ray passes. What was met may reach farther than where it
-    was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see. backwards: where no
-    scanner may look, the way has to be wider by a cell on either side, and free a moment ago.
+    within the outline's way: beside it a wall may stand that no ray passes. What was met may reach farther than where
+    it was. The base stops a cell's side earlier: odometry errs by about as much where it cannot see. backwards: where
+    no scanner may look, the way has to be wider by a cell on either side, and free a moment ago.
     """
     distance: float = open_distance_among(
         space.corner, space.seen, space.met, space.p_OM, X_OB, curvature, radius, reach, newest, backwards
