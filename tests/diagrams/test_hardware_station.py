@@ -16,6 +16,7 @@ from tfg_drake.hardware.emulation.emulator import Emulator
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.safety.velocity_filter import PRESSED
 
 
 def port_names(diagram):
@@ -225,9 +226,10 @@ def test_the_operator_is_told_once_what_happens_to_the_base(caplog):
     assert [line for _, _, line in lines] == [
         "bumper left: the robot backs away and looks for another way",
         "tags of 127.0.0.1:5000: started again",
+        f"the base stands: {PRESSED}",
         "the battery is low, 13.8 V: the mission ends, at home if explorer.return_home is set",
     ]
-    assert [float(time) for time, _, _ in lines] == pytest.approx([1.0, 3.0, 7.0], abs=0.1)
+    assert [float(time) for time, _, _ in lines] == pytest.approx([1.0, 3.0, 4.0, 7.0], abs=0.2)
 
 
 def test_the_simulated_base_obeys_enable_too():

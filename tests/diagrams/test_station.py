@@ -295,13 +295,13 @@ def test_full_speed_ahead_ends_before_the_wall(station):
     assert 0.0 < read(station, context, "truth.clearance")[0] < 0.15
 
 
-def test_backing_into_a_wall_counts_one_contact(station):
-    # No sensor looks back; the bumper does not either.
+def test_backwards_the_base_stands_where_it_has_neither_seen_nor_been(station):
+    """No sensor looks back, and the bumper does not either."""
     simulator = start(station, 6, (-0.5, 0.0))
     simulator.AdvanceTo(12.0)
     context = simulator.get_context()
-    assert read(station, context, "truth.contacts").tolist() == [1.0]
-    assert read(station, context, "base.hazards").bumper == 0
+    assert read(station, context, "truth.contacts").tolist() == [0.0]
+    assert read(station, context, "truth.pose")[3] == 0.0
 
 
 def test_an_unconnected_command_and_an_empty_world():
