@@ -15,7 +15,7 @@ require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
-demo: $(VENV)/.demo  ## explore the paper's world at eight times real time, shown on a page
+demo: $(VENV)/.demo  ## explore a floor of 46 x 22 m at eight times real time, shown on a page
 	$(BIN)/tfg-drake explore paper --realtime-rate 8
 
 # Another Python is asked for by name (make test PYTHON=python3.12) and may be absent: that is no failure.
