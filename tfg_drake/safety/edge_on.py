@@ -31,7 +31,9 @@ def may_stand(p_BM: FloatArray, age: FloatArray, angles: FloatArray, ranges: Flo
     p_BM: (n, 2) the places in the scanner's frame, m. age: (n,) how long ago it was met, s. angles, ranges: (m,) of the
     newest scan, rad and m.
     """
-    told = np.array([_told(p_BM[i], angles, ranges) for i in range(len(p_BM))], dtype=np.int64)
+    told = np.empty(len(p_BM), dtype=np.int64)
+    for i in range(len(p_BM)):
+        told[i] = _told(p_BM[i], angles, ranges)
     stands = told != _BEHIND
     for i in range(len(p_BM)):
         if told[i] == _PASSED:
