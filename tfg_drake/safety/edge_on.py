@@ -34,7 +34,7 @@ def may_stand(p_BM: FloatArray, age: FloatArray, angles: FloatArray, ranges: Flo
     told = np.empty(len(p_BM), dtype=np.int64)
     for i in range(len(p_BM)):
         told[i] = _told(p_BM[i], angles, ranges)
-    stands = told != _BEHIND
+    stands: BoolArray = told != _BEHIND
     for i in range(len(p_BM)):
         if told[i] == _PASSED:
             in_line = _in_line(i, p_BM, age, told)
