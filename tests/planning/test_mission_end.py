@@ -55,8 +55,11 @@ def test_nowhere_to_go_is_stuck_where_much_is_left():
 ROOMS = 4  # A row of cells of 4 m, one node in each, a frontier of another length in front of each node.
 
 
-def frontiers_seen(reachable, enterable, once_open, distance=4.0):
-    """What is left where each cell's node is reachable, enterable or once open, walls between all."""
+def frontiers_seen(reachable, enterable, once_open, distance=4.0, seen=0.5):
+    """What is left where each cell's node is reachable, enterable or once open, walls between all.
+
+    seen: how far (m) from each node free space was seen, sideways.
+    """
     middles = distance * np.arange(ROOMS)
     walls = np.array([[x - distance / 2, -3.0, x - distance / 2, 3.0] for x in middles[1:]])
     frontiers = np.stack([middles, np.ones(ROOMS)], axis=1)
@@ -68,12 +71,19 @@ def frontiers_seen(reachable, enterable, once_open, distance=4.0):
         frontier_normal=np.tile([0.0, -1.0], (ROOMS, 1)),
     )
     points = np.stack([middles, np.full(ROOMS, -0.5)], axis=1)
+    corners = np.array([[-seen, -0.5], [seen, -0.5], [seen, 0.5], [-seen, 0.5]])
+    tfg = replace(
+        tfg,
+        star_offsets=4 * np.arange(ROOMS + 1),
+        star_vertices=(points[:, None] + corners).reshape(-1, 2),
+        star_centers=points,
+    )
     kinds = (np.array(kind, dtype=bool) for kind in (reachable, enterable, once_open))
     is_reachable, is_enterable, was_open = kinds
     none = np.zeros(ROOMS)
     edges, entry = np.zeros((0, 2), dtype=np.int64), np.arange(ROOMS)
     roadmap = Roadmap(1, points, edges, is_reachable, is_enterable, entry, none, none, once_open=was_open)
-    return frontier_left(tfg, roadmap, TagSensorConfig())
+    return frontier_left(tfg, roadmap, TagSensorConfig(), radius=0.18)
 
 
 def test_a_frontier_counts_by_the_place_that_sees_it():
@@ -84,6 +94,11 @@ def test_a_frontier_counts_by_the_place_that_sees_it():
 def test_behind_a_wall_that_may_have_been_mapped_twice_there_is_no_door():
     left = frontiers_seen([1, 0, 0, 0], [1, 0, 0, 0], [1, 1, 1, 0], distance=1.2)
     assert left == FrontierLeft(not_worth=1.0, shut=4.0, too_narrow=10.0)
+
+
+def test_a_beam_through_a_wall_that_is_narrower_than_the_robot_is_no_door():
+    left = frontiers_seen([1, 0, 0, 0], [1, 0, 0, 0], [1, 1, 1, 0], seen=0.17)
+    assert left == FrontierLeft(not_worth=1.0, too_narrow=14.0)
 
 
 def test_where_nothing_was_once_open_no_door_has_shut():

@@ -74,15 +74,15 @@ def test_a_panorama_needs_poses_and_scans() -> None:
         build_panorama([], np.zeros(1), np.zeros((1, 3)))
 
 
-def test_a_ray_that_is_swallowed_is_no_free_ground():
-    """But a slit that three scans see through is."""
+def test_a_ray_or_two_that_are_swallowed_are_no_free_ground():
+    """But a slit that five scans see through is."""
     angles = np.arange(-100, 101) * 2.0 * np.pi / BINS
     ranges = np.full(len(angles), 2.0)
     ranges[[40, 120, 121]] = np.inf
-    scans = [LaserScan(0.1 * k, angles, ranges, 10.0, 0.01) for k in range(3)]
+    scans = [LaserScan(0.1 * k, angles, ranges, 10.0, 0.01) for k in range(5)]
     bearings = angles[[40, 120]] + 0.5 * 2.0 * np.pi / BINS
-    for seen, looked in ((scans[:1], [False, True]), (scans, [True, True])):
-        panorama = build_panorama(seen, np.array([0.0, 0.2]), np.zeros((2, 3)))
+    for seen, looked in ((scans[:1], [False, False]), (scans, [True, True])):
+        panorama = build_panorama(seen, np.array([0.0, 0.4]), np.zeros((2, 3)))
         np.testing.assert_array_equal(panorama.looked_at(bearings), looked)
 
 
@@ -90,7 +90,7 @@ def test_a_ray_that_is_swallowed_between_bins_without_rays_is_no_free_ground():
     """Rays a degree apart leave every second bin empty."""
     angles = (2.0 * np.arange(-50, 51) + 0.5) * 2.0 * np.pi / BINS
     ranges = np.full(len(angles), 2.0)
-    ranges[[40, 80, 81]] = np.inf
+    ranges[[40, *range(80, 85)]] = np.inf
     panorama = build_panorama([LaserScan(0.0, angles, ranges, 10.0, 0.01)], np.zeros(1), np.zeros((1, 3)))
     np.testing.assert_array_equal(panorama.looked_at(angles[[40, 80, 81]]), [False, True, True])
 

@@ -276,7 +276,7 @@ def _last(
         any_left,
         float(narrow.gain.max(initial=0.0)),
         given_up_open(now.tfg, roadmap, now.parameters.robot.radius + NODE_MARGIN),
-        frontier_left(now.tfg, roadmap, now.parameters.sensor),
+        frontier_left(now.tfg, roadmap, now.parameters.sensor, now.parameters.robot.radius),
         stop_gain,
     )
     return -1, verdict, reason, looked

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.tfg.frontier import PUSH, ROOT
@@ -66,11 +67,15 @@ class FrontierLeft:
         return ", ".join(f"{length:.1f} m {why}" for length, why in named if length >= 0.05)
 
 
-def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig) -> FrontierLeft:
+def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> FrontierLeft:
     """The live frontier by the places of the roadmap that see it; of these the one counts that is the easiest to get
-    to."""
+    to. radius: of the robot, m."""
     hindrance = np.full(len(roadmap.points), 3)
     shut = np.flatnonzero(roadmap.once_open)
+    # Where the free space is narrower than the robot it was seen by rays that some wall swallowed.
+    outline = radius * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
+    free = inside_any((roadmap.points[shut, None] + outline).reshape(-1, 2), tfg.star_offsets, tfg.star_vertices)
+    shut = shut[free.reshape(-1, 4).all(axis=1)]
     apart, _ = cKDTree(roadmap.points[roadmap.reachable]).query(roadmap.points[shut])
     hindrance[shut[apart > DRIFTED]] = 2
     hindrance[roadmap.enterable] = 1

@@ -16,8 +16,8 @@ BINS = 720
 STAMP_TOLERANCE = 1e-3
 # Rays within this many standard deviations of their bin's median range fell on the same surface.
 SAME_SURFACE = 4.0
-# Where no more rays than this meet nothing, between neighbours that meet something, they may have been lost.
-MOST_LOST = 2
+# Where no more rays than this, side by side, meet nothing, between such that meet something, they may have been lost.
+MOST_LOST = 4
 # Both neighbours of a ray differ from it by more than this, m, where it fell half on a near surface, half on a far one,
 # and those, unlike what is seen aslant, from theirs by less than this share of that.
 FLOATS, ASLANT_SHARE = 0.1, 0.4
@@ -114,12 +114,11 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         # Within the bin however rounding falls, so that bearings stay in order.
         angles[b] = min(max(np.arctan2(y, x) % (2.0 * np.pi), (b + 1e-6) * width), (b + 1 - 1e-6) * width)
     # Glass and black walls swallow single rays, which would be free ground through a wall.
-    looked = np.flatnonzero(~np.isnan(merged))
-    met = np.isfinite(merged[looked])
-    for i in range(len(looked)):
-        b = looked[i]
-        if not met[i] and met[i - 1] and met[(i + 1) % len(looked)] and start[b + 1] - start[b] <= MOST_LOST:
-            merged[b] = np.nan
+    met = np.flatnonzero(np.isfinite(merged))
+    for i in range(len(met)):
+        between = np.arange(met[i - 1] + 1 - (bins if i == 0 else 0), met[i]) % bins
+        if (start[between + 1] - start[between]).sum() <= MOST_LOST:
+            merged[between] = np.nan
     return angles, merged
 
 
