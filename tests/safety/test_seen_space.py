@@ -110,6 +110,13 @@ def test_a_wall_beside_the_way_is_where_it_is_though_ranges_are_noisy():
     assert stood <= 5
 
 
+@given(aside=st.floats(0.03, 0.1), far=st.floats(0.4, 0.7))
+def test_a_wall_seen_aslant_may_end_before_the_first_place_that_a_ray_met(aside, far):
+    wall = [[far, 0.0, far + 2.0, 0.0]]
+    space = remembered(nothing_seen(), scan_of(wall, (0.0, aside, -0.1)), np.array([0.0, aside, -0.1]), RADIUS)
+    assert open_ahead(space, reach=0.7, newest=1.1) <= far - RADIUS
+
+
 def test_a_walls_end_in_the_blind_zone_is_remembered_though_odometry_errs():
     end = np.array([[0.4, 0.14, 0.4, 3.0]])
     space = remembered(nothing_seen(), scan_of(end), np.zeros(3), RADIUS)

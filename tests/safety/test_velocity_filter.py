@@ -5,7 +5,7 @@ import pytest
 
 from tests.arrays import frozen
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
-from tfg_drake.messages import Hazards, LaserScan, Odometry
+from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
 from tfg_drake.safety.scan_watch import no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     BASE_SPEED,
@@ -233,8 +233,13 @@ def test_where_a_turn_would_take_it_nearer_the_base_brakes_on_its_arc(side):
     least, _ = drive_by((0.326, 0.164), [0.0, side * 1.3], -side * 0.8)
     assert least > 0.03
     walls = np.array([[0.326, 0.164 * side, 0.326, 0.5 * side]])
-    state = moving(0.5, -side * 0.8)
-    state = filtered_command(state, 0.0, [0.0, side * 1.3], NONE, scan_of(walls))
+    seen = scan_of(walls)
+    state = filtered_command(moving(0.5, -side * 0.8), 0.0, [0.0, side * 1.3], NONE, seen)
+    assert state[TURN_RATE] == pytest.approx(-side * 0.8 * state[BASE_SPEED] / 0.5)
+    # So it does where the newest rays do not tell of it.
+    lost = replace(seen, stamp=0.1, ranges=np.where(np.isfinite(seen.ranges), np.nan, seen.ranges))
+    watch = watch_of(lost, watch=watch_of(seen))
+    state = filtered_command(moving(0.5, -side * 0.8), 0.1, [0.0, side * 1.3], NONE, lost, watch)
     assert state[TURN_RATE] == pytest.approx(-side * 0.8 * state[BASE_SPEED] / 0.5)
 
 

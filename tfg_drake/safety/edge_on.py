@@ -19,7 +19,7 @@ _ONE_THING, _KNOWN = 0.12, 0.02
 # A ray that comes as near to a place tells of it, and what it meets no farther behind is what was met there, m.
 _NEAR = 0.06
 # So many others in line with a place make a plane. Where there are fewer, it is gone after this long, s.
-_PLANE, _ALONE = 2, 1.5
+_PLANE, _ALONE = 1, 1.5
 
 _UNKNOWN, _BEHIND, _PASSED = range(3)
 
@@ -34,11 +34,11 @@ def may_stand(p_BM: FloatArray, age: FloatArray, angles: FloatArray, ranges: Flo
     told = np.empty(len(p_BM), dtype=np.int64)
     for i in range(len(p_BM)):
         told[i] = _told(p_BM[i], angles, ranges)
-    stands: BoolArray = told != _BEHIND
+    stands: BoolArray = told == _UNKNOWN
     for i in range(len(p_BM)):
-        if told[i] == _PASSED:
+        if not stands[i]:
             in_line = _in_line(i, p_BM, age, told)
-            stands[i] = in_line >= _PLANE or (in_line >= 0 and age[i] <= _ALONE)
+            stands[i] = in_line >= _PLANE or (in_line == 0 and told[i] == _PASSED and age[i] <= _ALONE)
     return stands
 
 
@@ -52,7 +52,7 @@ def _in_line(i: int, p_BM: FloatArray, age: FloatArray, told: IntArray) -> int:
         if _KNOWN < math.hypot(dx, dy) < _ONE_THING:
             if abs(x * dy - y * dx) <= _KNOWN * math.hypot(x, y):
                 count += 1
-            elif told[j] == _PASSED and abs(age[j] - age[i]) <= _ALONE:
+            elif told[j] != _UNKNOWN and abs(age[j] - age[i]) <= _ALONE:
                 return -1
     return count
 

@@ -39,6 +39,8 @@ _GAP = 3
 # piece of it takes most of the noise out of where it stands. Memory would keep the nearest of what noise made of a wall
 # that the robot passes, and in a narrow place that seems to stand in its way.
 _BESIDE, _SAME_SURFACE = 3, 0.1
+# A surface that is seen aslant may end so much nearer than the last ray that met it tells, m.
+_MOST_NEARER = 0.1
 # A ray says nothing of the last bit before what it met, m: its range is not exact.
 _BEFORE_RETURN = 0.5 * CELL
 
@@ -141,6 +143,16 @@ def _remembered(
             total[cell, 1] += X_OB[1] + ranges[k] * sine
             if cell == last:
                 passed[cell] -= 1
+            for step in (-1, 1):
+                beyond, end = _end(ranges, k, step)
+                if end > 0.0:
+                    bearing = X_OB[2] + angles[beyond]
+                    x, y = X_OB[0] + end * math.cos(bearing), X_OB[1] + end * math.sin(bearing)
+                    cell = (math.floor(x / CELL) - i0) * CELLS + math.floor(y / CELL) - j0
+                    if ended[cell] == 0:
+                        # No ray has met it: it counts as met before.
+                        ended[cell], total[cell, 0], total[cell, 1] = 1, x, y
+                        passed[cell] += 2
     beneath = radius / CELL - 1.0
     first_a, first_b = i0 % CELLS, j0 % CELLS
     for u in range(CELLS):
@@ -170,6 +182,21 @@ def _remembered(
             elif x * x + y * y < (radius / CELL) ** 2 and not occupied[a, b]:
                 after[a, b] = stamp
     return np.array([i0, j0]), after, occupied, where
+
+
+@njit(cache=True)
+def _end(ranges: FloatArray, k: int, step: int) -> tuple[int, float]:
+    """The next ray to one side of the k-th, step -1 or 1, if it passes the surface that the k-th met, and the range (m)
+    there up to which that surface may reach; 0 where that is no nearer."""
+    before, beyond = k - step, k + step
+    while 0 < beyond < len(ranges) - 1 and not ranges[beyond] >= 0.0:
+        beyond += step
+    while 0 < before < len(ranges) - 1 and not ranges[before] >= 0.0:
+        before -= step
+    if abs(beyond - k) > _BESIDE or abs(before - k) > _BESIDE or not ranges[beyond] > ranges[k] + _SAME_SURFACE:
+        return beyond, 0.0
+    nearer = (ranges[before] - ranges[k]) * (k - beyond) / (before - k)
+    return beyond, ranges[k] - min(nearer, _MOST_NEARER) if nearer > 0.0 else 0.0
 
 
 @njit(cache=True)

@@ -60,34 +60,63 @@ def free_distance(
 
 
 @njit(cache=True)
-def _nearest_while_braking(
+def _things_near(
     angles: FloatArray,
     ranges: FloatArray,
     X_SB: FloatArray,
-    velocity: FloatArray,
-    turn_wanted: float,
-    limits: FloatArray,
+    seen: FloatArray,
+    met: BoolArray,
+    p_OM: FloatArray,
+    newest: float,
+    X_OB: FloatArray,
     reach: float,
-    period: float,
-) -> float:
-    """How near (m) the base's centre comes to a return of a scan, braking as hard as it can.
+) -> FloatArray:
+    """Places (n, 2), m, in the base's frame B and no farther than reach (m) from it, where the scan met something, or
+    an older one in memory did. X_SB, X_OB: the base where the scan was taken, and in odometry's frame; the others as in
+    free_distance and open_distance_among."""
+    places = [(0.0, 0.0) for _ in range(0)]
+    for k in range(len(ranges)):
+        if ranges[k] < np.inf:
+            dx, dy = ranges[k] * math.cos(angles[k]) - X_SB[0], ranges[k] * math.sin(angles[k]) - X_SB[1]
+            if dx * dx + dy * dy < reach * reach:
+                places.append(_turned(dx, dy, X_SB[2]))
+    rows, columns = np.nonzero(met)
+    for i, j in zip(rows, columns):
+        dx, dy = p_OM[i, j, 0] - X_OB[0], p_OM[i, j, 1] - X_OB[1]
+        if seen[i, j] != newest and dx * dx + dy * dy < reach * reach:
+            places.append(_turned(dx, dy, X_OB[2]))
+    p_BM = np.empty((len(places), 2))
+    for k in range(len(places)):
+        p_BM[k, 0], p_BM[k, 1] = places[k]
+    return p_BM
 
-    X_SB: as in free_distance. velocity: (2,) speed > 0 (m/s) and turn rate (rad/s) before. turn_wanted: rad/s, the turn
-    rate it goes over to meanwhile, nan: what keeps it on its arc. limits: (2,) of its acceleration, m/s^2, and turn
-    acceleration, rad/s^2. Returns farther than reach (m) make no difference.
+
+@njit(cache=True)
+def _turned(dx: float, dy: float, heading: float) -> tuple[float, float]:
+    """A vector in the frame of a base with this heading, rad."""
+    cosine, sine = math.cos(heading), math.sin(heading)
+    return cosine * dx + sine * dy, cosine * dy - sine * dx
+
+
+@njit(cache=True)
+def _nearest_while_braking(
+    p_BM: FloatArray, velocity: FloatArray, turn_wanted: float, limits: FloatArray, reach: float, period: float
+) -> float:
+    """How near (m) the base's centre comes to any of some places (n, 2), m in B, braking as hard as it can.
+
+    velocity: (2,) speed > 0 (m/s) and turn rate (rad/s) before. turn_wanted: rad/s, the turn rate it goes over to
+    meanwhile, nan: what keeps it on its arc. limits: (2,) of its acceleration, m/s^2, and turn acceleration, rad/s^2.
+    Places farther than reach (m) make no difference.
     """
     speed, turn_rate = velocity[0], velocity[1]
     curvature = turn_rate / speed
-    way = speed * period + 0.5 * speed * speed / limits[0]
-    near = ranges < reach + way + math.hypot(X_SB[0], X_SB[1])
-    x, y = ranges[near] * np.cos(angles[near]), ranges[near] * np.sin(angles[near])
-    pose, least = X_SB, reach
-    while speed > 0.0 and len(x) > 0:
+    pose, least = np.zeros(3), reach
+    while speed > 0.0 and len(p_BM) > 0:
         pose = advance(pose, speed, turn_rate, period)
         speed -= limits[0] * period
         wanted = curvature * max(0.0, speed) if math.isnan(turn_wanted) else turn_wanted
         turn_rate += min(limits[1] * period, max(-limits[1] * period, wanted - turn_rate))
-        least = min(least, math.sqrt(((x - pose[0]) ** 2 + (y - pose[1]) ** 2).min()))
+        least = min(least, math.sqrt(((p_BM[:, 0] - pose[0]) ** 2 + (p_BM[:, 1] - pose[1]) ** 2).min()))
     return least
 
 
@@ -144,7 +173,8 @@ def filter_command(
       scan younger than scan_timeout, and without one younger than a quarter of a second that is believed, there is
       none. Turning in place stays allowed.
     - While the base is faster than it should be, it brakes. Meanwhile it turns as it is told, unless that would take it
-      nearer to a return than stop_distance, and nearer than its present arc does: then it brakes on that arc.
+      nearer to a return, or to what was met before, than stop_distance, and nearer than its present arc does: then it
+      brakes on that arc.
     """
     if hazards.cliff or hazards.wheel_drop:
         return stopped(state, robot, period)
@@ -254,11 +284,12 @@ def _let_through(
     if young and not reflex and base_before != 0.0 and base * way > max(0.0, min(speed * way, wanted * way)):
         # It brakes.
         limits, near = np.array([acceleration, turn_acceleration]), radius + stop_distance
-        velocity, ahead = np.array([abs(base_before), turn_before]), _facing(X_SB, base_before)
-        nearest = _nearest_while_braking(angles, ranges, ahead, velocity, turn_wanted, limits, near, period)
-        if nearest != near and not nearest >= _nearest_while_braking(
-            angles, ranges, ahead, velocity, math.nan, limits, near, period
-        ):
+        velocity, fast = np.array([abs(base_before), turn_before]), abs(base_before)
+        now = advance(X_OB, V_B[0], V_B[1], since)
+        ahead, reach = _facing(X_SB, base_before), near + fast * period + 0.5 * fast * fast / acceleration
+        p_BM = _things_near(angles, ranges, ahead, seen, met, p_OM, newest, _facing(now, base_before), reach)
+        nearest = _nearest_while_braking(p_BM, velocity, turn_wanted, limits, near, period)
+        if nearest != near and not nearest >= _nearest_while_braking(p_BM, velocity, math.nan, limits, near, period):
             turn_rate = _towards(turn_before, turn_before / base_before * base, turn_step)
     backed = state[BACKED] - speed * period if reflex else state[BACKED]
     return np.array([speed, turn_rate, 0.0, 0.0, base, 0.0, backed])
