@@ -81,7 +81,8 @@ def _things_near(
             if dx * dx + dy * dy < reach * reach:
                 places.append(_turned(dx, dy, X_SB[2]))
     rows, columns = np.nonzero(met)
-    for i, j in zip(rows, columns):
+    for k in range(len(rows)):
+        i, j = rows[k], columns[k]
         dx, dy = p_OM[i, j, 0] - X_OB[0], p_OM[i, j, 1] - X_OB[1]
         if seen[i, j] != newest and dx * dx + dy * dy < reach * reach:
             places.append(_turned(dx, dy, X_OB[2]))
