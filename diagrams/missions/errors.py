@@ -148,7 +148,7 @@ def _landmarks(
 
 
 def _consistency(mission: Mission, X_MD_true: FloatArray) -> dict[str, Any]:
-    """Of the departures, given the true ones (n, 3) in the M of the mission's last yaw."""
+    """The ANEES of the departures, judged by the true ones (n, 3) in the M of the mission's last yaw."""
     # The estimator knows the robot by the camera's heading.
     X_MD = np.array([one.X_MD for one in mission.departures]).reshape(-1, 3) - [0.0, 0.0, mission.camera.yaw]
     covariance = np.array([one.covariance for one in mission.departures]).reshape(-1, 3, 3)

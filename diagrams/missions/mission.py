@@ -274,7 +274,7 @@ class Mission:
         return stamps, values[:, :3], values[:, 3:].reshape(-1, 3, 3)
 
     def _logged(self, log: VectorLogSink) -> tuple[FloatArray, FloatArray]:
-        """Of a log of vectors (stamp, values): stamps (n,), each once, s, and values (n, w), to the end."""
+        """Stamps (n,), s, each once, and values (n, w) of a log of vectors (stamp, values), up to the mission's end."""
         data = log.FindLog(self._context).data()
         stamps, first = np.unique(data[0], return_index=True)
         lived = stamps <= self.end_time

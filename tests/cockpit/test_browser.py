@@ -361,7 +361,7 @@ SCRIPT = "<img src=x onerror='window.ran = 1'><script>window.ran = 1</script>"
 
 
 def hostile(told, numbers, name=""):
-    """What a record tells, with script in every string, or instead of every number that is shown."""
+    """The contents of a record with a script in every string, or in place of every number that is shown."""
     if isinstance(told, dict):
         return {key: hostile(value, numbers, key) for key, value in told.items()}
     if isinstance(told, list) and name != "at":

@@ -79,7 +79,7 @@ def everything(station, context):
 
 
 class Dropping(DifferentialDrivePlant):
-    """What a wheel hangs of, or what stands at a cliff, from 1 s to 2 s."""
+    """A hazard from 1 s to 2 s: a dropped wheel or a cliff."""
 
     drop, cliff = 0, 0
 

@@ -140,14 +140,19 @@ def test_the_estimate_is_where_the_robot_is(mission):
     assert abs(np.angle(np.exp(1j * (X_WB[2] - marks["pose"][2])))) < 0.8
 
 
+def _drives(emulator, explorer):
+    """Enables the base half a second after it was told that it needs that; it moves then."""
+    explorer.wait_for("nothing moves before it is enabled")
+    begin = time.monotonic()
+    time.sleep(0.5)
+    explorer.press("e")
+    _moves(emulator, begin)
+
+
 def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
     with Emulator(WORLD) as emulator:
         explorer = Explorer(emulator, tmp_path, 300.0)
-        explorer.wait_for("nothing moves before it is enabled")
-        begin = time.monotonic()
-        time.sleep(0.5)
-        explorer.press("e")
-        _moves(emulator, begin)
+        _drives(emulator, explorer)
         emulator.base.bumper = 4
         explorer.wait_for("bumper left: the robot backs away and looks for another way", goes_on=True)
         emulator.base.bumper = 0
@@ -174,11 +179,7 @@ def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
 def test_an_empty_battery_ends_the_mission_by_a_word_of_its_own(tmp_path):
     with Emulator(WORLD) as emulator:
         explorer = Explorer(emulator, tmp_path, 300.0)
-        explorer.wait_for("nothing moves before it is enabled")
-        begin = time.monotonic()
-        time.sleep(0.5)
-        explorer.press("e")
-        _moves(emulator, begin)
+        _drives(emulator, explorer)
         emulator.base.battery = 130
         explorer.wait_for("the battery is nearly empty, 13.0 V")
         explorer.wait_for("files")

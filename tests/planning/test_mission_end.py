@@ -56,7 +56,7 @@ ROOMS = 4  # A row of cells of 4 m, one node in each, a frontier of another leng
 
 
 def frontiers_seen(reachable, enterable, once_open, distance=4.0, seen=0.5):
-    """What is left where each cell's node is reachable, enterable or once open, walls between all.
+    """The frontier left in cells divided by walls, each with a node that is reachable, enterable or was once open.
 
     seen: how far (m) from each node free space was seen, sideways.
     """
@@ -109,7 +109,7 @@ NEED = 0.23
 
 
 def given_up_behind(width: float, *walls: tuple[float, float, float, float]) -> float:
-    """What counts of a frontier 0.35 m behind a gap so wide (m) in the line y = 0, tried in vain from its foot."""
+    """Length (m) that counts of a frontier given up, 0.35 m behind a gap of this width (m) in the line y = 0."""
     half = 0.5 * width
     tfg = replace(
         empty_map(),
