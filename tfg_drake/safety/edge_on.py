@@ -1,8 +1,8 @@
 """Whether what was met somewhere may stand there yet where rays pass by: a wall or a door leaf that is seen edge-on.
 
 A thin thing whose plane leads through the scanner is met by no ray, or by few and far behind its end. So what was met
-has not gone because a ray has passed. It has where rays pass what was met beside it, too: no plane through both is seen
-edge-on. And it stands somewhere else where it is seen right behind.
+has not gone because a ray has passed, or has met its farther end. It has where rays pass what was met beside it, too: no
+plane through both is seen edge-on.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 _ONE_THING, _KNOWN = 0.12, 0.02
 # A ray that comes as near to a place tells of it, and what it meets no farther behind is what was met there, m.
 _NEAR = 0.06
-# So many others in line with a place make a plane. Where there are fewer, it is gone after this long, s.
-_PLANE, _ALONE = 1, 1.5
+# Two places in line make a plane. One alone is gone after this long, s.
+_ALONE = 1.5
 
 _UNKNOWN, _BEHIND, _PASSED = range(3)
 
@@ -38,13 +38,13 @@ def may_stand(p_BM: FloatArray, age: FloatArray, angles: FloatArray, ranges: Flo
     for i in range(len(p_BM)):
         if not stands[i]:
             in_line = _in_line(i, p_BM, age, told)
-            stands[i] = in_line >= _PLANE or (in_line == 0 and told[i] == _PASSED and age[i] <= _ALONE)
+            stands[i] = in_line > 0 or (in_line == 0 and told[i] == _PASSED and age[i] <= _ALONE)
     return stands
 
 
 @njit(cache=True)
 def _in_line(i: int, p_BM: FloatArray, age: FloatArray, told: IntArray) -> int:
-    """How many other places near the i-th are in line with it; -1 if rays pass one that is not."""
+    """How many other places near the i-th are in line with it; -1 if rays pass one that is not, or meet what is behind."""
     x, y = p_BM[i]
     count = 0
     for j in range(len(p_BM)):
