@@ -1,8 +1,8 @@
 """Whether what was met somewhere may stand there yet where rays pass by: a wall or a door leaf that is seen edge-on.
 
 A thin thing whose plane leads through the scanner is met by no ray, or by few and far behind its end. So what was met
-has not gone because a ray has passed, or has met its farther end. It has where rays pass what was met beside it, too: no
-plane through both is seen edge-on.
+has not gone because a ray has passed it, or has met something behind it. It has where the same is true of what was met
+beside it: no plane through both is seen edge-on.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def may_stand(p_BM: FloatArray, age: FloatArray, angles: FloatArray, ranges: Flo
 
 @njit(cache=True)
 def _in_line(i: int, p_BM: FloatArray, age: FloatArray, told: IntArray) -> int:
-    """How many other places near the i-th are in line with it; -1 if rays pass one that is not, or meet what is behind."""
+    """How many other places near the i-th are in line with it; -1 if one that is not has gone."""
     x, y = p_BM[i]
     count = 0
     for j in range(len(p_BM)):
