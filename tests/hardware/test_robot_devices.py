@@ -119,6 +119,13 @@ def test_several_cameras(opened, tmp_path):
         "camera:http://host/a,b: nothing is known of it; give hardware.more_cameras an entry for each camera but the "
         "first, in a scenario's file"
     )
+    config.more_cameras = [RobotCameraConfig(str(tmp_path / "camera.yaml"), family="tag16h5")]
+    with pytest.raises(DeviceError) as error:
+        open_devices(config, RobotConfig())
+    assert str(error.value) == (
+        "camera:http://host/a,b: its tags are of tag16h5, the first camera's of tag36h11: one id would be two tags; print"
+        " all of one family"
+    )
     config.more_cameras = cameras[1:]
     devices = open_devices(config, RobotConfig())
     assert isinstance(devices.tags, CamerasSource)
