@@ -130,8 +130,8 @@ def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
     for text, camera in zip(texts, known, strict=False):
         if camera.family != config.camera.family:
             raise DeviceError(
-                f"{text}: its tags are of {camera.family}, the first camera's of {config.camera.family}: one id would be"
-                " two tags; print all of one family"
+                f"{text}: its tags are of {camera.family}, the first camera's of {config.camera.family}: one id would "
+                "be two tags; print all of one family"
             )
     return list(zip(texts, known, strict=False))
 

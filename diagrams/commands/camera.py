@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tfg_drake.bad_input import not_radians
 from tfg_drake.diagrams.commands.command_line import bad_input, writing
 
 if TYPE_CHECKING:
@@ -238,6 +239,8 @@ def _mount(text: str) -> CameraMount:
         x = y = yaw = pitch = math.nan
     if not all(map(math.isfinite, (x, y, yaw, pitch))):
         bad_input(f"--mount {text}: must be X,Y,YAW,PITCH in metres and radians, such as 0.1,0,0,0")
+    if told := not_radians(yaw) or not_radians(pitch):
+        bad_input(f"--mount {text}: {told}")
     return CameraMount(x=x, y=y, yaw=yaw, pitch=pitch)
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording", "slam.sensors")
+REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording", "slam.sensors", "world")
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:

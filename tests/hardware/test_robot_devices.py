@@ -123,8 +123,8 @@ def test_several_cameras(opened, tmp_path):
     with pytest.raises(DeviceError) as error:
         open_devices(config, RobotConfig())
     assert str(error.value) == (
-        "camera:http://host/a,b: its tags are of tag16h5, the first camera's of tag36h11: one id would be two tags; print"
-        " all of one family"
+        "camera:http://host/a,b: its tags are of tag16h5, the first camera's of tag36h11: one id would be two tags; "
+        "print all of one family"
     )
     config.more_cameras = cameras[1:]
     devices = open_devices(config, RobotConfig())

@@ -205,6 +205,10 @@ def test_bad_map_server_files_are_refused_in_one_line(tmp_path):
         f"{file}: resolution: must be greater than 0 metres per cell, is -0.1"
     )
     assert message(good.replace("0.1", "fine")) == f"{file}: resolution: expected a number, found 'fine'"
+    assert message(good.replace("resolution: 0.1\n", "")) == f"{file}: resolution: expected a number, missing"
+    assert message(good.replace("0, 0]", "0, 90]")) == (
+        f"{file}: origin: 90 rad is more than a turn; write radians, not degrees"
+    )
     assert message(good.replace("[0, 0, 0]", "[0, 0]")) == (
         f"{file}: origin: expected [x, y, yaw] of the image's lower left corner, found [0, 0]"
     )

@@ -1,4 +1,4 @@
-"""Calibrations of cameras on disk: OpenCV's YAML, ROS's camera_info and Kalibr's camchain, as their tools write them."""
+"""Calibrations of cameras on disk: OpenCV's YAML, ROS's camera_info and Kalibr's camchain, as their tools write."""
 
 from __future__ import annotations
 
@@ -117,7 +117,9 @@ def _calibration(tree: dict[Any, Any]) -> CameraCalibration:
 
 def _of_kalibr(tree: dict[Any, Any]) -> dict[Any, Any]:
     """The one camera of Kalibr's camchain by ROS's keys; a calibration of another kind as it is."""
-    cameras = {key: one for key, one in {**tree, "": tree}.items() if isinstance(one, dict) and _INTRINSICS & one.keys()}
+    cameras = {
+        key: one for key, one in {**tree, "": tree}.items() if isinstance(one, dict) and _INTRINSICS & one.keys()
+    }
     if not cameras:
         return tree
     if len(cameras) > 1:

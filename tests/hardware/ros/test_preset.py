@@ -69,6 +69,10 @@ def test_a_file_of_ones_own(tmp_path):
         (("scanner", "unanswered"), "far", "scanner.unanswered: unknown value far; known are unknown, free"),
         (("scanner", "flip"), 1, "scanner.flip: expected true or false, found 1"),
         (("scanner", "least_range"), -0.1, "scanner.least_range: expected a number of 0 or more, found -0.1"),
+        (("limits", "speed"), 30, "limits.speed: expected a number up to 5, found 30"),
+        (("limits", "turn_rate"), 90.0, "limits.turn_rate: expected a number up to 20, found 90.0"),
+        (("scanner", "yaw"), 180, "scanner.yaw: 180 rad is more than a turn; write radians, not degrees"),
+        (("camera", "pitch"), -15, "camera.pitch: -15 rad is more than a turn; write radians, not degrees"),
         (("camera", "x"), 10**400, f"camera.x: expected a number, found {10**400}"),
         (("scanner", "yaw"), float("nan"), "scanner.yaw: expected a number, found nan"),
         (("limits",), 3, "limits: expected the keys speed, turn_rate, acceleration, turn_acceleration, found 3"),
@@ -99,7 +103,12 @@ def test_numbers_with_an_exponent(tmp_path):
 
 def test_what_is_missing_is_named(tmp_path):
     for keys, line in [
-        (("topics", "scan"), "topics.scan: missing"),
+        (("topics", "scan"), "topics.scan: expected the keys name, type, qos, missing"),
+        (("topics", "scan", "type"), "topics.scan.type: expected text, missing"),
+        (
+            ("topics",),
+            "topics: expected the keys odometry, scan, command, hazards, battery, detections, camera_info, missing",
+        ),
         (("topics", "camera_info"), "topics.camera_info: missing; corners of tags say nothing without it"),
     ]:
         path = changed(tmp_path, *keys, drop=True)
