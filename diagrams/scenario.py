@@ -521,7 +521,7 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
 
         from tfg_drake.world.scene import check_drawn
     except ModuleNotFoundError as error:
-        missing = f"{error.name} is not installed; get it with pip install -e '.[camera]'"
+        missing = f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'"
         raise ScenarioError(f"{source}: station.eyes=camera: {missing}") from None
     check_drawn(MakeWorld(scenario.world))
 

@@ -185,7 +185,7 @@ def _need_packages() -> None:
     try:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
+        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
 
 
 def _tell(line: str) -> None:

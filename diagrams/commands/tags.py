@@ -36,7 +36,7 @@ def print_tags(
     try:
         from tfg_drake.vision import tag_sheets
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
+        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
     try:
         numbers = tag_sheets.parse_ids(ids)
     except tag_sheets.SheetError as error:

@@ -72,7 +72,7 @@ def main(out: Path) -> int:
     try:
         from sphinx.cmd.build import build_main
     except ImportError:
-        print("Sphinx is not installed; get it with pip install -e '.[docs]'", file=sys.stderr)
+        print("Sphinx is not installed; get it with pip install 'tfg-drake[docs]'", file=sys.stderr)
         return 2
     source = out / "source"
     shutil.rmtree(source, ignore_errors=True)

@@ -14,7 +14,7 @@ REFERENCE = ROOT / "docs" / "reference"
 
 @pytest.fixture
 def port_diagram():
-    pytest.importorskip("docutils", reason="Sphinx is not installed: pip install -e '.[docs]'")
+    pytest.importorskip("docutils", reason="Sphinx is not installed: pip install 'tfg-drake[docs]'")
     specification = importlib.util.spec_from_file_location("port_diagram", REFERENCE / "port_diagram.py")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -35,7 +35,7 @@ def test_a_system_without_inputs_is_drawn_too(port_diagram):
 
 @pytest.mark.slow
 def test_the_reference_is_built(tmp_path):
-    pytest.importorskip("sphinx", reason="Sphinx is not installed: pip install -e '.[docs]'")
+    pytest.importorskip("sphinx", reason="Sphinx is not installed: pip install 'tfg-drake[docs]'")
     command = [sys.executable, str(REFERENCE / "build.py"), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr

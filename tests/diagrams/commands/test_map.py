@@ -100,7 +100,7 @@ def test_bad_input_is_one_line_and_exit_code_2(call, path, monkeypatch, argument
 
 def test_without_meshcat(call, path, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshcat", None)
-    complaint = "tfg-drake: the package meshcat is missing: pip install -e '.[viewer]'\n"
+    complaint = "tfg-drake: the package meshcat is missing: pip install 'tfg-drake[viewer]'\n"
     assert call("map", "view", path) == (2, "", complaint)
 
 
