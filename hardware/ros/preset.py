@@ -8,8 +8,6 @@ import typing
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from tfg_drake.bad_input import not_radians
 from tfg_drake.hardware.plausible import FASTEST, FASTEST_TURN
 from tfg_drake.hardware.watchdog import Limits
@@ -158,7 +156,7 @@ def load_preset(name_or_path: str | Path) -> Preset:
         raise PresetError(f"{name_or_path}: no such file or preset; name a YAML file or one of {names}")
     try:
         tree = parse_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         raise PresetError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     try:
         preset: Preset = _read(tree, Preset, "")

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.spatial.transform import Rotation, Slerp
 
 from tfg_drake.config import OdometryConfig
@@ -256,12 +255,8 @@ def _read_yaml(file: Path) -> dict[str, Any]:
     text = read_text(file)
     try:
         tree = parse_yaml(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark is not None else ""
-        raise DatasetError(f"{file}{where}: {getattr(error, 'problem', None) or 'not YAML'}; mend it") from error
-    except ValueError as error:  # What looks like a date or a number and is none.
-        raise DatasetError(f"{file}: not YAML: {error}; mend it") from error
+    except ValueError as error:
+        raise DatasetError(f"{file}: {error}; mend it") from error
     if not isinstance(tree, dict):
         raise DatasetError(f"{file}: not as TagSLAM writes it: no keys in it")
     return tree

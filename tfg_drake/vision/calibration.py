@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from tfg_drake.messages import FloatArray, message
 from tfg_drake.storage.files import read_bytes, write_atomic
@@ -67,11 +66,8 @@ def load_calibration(path: Path) -> CameraCalibration:
     text = re.sub(r"\A%YAML[: ]\S*", "", text.lstrip("\ufeff")).replace("!!opencv-matrix", "")
     try:
         tree = parse_yaml(text)
-    except (ValueError, yaml.YAMLError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark is not None else ""
-        what = getattr(error, "problem", None) or " ".join(str(error).split())
-        raise CalibrationError(f"{path}{line}: {what}; mend the YAML") from None
+    except ValueError as error:
+        raise CalibrationError(f"{path}: {error}; mend it") from None
     if not isinstance(tree, dict):
         raise CalibrationError(f"{path}: holds no keys; name a calibration's YAML file")
     try:

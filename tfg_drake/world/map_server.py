@@ -8,7 +8,6 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import yaml
 from PIL import Image, UnidentifiedImageError
 from scipy import ndimage
 
@@ -64,7 +63,7 @@ def load_map_server(path: Path) -> OccupancyMap:
     """Reads the map's .yaml, whose `image` (.pgm, .pgm.gz, .png) is relative to it; raises WorldError."""
     try:
         tree = parse_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         raise WorldError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(tree, dict) or not isinstance(tree.get("image"), str):
         raise WorldError(f"{path}: image: missing; a map_server file names its image, for example image: map.pgm")

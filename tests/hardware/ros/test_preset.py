@@ -127,7 +127,7 @@ def test_no_such_preset():
 def test_broken_yaml(tmp_path):
     path = tmp_path / "broken.yaml"
     path.write_text("topics: [", encoding="utf-8")
-    with pytest.raises(PresetError, match=r"broken\.yaml: cannot be read: while parsing"):
+    with pytest.raises(PresetError, match=r"broken\.yaml: cannot be read: line \d+, column \d+: broken YAML: "):
         load_preset(path)
 
 
