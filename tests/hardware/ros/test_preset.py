@@ -148,6 +148,14 @@ def test_a_mutated_preset_is_refused_or_read(tmp_path):
     assert_refused_or_read(path, lambda: load_preset(path), PresetError)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_many_mutated_presets_are_refused_or_read(tmp_path, name):
+    path = tmp_path / "mine.yaml"
+    path.write_bytes((PRESETS / f"{name}.yaml").read_bytes())
+    assert_refused_or_read(path, lambda: load_preset(path), PresetError, count=1000, seed=1)
+
+
 def test_what_the_scanners_see():
     scanners = {name: load_preset(name).scanner for name in NAMES}
     assert {name: scanner.unanswered for name, scanner in scanners.items()} == {
