@@ -1,6 +1,7 @@
 """The reference is built from the docstrings, with the ports of each system and the diagrams."""
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
@@ -40,6 +41,11 @@ def test_the_reference_is_built(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
+    pages = {path.name: path.read_text() for path in (tmp_path / "html").glob("*.html")}
+    assert not [name for name, text in pages.items() if "TypeAliasForwardRef" in text]
+    start = re.sub("<[^>]+>", "", pages["index.html"])
+    for word in ("tfg-drake explore house", "house.advance(540.0)", "load_run(folder", "fork(run", "By folder"):
+        assert word in start
     systems = (tmp_path / "html" / "tfg_drake.systems.html").read_text()
     assert "&rarr; velocity_commanded" in systems or "→ velocity_commanded" in systems
     drawn = sorted(path.name for path in (tmp_path / "html" / "_images").glob("*.svg"))
