@@ -61,8 +61,9 @@ LEAST_MEMORY = 2**30
 _UsageError: Any = typer.BadParameter.__base__
 
 # How the options of `explore` are told.
-_EXAMPLE = "tfg-drake explore house --seed 3 --realtime-rate 8"
 _GROUPS = {
+    "Arguments": ("scenario",),
+    "The mission": ("method", "seed", "max_time", "realtime_rate", "settings", "out", "as_json", "help"),
     "A simulated world": ("world", "tag_spacing", "start"),
     "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan"),
     "The page": ("headless", "host", "page_port"),
@@ -117,7 +118,7 @@ def _commands(
         interruption.first, interruption.again = _tell_interruption, _leave
 
 
-@app.command(cls=grouped_help("The mission", _GROUPS), epilog=f"Example: {_EXAMPLE}")
+@app.command(cls=grouped_help(_GROUPS), epilog="Example: tfg-drake explore house --seed 3 --realtime-rate 8")
 def explore(
     scenario: Annotated[
         str | None, typer.Argument(help="A shipped scenario or a YAML file [default: paper, or that of a replay].")

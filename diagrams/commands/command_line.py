@@ -44,20 +44,15 @@ def parse_place(option: str, text: str, form: str = "X,Y,YAW") -> list[float]:
     return numbers
 
 
-def grouped_help(rest: str, groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCommand]:
-    """A command whose help tells its options in groups, by their names here, and those in none under rest."""
-    group_of = {name: group for group, names in groups.items() for name in names}
+def grouped_help(groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCommand]:
+    """A command whose help tells its options in groups, by their names here."""
 
     class Grouped(typer.core.TyperCommand):
         def format_options(self, ctx: Any, formatter: Any) -> None:
-            found: dict[str, list[tuple[str, str]]] = {"Arguments": [], rest: []}
-            for one in self.get_params(ctx):
-                group = "Arguments" if one.param_type_name == "argument" else group_of.get(one.name or "", rest)
-                if told := one.get_help_record(ctx):
-                    found.setdefault(group, []).append(told)
-            for group, rows in found.items():
+            told = {one.name or "": one.get_help_record(ctx) or ("", "") for one in self.get_params(ctx)}
+            for group, names in groups.items():
                 with formatter.section(group):
-                    formatter.write_dl(rows)
+                    formatter.write_dl([told[name] for name in names])
 
     return Grouped
 

@@ -52,7 +52,6 @@ def explore(
         ScenarioError, MethodError: the scenario or the method cannot be used.
         ValueError: until is negative.
     """
-    _check(until)
     loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
     name = "mission" if isinstance(scenario, Scenario) else Path(scenario).stem
     loaded = ApplySettings(loaded, settings)
@@ -160,7 +159,8 @@ class Exploration:
 
     def advance(self, seconds: float = math.inf) -> Exploration:
         """Simulate so many s more, or to the mission's end. Returns itself. Raises ValueError for less than 0."""
-        _check(seconds)
+        if not seconds >= 0.0:
+            raise ValueError(f"{seconds:g} s: must be 0 or more; time does not run backwards")
         # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
         with threadpool_limits(limits=1):
             self._mission.advance(self.time + seconds)
@@ -206,8 +206,3 @@ class Exploration:
             f"<{self._name}, seed {self.scenario.seed}: {self.outcome or self.status.phase} after {self.time:.0f} s,"
             f" {len(self.stages)} stages, {landmarks} landmarks>"
         )
-
-
-def _check(seconds: float) -> None:
-    if not seconds >= 0.0:
-        raise ValueError(f"{seconds:g} s: must be 0 or more; time does not run backwards")

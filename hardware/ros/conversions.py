@@ -183,10 +183,10 @@ def apriltag_detections(message: Any, calibrated: CameraCalibration, stamp: floa
     return TagDetections(stamp, ids[good], *(column[good] for column in sighting))
 
 
-def families(message: Any) -> list[str]:
-    """The families of the tags of an apriltag_msgs/AprilTagDetectionArray that names them, sorted."""
+def families(message: Any) -> set[str]:
+    """The families of the tags of an apriltag_msgs/AprilTagDetectionArray that names them."""
     found = _sequence(message, "detections", MOST_TAGS)
-    return sorted({str(field(one, "family"))[:50] for one in found if _has(one, "family")})
+    return {str(field(one, "family"))[:50] for one in found if _has(one, "family")}
 
 
 def _tag_id(value: Any) -> int:

@@ -156,7 +156,7 @@ def test_kalibrs_are_read(text, model, tmp_path):
         ("resolution: [640, 480]", "", f"resolution: expected 2 numbers, missing; {ANEW}"),
         ("intrinsics: [520.5, 519.0, 321.25, 239.5]", "", f"intrinsics: expected 4 numbers, missing; {ANEW}"),
         ("[640, 480]", "[640.5, 480]", f"image_width: expected a number of pixels, found 640.5; {ANEW}"),
-        ("pinhole", "omni", "camera_model: unknown model omni; calibrate anew with Kalibr's pinhole"),
+        ("[520.5", "[0.9, 520.5", f"intrinsics: expected 4 numbers, found [0.9, 520.5, 519.0, 321.25, 239.5]; {ANEW}"),
         ("cam0:", "cam1: {intrinsics: [1, 1, 1, 1]}\ncam0:", "cam1, cam0: 2 cameras; keep one of them in the file"),
     ],
 )

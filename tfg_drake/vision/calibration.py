@@ -24,8 +24,6 @@ _KEYS = {
     "camera_matrix": ("camera_matrix", "Camera_Matrix", "K", "k"),
     "distortion_coefficients": ("distortion_coefficients", "Distortion_Coefficients", "D", "d", "distortion_coeffs"),
 }
-# By which Kalibr's are told.
-_INTRINSICS = {"intrinsics", "resolution"}
 # A calibration has less than that many bytes; no image is wider nor a coefficient larger, pixels and 1.
 _LONGEST_FILE, _WIDEST_IMAGE, _GREATEST = 100_000, 100_000, 1e6
 _ANEW = "calibrate anew with tfg-drake camera calibrate"
@@ -112,17 +110,18 @@ def _calibration(tree: dict[Any, Any]) -> CameraCalibration:
 
 
 def _of_kalibr(tree: dict[Any, Any]) -> dict[Any, Any]:
-    """The one camera of Kalibr's camchain by ROS's keys; a calibration of another kind as it is."""
+    """The one camera of Kalibr's camchain by ROS's keys; a calibration of another kind as it is. A pinhole has four
+    intrinsics, Kalibr's other models have more."""
     cameras = {
-        key: one for key, one in {**tree, "": tree}.items() if isinstance(one, dict) and _INTRINSICS & one.keys()
+        key: one
+        for key, one in {**tree, "": tree}.items()
+        if isinstance(one, dict) and {"intrinsics", "resolution"} & one.keys()
     }
     if not cameras:
         return tree
     if len(cameras) > 1:
         raise CalibrationError(f"{', '.join(map(str, cameras))}: {len(cameras)} cameras; keep one of them in the file")
     (one,) = cameras.values()
-    if (model := one.get("camera_model", "pinhole")) != "pinhole":
-        raise CalibrationError(f"camera_model: unknown model {str(model)[:50]}; calibrate anew with Kalibr's pinhole")
     fx, fy, cx, cy = _numbers(one, "intrinsics", (4,))
     _numbers(one, "resolution", (2,))
     width, height = one["resolution"]

@@ -172,7 +172,7 @@ def test_tags_of_two_families_are_told_once():
         intake.receive("camera_info", preset.topics.camera_info, {"header": header, "p": P}, 5.0 + 0.1 * i)
         intake.receive("detections", preset.topics.detections, tags, 5.0 + 0.1 * i)
     assert intake.remarks() == [
-        f"{preset.topics.detections.name}: tags are of tag36h11 and tag16h5: one id of both would be one tag; print all"
+        f"{preset.topics.detections.name}: tags are of tag16h5 and tag36h11: one id of both would be one tag; print all"
         " of one"
     ]
     assert len(intake.take()) > 10
