@@ -69,7 +69,7 @@ def load_calibration(path: Path) -> CameraCalibration:
     if not isinstance(tree, dict):
         raise CalibrationError(f"{path}: holds no keys; name a calibration's YAML file")
     try:
-        return _calibration(tree)
+        return calibration_of(tree)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from None
 
@@ -94,7 +94,8 @@ def save_calibration(path: Path, calibration: CameraCalibration) -> None:
     write_atomic(path, text)
 
 
-def _calibration(tree: dict[Any, Any]) -> CameraCalibration:
+def calibration_of(tree: dict[Any, Any]) -> CameraCalibration:
+    """The calibration that parsed YAML holds; raises CalibrationError without the file's name."""
     tree = _of_kalibr(tree)
     width, height = (_pixels(tree, key) for key in ("image_width", "image_height"))
     matrix = np.array(_numbers(tree, "camera_matrix", (9,))).reshape(3, 3)
@@ -112,11 +113,8 @@ def _calibration(tree: dict[Any, Any]) -> CameraCalibration:
 def _of_kalibr(tree: dict[Any, Any]) -> dict[Any, Any]:
     """The one camera of Kalibr's camchain by ROS's keys; a calibration of another kind as it is. A pinhole has four
     intrinsics, Kalibr's other models have more."""
-    cameras = {
-        key: one
-        for key, one in {**tree, "": tree}.items()
-        if isinstance(one, dict) and {"intrinsics", "resolution"} & one.keys()
-    }
+    trees = [*tree.items(), ("", tree)]
+    cameras = {key: one for key, one in trees if isinstance(one, dict) and {"intrinsics", "resolution"} & one.keys()}
     if not cameras:
         return tree
     if len(cameras) > 1:
