@@ -101,7 +101,8 @@ def _cloud(stamp: float) -> dict[str, Any]:
 
 def _corners(stamp: float) -> dict[str, Any]:
     corners = [296.0, 216.0, 344.0, 218.0, 345.0, 264.0, 296.0, 263.0]
-    return {"header": _header(stamp), "detections": [{"id": 5 + i, "corners": list(corners)} for i in range(3)]}
+    tags = [{"family": "tag36h11", "id": 5 + i, "corners": list(corners)} for i in range(3)]
+    return {"header": _header(stamp), "detections": tags}
 
 
 def _camera(stamp: float) -> dict[str, Any]:

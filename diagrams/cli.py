@@ -29,7 +29,9 @@ from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.command_line import (
     compiling_beside,
     complaining,
+    grouped_help,
     interruption,
+    parse_place,
     wait_for_enter,
     wait_for_kernels,
 )
@@ -58,6 +60,15 @@ LEAST_MEMORY = 2**30
 # What the parser raises for a command line it cannot read; typer has no name of its own for it.
 _UsageError: Any = typer.BadParameter.__base__
 
+# How the options of `explore` are told.
+_GROUPS = {
+    "Arguments": ("scenario",),
+    "The mission": ("method", "seed", "max_time", "realtime_rate", "settings", "out", "as_json", "help"),
+    "A simulated world": ("world", "tag_spacing", "start"),
+    "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan"),
+    "The page": ("headless", "host", "page_port"),
+}
+
 # Options of several commands.
 World = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt.")
@@ -65,7 +76,7 @@ World = Annotated[
 TagSpacing = Annotated[
     float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
 ]
-Start = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start, m and rad.")]
+Start = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start in W, m and rad.")]
 MaxTime = Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
@@ -107,7 +118,7 @@ def _commands(
         interruption.first, interruption.again = _tell_interruption, _leave
 
 
-@app.command()
+@app.command(cls=grouped_help(_GROUPS), epilog="Example: tfg-drake explore house --seed 3 --realtime-rate 8")
 def explore(
     scenario: Annotated[
         str | None, typer.Argument(help="A shipped scenario or a YAML file [default: paper, or that of a replay].")
@@ -164,6 +175,8 @@ def explore(
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
     place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
     explore_command.check_robot(robot, links, place, realtime_rate)
+    if method == "manual":  # Nobody drives faster.
+        realtime_rate = realtime_rate or 1.0
     need = explore_command.kernels_needed(scenario, method, robot, [*place.values(), settings])
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
         show: Callable[[str], None] = stack.enter_context(Screen())
@@ -174,7 +187,7 @@ def explore(
             compilation = stack.enter_context(compiling_beside(need))
         elif need == kernels.MISSION or _places_tags(world, tag_spacing, start):
             wait_for_kernels(show, need)
-        loaded = _load(scenario, world, tag_spacing, _parse_start(start), seed, settings or [])
+        loaded = _load(scenario, world, tag_spacing, start, seed, settings or [])
         if robot != "sim" and replayed is None:
             explore_command.link(loaded.hardware, robot, links)
         _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
@@ -191,7 +204,6 @@ def explore(
         explorer = _find_method(method, loaded)
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, robot, cockpit))
-            realtime_rate = realtime_rate or 1.0
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
         if compilation is None:
@@ -309,8 +321,7 @@ def compare(
 
         name = explore_command.run_name(scenario, world)
         with complaining(out):
-            place = _parse_start(start)
-            of_seed = [_load(scenario, world, tag_spacing, place, seed, settings or []) for seed in range(seeds)]
+            of_seed = [_load(scenario, world, tag_spacing, start, seed, settings or []) for seed in range(seeds)]
             sources = parse_methods(methods, of_seed[0])
             names = list(sources)
             # All methods of a seed before the next seed, so that a partial report compares like with like.
@@ -348,7 +359,7 @@ def fork(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a simulated run.")],
     stage: Annotated[int, typer.Option(metavar="N", help="The stage whose goal is another.")],
     goal: Annotated[
-        str | None, typer.Option(metavar="X,Y", help="Drive there instead, m, to the reachable place next to it.")
+        str | None, typer.Option(metavar="X,Y", help="Drive there instead, in W, m, to the place next to it.")
     ] = None,
     candidate: Annotated[
         int | None, typer.Option(metavar="K", help="Or to this of the stage's candidates, 1 for the most gain.")
@@ -362,7 +373,7 @@ def fork(
     """Say what a run would have done: drive it anew to a stage, on to another goal, and compare the two."""
     if goal is not None and candidate is not None:
         _bad_input("--goal and --candidate exclude each other; name one of them")
-    place = _parse_place(goal)
+    place = None if goal is None else parse_place("--goal", goal, "X,Y")
     _make_ready(out)
     with Screen() as show:
         show("loading")
@@ -629,35 +640,11 @@ def _make_writable(folder: Path) -> None:
         _bad_input(f"--out {folder}: {error.strerror}")
 
 
-def _parse_start(text: str | None) -> tuple[float, float, float] | None:
-    if text is None:
-        return None
-    try:
-        x, y, yaw = (float(part) for part in text.split(","))
-    except ValueError:
-        _bad_input(f"--start {text}: must be X,Y,YAW in metres and radians, such as 1.5,2,0")
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(yaw)):
-        _bad_input(f"--start {text}: must be finite")
-    return x, y, yaw
-
-
-def _parse_place(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        x = y = math.nan
-    if not (math.isfinite(x) and math.isfinite(y)):
-        _bad_input(f"--goal {text}: must be X,Y in metres, such as 1.5,2")
-    return x, y
-
-
 def _load(
     name: str,
     world: Path | None,
     tag_spacing: float | None,
-    start: tuple[float, float, float] | None,
+    start: str | None,
     seed: int | None,
     settings: list[str],
 ) -> Scenario:
@@ -667,7 +654,8 @@ def _load(
     if seed is not None:
         scenario.seed = seed
     if world is not None or tag_spacing is not None or start is not None:
-        scenario = ApplyWorldFile(scenario, world, tag_spacing, start)
+        place = None if start is None else parse_place("--start", start)
+        scenario = ApplyWorldFile(scenario, world, tag_spacing, place)
     return scenario
 
 

@@ -15,10 +15,9 @@ import typing
 from pathlib import Path
 
 import numpy as np
-import yaml
 from pydrake.common.yaml import yaml_load_typed
 
-from tfg_drake.bad_input import BadInput
+from tfg_drake.bad_input import BadInput, not_radians
 from tfg_drake.config import (
     EYES,
     GAINS,
@@ -107,7 +106,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "tags.max_incidence": (0.0, 0.5 * math.pi),
     "tags.rate": (0.0, 1000.0),
     "tags.range_noise": (0.0, math.inf),
-    "tags.bearing_noise": (0.0, math.inf),
+    "tags.bearing_noise": (0.0, 1.0),  # rad
     "tags.detection_probability": (0.0, 1.0),
     "tags.range_scale": (0.0, math.inf),
     "reality.tags.range": (0.0, math.inf),
@@ -131,10 +130,10 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "explorer.prior_sigma": (0.0, math.inf),
     "explorer.samples": (1.0, math.inf),
     "explorer.frontier_attempts": (1.0, math.inf),
-    "explorer.turn_rate": (0.0, math.inf),
+    "explorer.turn_rate": (0.0, 15.0),
     "explorer.first_turns": (1.0, math.inf),
     "planner.collision_probability": (0.0, 0.5),
-    "hardware.max_speed": (0.0, math.inf),
+    "hardware.max_speed": (0.0, 5.0),
     **{f"hardware.{camera}.tag_size": (0.0, 10.0) for camera in ("camera", "more_cameras[]")},
     **{f"hardware.{camera}.decimation": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
     **{f"hardware.{camera}.threads": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
@@ -143,7 +142,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "grid.particles": (1.0, math.inf),
     "grid.update_period": (0.0, math.inf),
     "grid.update_distance": (0.0, math.inf),
-    "grid.update_angle": (0.0, math.inf),
+    "grid.update_angle": (0.0, 2.0 * math.pi),
 }
 # Texts that must be one of a few.
 _CHOICES: dict[str, tuple[str, ...]] = {
@@ -181,6 +180,10 @@ _SIGNED = (
         for key in ("x", "y", "yaw", "pitch", "roll")
     ),
 )
+# Keys of angles, rad.
+_ANGLES = (".yaw", ".pitch", ".roll", ".turn", ".facing", ".yaw_deviation")
+# A tag anywhere else is another tag: none of its keys has a default.
+_TAGS = ("world.tags[]", "reality.changes[].tags[]")
 # Lists of a fixed length, and how to write them.
 _LENGTHS = {
     "world.walls[]": (4, "[x0, y0, x1, y1]"),
@@ -379,13 +382,8 @@ def _ReadText(path: Path) -> str:
 def _Parse(text: str, source: str) -> object:
     try:
         return parse_yaml(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark is not None else "somewhere"
-        problem = getattr(error, "problem", None) or "not readable"
-        raise ScenarioError(f"{source}: {place}: broken YAML: {' '.join(str(problem).split())}") from None
-    except ValueError as error:  # What looks like a date or a number and is none.
-        raise ScenarioError(f"{source}: broken YAML: {error}") from None
+    except ValueError as error:
+        raise ScenarioError(f"{source}: {error}") from None
 
 
 def _Types(schema: typing.Any) -> dict[str, typing.Any]:
@@ -434,6 +432,10 @@ def _CheckTree(value: object, schema: typing.Any, place: str, source: str) -> No
             if key not in known:
                 raise ScenarioError(f"{source}: {_UnknownKey(key, list(known), place)}")
             _CheckTree(item, known[key], f"{place}.{key}" if place else key, source)
+        missing = [key for key in known if key not in value] if _General(place) in _TAGS else []
+        if missing:
+            example = "write a tag as {id: 7, position: [x, y], facing: 0.0}, m and rad"
+            raise ScenarioError(f"{source}: {place}.{missing[0]}: missing; {example}")
     elif typing.get_origin(schema) is list:
         if not isinstance(value, list):
             raise ScenarioError(f"{source}: {place}: expected a list, found {_Describe(value)}")
@@ -467,6 +469,8 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
     if schema is int and not 0 <= value <= _MOST:
         raise ScenarioError(f"{source}: {place}: must be between 0 and {_MOST}, is {value}")
     general = _General(place)
+    if general.endswith(_ANGLES) and (told := not_radians(value)):
+        raise ScenarioError(f"{source}: {place}: {told}")
     if general.startswith(_SIGNED):
         return
     unbounded = 1.0 if general.endswith("_probability") else math.inf
@@ -511,7 +515,7 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
 
         from tfg_drake.world.scene import check_drawn
     except ModuleNotFoundError as error:
-        missing = f"{error.name} is not installed; get it with pip install -e '.[camera]'"
+        missing = f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'"
         raise ScenarioError(f"{source}: station.eyes=camera: {missing}") from None
     check_drawn(MakeWorld(scenario.world))
 

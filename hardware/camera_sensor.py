@@ -155,7 +155,7 @@ def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration
     try:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
-        raise DeviceError(f"{name}: {error.name} is not installed; get it with pip install -e '.[camera]'") from None
+        raise DeviceError(f"{name}: {error.name} is not installed: pip install 'tfg-drake[camera]'") from None
     from tfg_drake.vision.calibration import CalibrationError, load_calibration
 
     if not camera.calibration:

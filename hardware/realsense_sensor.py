@@ -56,7 +56,7 @@ class RealsenseDriver(SensorReader):
             import pyrealsense2
         except ImportError:
             raise DeviceError(
-                f"{name}: pyrealsense2 is not installed; get it with pip install -e '.[realsense]'"
+                f"{name}: pyrealsense2 is not installed; get it with pip install 'tfg-drake[realsense]'"
             ) from None
         self._rs: Any = pyrealsense2
         self._device = device

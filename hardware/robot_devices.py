@@ -127,6 +127,12 @@ def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
             f"{texts[len(known)]}: nothing is known of it; give hardware.more_cameras an entry for each camera but the "
             "first, in a scenario's file"
         )
+    for text, camera in zip(texts, known, strict=False):
+        if camera.family != config.camera.family:
+            raise DeviceError(
+                f"{text}: its tags are of {camera.family}, the first camera's of {config.camera.family}: one id would "
+                "be two tags; print all of one family"
+            )
     return list(zip(texts, known, strict=False))
 
 

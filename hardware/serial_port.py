@@ -40,7 +40,7 @@ def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
     try:
         import serial
     except ModuleNotFoundError:
-        raise DeviceError("the package pyserial is missing: pip install -e '.[serial]'") from None
+        raise DeviceError("the package pyserial is missing: pip install 'tfg-drake[serial]'") from None
     try:
         return serial.Serial(path, baud_rate, timeout=0.0, exclusive=True)
     except (OSError, ValueError, termios.error) as error:

@@ -1,5 +1,13 @@
 """What a user is told in one line: the commands print it and end with exit code 2."""
 
+# Whoever writes a greater angle, rad, thinks of degrees.
+_TURN = 6.293
+
 
 class BadInput(Exception):
     """What the user gave cannot be used; the message is one line that names the culprit and the mend."""
+
+
+def not_radians(angle: float) -> str:
+    """What is wrong with an angle, rad, that somebody has written; "" for nothing."""
+    return f"{angle:g} rad is more than a turn; write radians, not degrees" if abs(angle) > _TURN else ""

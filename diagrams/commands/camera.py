@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, writing
 
 if TYPE_CHECKING:
     from tfg_drake.datasets.recording import Recording
@@ -57,8 +57,9 @@ def check(
     threads: Annotated[int, typer.Option(metavar="N", help="Of the detector.")] = 1,
     frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after so many.")] = None,
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="The picture of the newest frame; a folder: one picture a frame.")
-    ] = Path("camera.png"),
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the newest frame there; in a folder: a picture of each frame."),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="One line of JSON a frame on standard output, nothing else.")
     ] = False,
@@ -82,7 +83,7 @@ def check(
         bad_input(f"--calibration {error}")
     except ValueError as error:
         bad_input(str(error))
-    into_folder = out.suffix == ""
+    into_folder = out is not None and out.suffix == ""
     told: set[str] = set()
     live, count, seen, spent, begin, drawn = is_live(source), 0, 0, 0.0, time.monotonic(), -math.inf
     try:
@@ -102,14 +103,15 @@ def check(
                 if not (live and remark in told):
                     print(f"{frame.name}: {remark}", file=sys.stderr, flush=True)
                 told.add(remark)
-            if into_folder or not live or time.monotonic() - drawn > PICTURE_EVERY:
-                picture = annotated(frame.image, tags, sighting, [frame.name, rate])
-                _write(picture, out / f"{Path(frame.name).stem}.png" if into_folder else out)
+            if out is not None and (into_folder or not live or time.monotonic() - drawn > PICTURE_EVERY):
+                drawing = annotated(frame.image, tags, sighting, [frame.name, rate])
+                _write(drawing, out / f"{Path(frame.name).stem}.png" if into_folder else out)
                 drawn = time.monotonic()
     except KeyboardInterrupt:
         pass
     if not as_json and count:
-        print(f"{count} frames, {seen} tags, {1000.0 * spent / count:.0f} ms a frame; picture in {out}")
+        picture = f"; picture in {out}" if out is not None else ""
+        print(f"{count} frames, {seen} tags, {1000.0 * spent / count:.0f} ms a frame{picture}")
 
 
 @camera_app.command()
@@ -184,7 +186,7 @@ def _need_packages() -> None:
     try:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
+        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
 
 
 def _tell(line: str) -> None:
@@ -232,12 +234,7 @@ def _board(text: str) -> tuple[int, int]:
 def _mount(text: str) -> CameraMount:
     from tfg_drake.vision.mount import CameraMount
 
-    try:
-        x, y, yaw, pitch = (float(word) for word in text.split(","))
-    except ValueError:
-        x = y = yaw = pitch = math.nan
-    if not all(map(math.isfinite, (x, y, yaw, pitch))):
-        bad_input(f"--mount {text}: must be X,Y,YAW,PITCH in metres and radians, such as 0.1,0,0,0")
+    x, y, yaw, pitch = parse_place("--mount", text, "X,Y,YAW,PITCH")
     return CameraMount(x=x, y=y, yaw=yaw, pitch=pitch)
 
 

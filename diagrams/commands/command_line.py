@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import sys
@@ -10,10 +11,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
+
+import typer.core
 
 from tfg_drake import kernels
-from tfg_drake.bad_input import BadInput
+from tfg_drake.bad_input import BadInput, not_radians
 from tfg_drake.mission.interruption import Interruption
 
 # The signals that end a command.
@@ -23,6 +26,35 @@ interruption = Interruption()
 def bad_input(message: str) -> NoReturn:
     """Ends a command: the message goes to standard error, the exit code is 2."""
     raise BadInput(message)
+
+
+def parse_place(option: str, text: str, form: str = "X,Y,YAW") -> list[float]:
+    """The numbers of an option, m and rad. Raises BadInput."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(form.split(",")):
+        units, example = ("metres and radians", "1.5,2,0") if "YAW" in form else ("metres", "1.5,2")
+        bad_input(f"{option} {text}: must be {form} in {units}, such as {example}{',0' * form.count('PITCH')}")
+    if not all(map(math.isfinite, numbers)):
+        bad_input(f"{option} {text}: must be finite")
+    if told := next(filter(None, map(not_radians, numbers[2:])), ""):
+        bad_input(f"{option} {text}: {told}")
+    return numbers
+
+
+def grouped_help(groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCommand]:
+    """A command whose help tells its options in groups, by their names here."""
+
+    class Grouped(typer.core.TyperCommand):
+        def format_options(self, ctx: Any, formatter: Any) -> None:
+            told = {one.name or "": one.get_help_record(ctx) or ("", "") for one in self.get_params(ctx)}
+            for group, names in groups.items():
+                with formatter.section(group):
+                    formatter.write_dl([told[name] for name in names])
+
+    return Grouped
 
 
 @contextlib.contextmanager

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording", "slam.sensors")
+REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording", "slam.sensors", "world")
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
@@ -241,7 +241,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows["landmarks"] = f"{mapped}"
     if mapped is not None and present is not None:
         rows["landmarks"] += (
-            f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" mapped of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
             f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
     if summary["landmarks_doubtful"]:
@@ -257,5 +257,6 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows["coverage"] = ", ".join(known)
     if summary["contacts"] is not None:
         clearance = number(summary["min_clearance_m"], "{:.2f}")
-        rows["safety"] = f"{summary['contacts']} contacts, least clearance {clearance} m"
+        plural = "" if summary["contacts"] == 1 else "s"
+        rows["safety"] = f"{summary['contacts']} contact{plural}, least clearance {clearance} m"
     return list(rows.items())

@@ -156,7 +156,7 @@ def _own_sensors(emulator: Emulator, name: str) -> Iterator[dict[str, Callable[[
     try:
         from tfg_drake.diagrams.emulated_camera import EmulatedCamera
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
+        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
     world = empty_plane() if name == "none" else _world(name)
     try:
         seen = EmulatedCamera(world, lambda: emulator.base.pose)

@@ -81,6 +81,7 @@ def export(
         else:
             rows = dict(map_rows(saved, map_file.stat().st_size))
             draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{rows['deviation']}", saved)
+    print(f"{out}: {len(saved.ids)} landmarks, {out.stat().st_size / 1e3:.0f} kB")
 
 
 def _load(path: Path) -> SavedMap:

@@ -8,20 +8,21 @@ import threading
 import time
 from typing import Any
 
-# Wall time after which a line is written again where there is no terminal, s, and after which it says since when.
-INTERVAL = 2.0
+# Wall time after which a line is written again where there is no terminal, s: at first and at most, and meanwhile this
+# share of what has passed. After LONG, s, it says since when.
+INTERVAL, LONGEST_INTERVAL, SHARE = 2.0, 60.0, 1.0 / 6.0
 LONG = 1.5
 
 
 class Screen:
-    """Shows what is done now: as a live line on a terminal, elsewhere as a line every INTERVAL.
+    """Shows what is done now: as a live line on a terminal, elsewhere as a line now and then.
 
     A thread does so, and says how long the same has been done: who looks on can tell what takes long from what hangs.
     """
 
     def __init__(self) -> None:
         self._text = ""
-        self._since = self._written = time.monotonic()
+        self._since = self._written = self._begun = time.monotonic()
         self._live: Any = None
         self._over = threading.Event()
         self._one = threading.Lock()
@@ -70,7 +71,8 @@ class Screen:
     def _write(self) -> None:
         with self._one:
             now = time.monotonic()
-            if not self._text or now < self._written + INTERVAL:
+            apart = max(INTERVAL, min(SHARE * (now - self._begun), LONGEST_INTERVAL))
+            if not self._text or now < self._written + apart:
                 return
             self._written = now
             try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_kernels, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, wait_for_kernels, writing
 from tfg_drake.diagrams.commands.screen import Screen
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def print_tags(
     try:
         from tfg_drake.vision import tag_sheets
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install -e '.[camera]'")
+        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
     try:
         numbers = tag_sheets.parse_ids(ids)
     except tag_sheets.SheetError as error:
@@ -104,10 +104,7 @@ def _of_file(
     """The scenario in a world's file; of a map the shipped one with its walls."""
     from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 
-    try:
-        place = None if start is None else [float(part) for part in start.split(",")]
-    except ValueError:
-        bad_input(f"--start {start}: must be X,Y,YAW in metres and radians, such as 1.5,2,0")
+    place = None if start is None else parse_place("--start", start)
     scenario = ApplyWorldFile(LoadScenario("paper"), world, None, place)
     if fresh:
         scenario.world.tags = []

@@ -50,6 +50,7 @@ def explore(
 
     Raises:
         ScenarioError, MethodError: the scenario or the method cannot be used.
+        ValueError: until is negative.
     """
     loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
     name = "mission" if isinstance(scenario, Scenario) else Path(scenario).stem
@@ -157,7 +158,9 @@ class Exploration:
         return self._mission.true_poses() or (np.zeros(0), np.zeros((0, 3)))
 
     def advance(self, seconds: float = math.inf) -> Exploration:
-        """Simulate so many s more, or to the mission's end. Returns itself."""
+        """Simulate so many s more, or to the mission's end. Returns itself. Raises ValueError for less than 0."""
+        if not seconds >= 0.0:
+            raise ValueError(f"{seconds:g} s: must be 0 or more; time does not run backwards")
         # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
         with threadpool_limits(limits=1):
             self._mission.advance(self.time + seconds)

@@ -67,7 +67,7 @@ def connect(address: str) -> Any:
     try:
         import ray
     except ImportError:
-        raise SweepError('--ray: Ray is not installed; pip install -e ".[ray]"') from None
+        raise SweepError("--ray: Ray is not installed; pip install 'tfg-drake[ray]'") from None
     handler = signal.getsignal(signal.SIGTERM)
     try:
         _knock(address)

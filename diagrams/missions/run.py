@@ -31,7 +31,7 @@ from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
 from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.robots import SIMULATED, Robot
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import save_map
@@ -40,6 +40,7 @@ from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
+from tfg_drake.world.world import odd_tags
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -68,7 +69,7 @@ TOLD_AT_THE_END = (
     "contacts",
 )
 
-_log = logging.getLogger("tfg_drake.run")
+_log, _of_world = logging.getLogger("tfg_drake.run"), logging.getLogger("tfg_drake.world")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,6 +137,9 @@ def explore(
     ):
         write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
+        if record and robot.world_known:
+            for line in odd_tags(MakeWorld(scenario.world)):
+                _of_world.warning(line)
         title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:
             writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name)) if record else None

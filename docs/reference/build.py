@@ -20,6 +20,36 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 # Pages in the order of the layers; each has the modules of one folder.
 FIRST = ("tfg_drake", "tfg_drake.systems", "tfg_drake.diagrams")
+# What a mission from Python needs, by the name under which `tfg_drake` has it.
+API = {
+    "explore": "tfg_drake.diagrams.missions.exploration",
+    "load_run": "tfg_drake.storage.run",
+    "fork": "tfg_drake.diagrams.missions.fork",
+}
+START = """tfg_drake
+=========
+
+A robot explores a building by itself and maps the tags on its walls. A mission in the browser, then its map again::
+
+    tfg-drake explore house --realtime-rate 8
+    tfg-drake view runs/...
+
+The same from Python, as in ``examples/mission.py``:
+
+.. literalinclude:: {example}
+   :language: python
+
+Poses are named as Drake does it: ``X_WB`` is the pose of the body B in the world W, in metres and radians; M is the
+map, whose origin is where the robot started. ``docs/usage.md`` tells of all commands, ``docs/ARCHITECTURE.md`` which
+folder does what, ``docs/method.md`` how it is computed.
+
+{functions}
+.. toctree::
+   :maxdepth: 2
+   :caption: By folder
+
+{entries}
+"""
 DIAGRAMS = {
     "mission": "station, explorer and what records them",
     "station": "the simulated TurtleBot",
@@ -72,7 +102,7 @@ def main(out: Path) -> int:
     try:
         from sphinx.cmd.build import build_main
     except ImportError:
-        print("Sphinx is not installed; get it with pip install -e '.[docs]'", file=sys.stderr)
+        print("Sphinx is not installed; get it with pip install 'tfg-drake[docs]'", file=sys.stderr)
         return 2
     source = out / "source"
     shutil.rmtree(source, ignore_errors=True)
@@ -83,7 +113,9 @@ def main(out: Path) -> int:
         (source / f"{package}.rst").write_text(page(package, found[package]))
     (source / "diagrams.rst").write_text("\n".join(draw_diagrams(source)))
     entries = "\n".join(f"   {name}" for name in ("diagrams", *packages))
-    (source / "index.rst").write_text(f"tfg_drake\n=========\n\n.. toctree::\n   :maxdepth: 2\n\n{entries}\n")
+    functions = "".join(f".. autofunction:: {module}.{name}\n   :no-index:\n\n" for name, module in API.items())
+    shutil.copy(ROOT / "examples" / "mission.py", source)
+    (source / "index.rst").write_text(START.format(example="mission.py", functions=functions, entries=entries))
     code = int(build_main(["-q", "-c", str(HERE), str(source), str(out / "html")]))
     if code == 0:
         print(f"{out / 'html' / 'index.html'}")

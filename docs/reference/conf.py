@@ -4,6 +4,8 @@ import importlib.util
 import sys
 from pathlib import Path
 
+from sphinx.util import inspect
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 project = "tfg_drake"
@@ -14,6 +16,8 @@ html_show_sphinx = html_show_copyright = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_type_aliases = {name: name for name in ("FloatArray", "IntArray", "BoolArray")}
+# Within a tuple or a union an alias is shown as it is represented.
+inspect.TypeAliasForwardRef.__repr__ = lambda alias: alias.name
 python_use_unqualified_type_names = True
 napoleon_google_docstring = True
 # What is not installed here is of no matter for the docstrings.

@@ -183,6 +183,12 @@ def apriltag_detections(message: Any, calibrated: CameraCalibration, stamp: floa
     return TagDetections(stamp, ids[good], *(column[good] for column in sighting))
 
 
+def families(message: Any) -> set[str]:
+    """The families of the tags of an apriltag_msgs/AprilTagDetectionArray that names them."""
+    found = _sequence(message, "detections", MOST_TAGS)
+    return {str(field(one, "family"))[:50] for one in found if _has(one, "family")}
+
+
 def _tag_id(value: Any) -> int:
     """An id as it is told, -1 for what is no whole number; who judges leaves out what is none of a tag."""
     return min(max(value, -_GREATEST_ID), _GREATEST_ID) if isinstance(value, int) else -1

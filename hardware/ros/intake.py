@@ -60,6 +60,7 @@ class Intake:
         # Whether tags are looked for in images, and what does.
         self._images = any(topic.type in (IMAGE, COMPRESSED_IMAGE) for _, topic in topics)
         self._eyes: ImageTags | None = None
+        self._families: list[str] = []
         self._fault: str | None = None
         self.alarm: str | None = None
         self._remarks: list[str] = []
@@ -125,6 +126,10 @@ class Intake:
         if self._images:
             return self._looked_at(topic, message, stamp)
         assert self._camera is not None
+        self._families = sorted({*self._families, *conversions.families(message)})[:2]
+        if len(self._families) > 1:
+            why = f"tags are of {' and '.join(self._families)}: one id of both would be one tag; print all of one"
+            self.refusals.add(topic.name, "family", why)
         return conversions.apriltag_detections(message, self._camera, stamp, self._preset.camera)
 
     def _looked_at(self, topic: Topic, message: Any, stamp: float) -> Message:

@@ -8,8 +8,8 @@ import typing
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from tfg_drake.bad_input import not_radians
+from tfg_drake.hardware.plausible import FASTEST, FASTEST_TURN
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.storage.yaml_text import parse_yaml
 
@@ -142,8 +142,9 @@ UNANSWERED = ("unknown", "free")
 # In the whole network, as ROS 2 does by itself, or on this machine only.
 DISCOVERY = ("subnet", "localhost")
 _POSITIVE = ("limits.", "scanner.sigma", "camera.tag_size", "camera.corner_sigma")
-# No number in a preset is greater.
+# No number in a preset is greater; no robot's limit of speed or turn rate, m/s and rad/s.
 _GREATEST = 1e6
+_MOST = {"limits.speed": FASTEST, "limits.turn_rate": FASTEST_TURN}
 
 
 def load_preset(name_or_path: str | Path) -> Preset:
@@ -155,7 +156,7 @@ def load_preset(name_or_path: str | Path) -> Preset:
         raise PresetError(f"{name_or_path}: no such file or preset; name a YAML file or one of {names}")
     try:
         tree = parse_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         raise PresetError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     try:
         preset: Preset = _read(tree, Preset, "")
@@ -177,31 +178,35 @@ def _read(value: Any, schema: Any, place: str) -> Any:
         schema = schema.__args__[0]
     if typing.get_origin(schema) is tuple:
         if not isinstance(value, list):
-            raise PresetError(f"{place}: expected a list, found {value!r}")
+            raise PresetError(f"{place}: expected a list, {_found(value)}")
         return tuple(_read(item, schema.__args__[0], f"{place}[{i}]") for i, item in enumerate(value))
     if dataclasses.is_dataclass(schema):
         return _section(value, schema, place)
     if schema is float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _GREATEST:
-            raise PresetError(f"{place}: expected a number, found {value!r}")
+            raise PresetError(f"{place}: expected a number, {_found(value)}")
         if place.startswith(_POSITIVE) and value <= 0.0:
-            raise PresetError(f"{place}: expected a number above 0, found {value!r}")
+            raise PresetError(f"{place}: expected a number above 0, {_found(value)}")
+        if value > _MOST.get(place, _GREATEST):
+            raise PresetError(f"{place}: expected a number up to {_MOST[place]:g}, found {value!r}")
+        if place.endswith(("yaw", "pitch")) and (told := not_radians(value)):
+            raise PresetError(f"{place}: {told}")
         if place == "scanner.least_range" and value < 0.0:
-            raise PresetError(f"{place}: expected a number of 0 or more, found {value!r}")
+            raise PresetError(f"{place}: expected a number of 0 or more, {_found(value)}")
         return float(value)
     if schema is bool:
         if not isinstance(value, bool):
-            raise PresetError(f"{place}: expected true or false, found {value!r}")
+            raise PresetError(f"{place}: expected true or false, {_found(value)}")
         return value
     if not isinstance(value, str) or not value:
-        raise PresetError(f"{place}: expected text, found {value!r}")
+        raise PresetError(f"{place}: expected text, {_found(value)}")
     return value
 
 
 def _section(value: Any, schema: Any, place: str) -> Any:
     hints = typing.get_type_hints(schema)
     if not isinstance(value, dict):
-        raise PresetError(f"{place or 'preset'}: expected the keys {', '.join(hints)}, found {value!r}")
+        raise PresetError(f"{place or 'preset'}: expected the keys {', '.join(hints)}, {_found(value)}")
     within = f"{place}." if place else ""
     for key in value:
         if key not in hints:
@@ -209,8 +214,12 @@ def _section(value: Any, schema: Any, place: str) -> Any:
     for one in dataclasses.fields(schema):
         required = one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
         if required and one.name not in value:
-            raise PresetError(f"{within}{one.name}: missing")
+            _read(None, hints[one.name], f"{within}{one.name}")
     return schema(**{key: _read(item, hints[key], f"{within}{key}") for key, item in value.items()})
+
+
+def _found(value: Any) -> str:
+    return "missing" if value is None else f"found {value!r}"
 
 
 def _check(topics: Topics) -> None:

@@ -56,7 +56,7 @@ class RosbridgeGraph:
         try:
             import roslibpy
         except ImportError:
-            raise DeviceError("rosbridge: roslibpy is not installed: pip install -e '.[rosbridge]'") from None
+            raise DeviceError("rosbridge: roslibpy is not installed: pip install 'tfg-drake[rosbridge]'") from None
         self._roslibpy = roslibpy
         self._rosapi = True
         self._arrived: queue.Queue[tuple[Receive, Any, float]] = queue.Queue(WAITING)

@@ -128,8 +128,8 @@ def _beside(image: Topic) -> Topic:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         raise DeviceError(
-            f"{image.name}: {error.name} is not installed, tags cannot be found in images; get it with pip install -e "
-            "'.[camera]'"
+            f"{image.name}: {error.name} is not installed, tags cannot be found in images; get it with pip install "
+            "'tfg-drake[camera]'"
         ) from None
     name = image.name.removesuffix("/compressed").rpartition("/")[0]
     return Topic(f"{name}/camera_info", TYPES["camera_info"][0])

@@ -16,6 +16,7 @@ from tfg_drake.geometry import se2
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "tagslam" / "test_11"
 
+ANEW = "calibrate anew with tfg-drake camera calibrate"
 FOCAL, CENTER, SIZE = 500.0, np.array([640.0, 480.0]), 0.2
 # The rig's z axis, where it looks, level at heading 0; x to the right, y down.
 LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -60,6 +61,7 @@ def folder(tmp_path):
     cameras = {
         name: {
             "intrinsics": [FOCAL, FOCAL, *map(float, CENTER)],
+            "resolution": [2 * round(CENTER[0]), 2 * round(CENTER[1])],
             "distortion_model": "radtan",
             "distortion_coeffs": [0.0] * 4,
             "tagtopic": f"/rig/{side}/tags",
@@ -155,11 +157,16 @@ def test_tables_without_header_and_out_of_order_are_read(folder):
             ("0.000000,left,3,0", "0.000000,top,3,0"),
             "{}/tag_corners.csv, data line 1: camera 'top' is not in cameras.yaml; add it there",
         ),
-        ("cameras.yaml", ("intrinsics", "focus"), "{}/cameras.yaml: not as TagSLAM writes it: no 'intrinsics'"),
+        (
+            "cameras.yaml",
+            ("intrinsics", "focus"),
+            f"{{}}/cameras.yaml: not as TagSLAM writes it: intrinsics: expected 4 numbers, missing; {ANEW}",
+        ),
         (
             "cameras.yaml",
             ("radtan", "fov"),
-            "{}/cameras.yaml: cam0 has distortion_model fov; equidistant and radtan are known",
+            "{}/cameras.yaml: not as TagSLAM writes it: distortion_model: unknown model fov; known are plumb_bob, "
+            "rational_polynomial, radtan, radial-tangential, equidistant, fisheye",
         ),
         ("camera_poses.yaml", ("cam1", "cam7"), "{}/camera_poses.yaml: not as TagSLAM writes it: no 'cam1'"),
         ("tagslam.yaml", ("default_body", "body"), "{}/tagslam.yaml: not as TagSLAM writes it: no 'default_body'"),
@@ -231,7 +238,12 @@ def test_a_mutated_file_is_refused_or_read(folder, name):
             "cannot convert float infinity to integer",
         ),
         ("tagslam.yaml", "id: 3", f"id: {2**70}", "Python int too large to convert to C long"),
-        ("cameras.yaml", "- 500.0", "- 1.0e300", "4 finite numbers below 1e+19 expected"),
+        (
+            "cameras.yaml",
+            "- 500.0",
+            "- 1.0e300",
+            f"intrinsics: expected 4 numbers, found [1e+300, 500.0, 640.0, 480.0]; {ANEW}",
+        ),
         ("cameras.yaml", "radtan", "!!int radtan", "the tag tag:yaml.org,2002:int is not read, leave it out; mend it"),
     ],
 )

@@ -66,6 +66,22 @@ def test_a_quaternion_without_length_is_refused(tmp_path):
         _poses(tmp_path / "odometry.tum")
 
 
+@pytest.mark.parametrize("wrapped", [False, True])
+@pytest.mark.parametrize("rate", [0.3, -1.0])
+def test_headings_in_degrees_are_refused(tmp_path, wrapped, rate):
+    def write(heading, half):
+        heading = (heading + half) % (2.0 * half) - half if wrapped else heading
+        rows = np.column_stack([0.1 * np.arange(200), np.zeros((200, 2)), heading])
+        np.savetxt(tmp_path / "odometry.csv", rows, delimiter=",", header="time,x,y,heading")
+
+    heading = rate * 0.1 * np.arange(200)
+    write(heading, np.pi)
+    assert len(_poses(tmp_path / "odometry.csv")[0]) == 200
+    write(np.degrees(heading), 180.0)
+    with pytest.raises(DatasetError, match=r"the heading turns by \d+\.?\d* rad/s on average; write radians, not degr"):
+        _poses(tmp_path / "odometry.csv")
+
+
 @pytest.mark.slow
 def test_mutated_odometry_is_refused_or_read(tmp_path):
     file = tmp_path / "odometry.tum"

@@ -14,6 +14,7 @@ import pytest
 
 from tests.diagrams.rooms import ROOM
 from tfg_drake import __version__, kernels
+from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
@@ -110,6 +111,30 @@ def test_help_is_quick_and_names_every_option():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_help_has_groups_and_an_example(call):
+    code, text, _ = call("explore", "--help")
+    assert code == 0
+    groups = re.split(r"\n\n(?=\S)", text)
+    heads = ["Arguments:", "The mission:", "A simulated world:", "A real robot, or a run:", "The page:"]
+    assert [group.splitlines()[0] for group in groups[1:]] == heads
+    for option, head in (("--seed", 1), ("--start", 2), ("--preset", 3), ("--page-port", 4)):
+        assert f"  {option} " in groups[1 + head]
+    example = text.splitlines()[-1].removeprefix("  Example: tfg-drake ").split()
+    cli.app(["explore", *example[1:], "--help"], standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "rate"),
+    [(["--method", "manual"], 1.0), (["--method", "manual", "--realtime-rate", "0.5"], 0.5), ([], 0.0)],
+)
+def test_whoever_drives_by_hand_has_a_page_in_real_time(call, room, tmp_path, monkeypatch, arguments, rate):
+    def open_page(*_, **given):
+        raise BadInput(f"rate {given['rate']}")
+
+    monkeypatch.setattr("tfg_drake.diagrams.commands.page.open_page", open_page)
+    assert call("explore", room, *arguments, "--out", tmp_path / "run")[2] == f"tfg-drake: rate {rate}\n"
+
+
 def test_a_mission_from_the_command_line(call, room, tmp_path):
     arguments = ["explore", room, "--tag-spacing", "1", "--headless", "--json", "--out", str(tmp_path / "run")]
     code, out, err = call(*arguments, "--set", "explorer.samples=100", "--seed", "5", "--max-time", "200")
@@ -120,6 +145,11 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     # Before the table, on a slow machine, come lines of progress.
     names = [line[:12].strip() for line in out.splitlines()[-10:-1]]
     assert names == ["outcome", "time", "driven", "landmarks", "pose error", "coverage", "safety", "files", "page"]
+    mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    assert f"\nlandmarks   {mapped} mapped of {reachable} reachable, RMSE 0.0" in out
+    assert "\nsafety      0 contacts, least clearance " in out
+    once = dict(explore_command.table_rows(summary | {"contacts": 1}))
+    assert once["safety"].startswith("1 contact, least clearance")
 
 
 def test_a_mission_has_a_page_and_prints_its_address_first(call, room, tmp_path):

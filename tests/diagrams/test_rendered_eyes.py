@@ -9,7 +9,7 @@ from pydrake.common import RandomGenerator
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install 'tfg-drake[camera]'")
 
 from tfg_drake.config import ChangeConfig, TagConfig
 from tfg_drake.diagrams.missions.run import explore
@@ -166,7 +166,7 @@ def test_without_its_packages_it_says_how_to_get_them(monkeypatch):
     monkeypatch.setitem(sys.modules, "robotpy_apriltag", None)
     with pytest.raises(ScenarioError) as error:
         seeing()
-    hint = "get it with pip install -e '.[camera]'"
+    hint = "get it with pip install 'tfg-drake[camera]'"
     assert str(error.value) == f"--set: station.eyes=camera: robotpy_apriltag is not installed; {hint}"
 
 

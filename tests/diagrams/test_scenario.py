@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.config import as_it_is
 from tfg_drake.diagrams.scenario import (
     ApplySettings,
@@ -17,7 +18,9 @@ from tfg_drake.diagrams.scenario import (
     Scenario,
     ScenarioError,
 )
+from tfg_drake.storage.yaml_text import dump_yaml
 from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_tags
+from tfg_drake.world.world import odd_tags
 
 SHIPPED = (
     "corridor",
@@ -114,6 +117,9 @@ def test_world_and_config_are_inverse():
     assert empty.p_WT.shape == (0, 2)
 
 
+ONE = "{id: 1, position: [0, 1], facing: 0}"
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
@@ -160,7 +166,16 @@ def test_world_and_config_are_inverse():
             "world.tags[0].ID: unknown key; the keys of world.tags[0] are id, position, facing",
         ),
         ("world: {tags: [{position: [1]}]}", "world.tags[0].position: expected 2 numbers [x, y], found 1"),
-        ("world: {tags: [{id: 1}, {id: 1}]}", "world.tags[1].id: 1 is taken by world.tags[0]; give each tag an id"),
+        (
+            "world: {tags: [{id: 1, position: [0, 1]}]}",
+            "world.tags[0].facing: missing; write a tag as {id: 7, position: [x, y], facing: 0.0}, m and rad",
+        ),
+        (
+            "reality: {changes: [{tags: [{id: 1, facing: 0}]}]}",
+            "reality.changes[0].tags[0].position: missing; write a tag as {id: 7, position: [x, y], facing: 0.0}, m and"
+            " rad",
+        ),
+        (f"world: {{tags: [{ONE}, {ONE}]}}", "world.tags[1].id: 1 is taken by world.tags[0]; give each tag an id"),
         ("- 1", "expected keys and values such as `seed: 0`, found a list"),
         ("", "expected keys and values such as `seed: 0`, found nothing"),
         ("seed: [1", "line 2, column 1: broken YAML: did not find expected ',' or ']'"),
@@ -332,7 +347,35 @@ def test_numbers_with_an_exponent_and_a_dumped_document():
         ),
         ("robot: {max_speed: 30}", "robot.max_speed: must be at most 5, is 30"),
         ("robot: {max_turn_rate: 90}", "robot.max_turn_rate: must be at most 15, is 90"),
+        ("hardware: {max_speed: 30}", "hardware.max_speed: must be at most 5, is 30"),
+        ("explorer: {turn_rate: 70}", "explorer.turn_rate: must be at most 15, is 70"),
+        ("tags: {bearing_noise: 2}", "tags.bearing_noise: must be at most 1, is 2"),
+        ("grid: {update_angle: 30}", "grid.update_angle: must be at most 6.28319, is 30"),
+        *(
+            (f"{before}{key}: -90{after}", f"{place}.{key}: -90 rad is more than a turn; write radians, not degrees")
+            for before, key, after, place in (
+                ("reality: {tags: {", "yaw", "}}", "reality.tags"),
+                ("reality: {scan: {", "yaw", "}}", "reality.scan"),
+                ("hardware: {camera: {", "pitch", "}}", "hardware.camera"),
+                ("hardware: {more_cameras: [{", "roll", "}]}", "hardware.more_cameras[0]"),
+                ("hardware: {scanner: {", "yaw", "}}", "hardware.scanner"),
+                ("disturbances: [{", "turn", "}]", "disturbances[0]"),
+                ("world: {tags: [{id: 1, position: [0, 1], ", "facing", "}]}", "world.tags[0]"),
+            )
+        ),
     ],
 )
 def test_degrees_and_what_no_robot_does(text, told):
     assert complaint(LoadScenario, data=text) == f"scenario: {told}"
+
+
+@pytest.mark.slow
+def test_a_mutated_scenario_is_refused_or_read(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(dump_yaml(dataclasses.asdict(LoadScenario(data=FACTS))))
+    assert_refused_or_read(file, lambda: LoadScenario(file), ScenarioError, count=1000)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_tags_hang_on_their_walls(name):
+    assert odd_tags(MakeWorld(LoadScenario(name).world)) == ()

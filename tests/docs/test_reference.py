@@ -1,6 +1,7 @@
 """The reference is built from the docstrings, with the ports of each system and the diagrams."""
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,7 @@ REFERENCE = ROOT / "docs" / "reference"
 
 @pytest.fixture
 def port_diagram():
-    pytest.importorskip("docutils", reason="Sphinx is not installed: pip install -e '.[docs]'")
+    pytest.importorskip("docutils", reason="Sphinx is not installed: pip install 'tfg-drake[docs]'")
     specification = importlib.util.spec_from_file_location("port_diagram", REFERENCE / "port_diagram.py")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -35,11 +36,16 @@ def test_a_system_without_inputs_is_drawn_too(port_diagram):
 
 @pytest.mark.slow
 def test_the_reference_is_built(tmp_path):
-    pytest.importorskip("sphinx", reason="Sphinx is not installed: pip install -e '.[docs]'")
+    pytest.importorskip("sphinx", reason="Sphinx is not installed: pip install 'tfg-drake[docs]'")
     command = [sys.executable, str(REFERENCE / "build.py"), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
+    pages = {path.name: path.read_text() for path in (tmp_path / "html").glob("*.html")}
+    assert not [name for name, text in pages.items() if "TypeAliasForwardRef" in text]
+    start = re.sub("<[^>]+>", "", pages["index.html"])
+    for word in ("tfg-drake explore house", "house.advance(540.0)", "load_run(folder", "fork(run", "By folder"):
+        assert word in start
     systems = (tmp_path / "html" / "tfg_drake.systems.html").read_text()
     assert "&rarr; velocity_commanded" in systems or "→ velocity_commanded" in systems
     drawn = sorted(path.name for path in (tmp_path / "html" / "_images").glob("*.svg"))

@@ -31,12 +31,13 @@ def run_example(tmp_path, monkeypatch, capsys):
     return run_it
 
 
-def test_a_mission(run_example, tmp_path):
+def test_a_mission(run_example, tmp_path, caplog):
     said = run_example("mission.py", begin=("until=60.0", "until=40.0"), more=("advance(540.0)", "advance(2.0)"))
     assert re.search(
         r"<house, seed 3: \w+ after 42 s, \d+ stages, \d+ landmarks> while the clone stands at 40.0 s", said
     )
     assert (tmp_path / "mission.png").stat().st_size > 10_000
+    assert not [line for line in caplog.messages if "see whether" in line]
 
 
 def test_another_plant(run_example):

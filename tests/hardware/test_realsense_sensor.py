@@ -14,7 +14,7 @@ from tfg_drake.hardware.realsense_sensor import RealsenseDriver
 # Its wheel needs the system's libusb.
 rs = pytest.importorskip(
     "pyrealsense2",
-    reason="pyrealsense2 or its libusb-1.0 is not installed: pip install -e '.[realsense]', apt install libusb-1.0-0",
+    reason="pyrealsense2 or libusb-1.0 is not installed: pip install 'tfg-drake[realsense]', apt install libusb-1.0-0",
     exc_type=ImportError,
 )
 
@@ -115,4 +115,6 @@ def test_what_cannot_be_used(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyrealsense2", None)
     with pytest.raises(DeviceError) as error:
         RealsenseDriver("", RobotScannerConfig())
-    assert str(error.value) == "realsense:: pyrealsense2 is not installed; get it with pip install -e '.[realsense]'"
+    assert (
+        str(error.value) == "realsense:: pyrealsense2 is not installed; get it with pip install 'tfg-drake[realsense]'"
+    )

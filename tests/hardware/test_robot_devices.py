@@ -91,7 +91,7 @@ def test_how_near_the_scanner_sees_is_the_presets_but_for_a_socket(opened):
 
 def test_a_robot_without_ros_sees_as_its_own_sensors_do(opened, tmp_path):
     """Its scans are made of sweeps by the base's odometry; how wide and far it sees tags says the calibration."""
-    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install 'tfg-drake[camera]'")
     save_calibration(tmp_path / "camera.yaml", pinhole(640, 480, 500.0))
     config = HardwareConfig(robot="kobuki", tags="camera:0", scan="rplidar:/dev/ttyUSB0")
     config.camera.calibration = str(tmp_path / "camera.yaml")
@@ -109,7 +109,7 @@ def test_a_robot_without_ros_sees_as_its_own_sensors_do(opened, tmp_path):
 
 def test_several_cameras(opened, tmp_path):
     """Each has a source, a calibration and a mount of its own; they see together."""
-    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install 'tfg-drake[camera]'")
     save_calibration(tmp_path / "camera.yaml", pinhole(640, 480, 500.0))
     cameras = [RobotCameraConfig(str(tmp_path / "camera.yaml"), yaw=yaw) for yaw in (0.5, -0.5)]
     config = HardwareConfig(robot="kobuki", tags="camera:0,camera:http://host/a,b", scan=SCAN, camera=cameras[0])
@@ -118,6 +118,13 @@ def test_several_cameras(opened, tmp_path):
     assert str(error.value) == (
         "camera:http://host/a,b: nothing is known of it; give hardware.more_cameras an entry for each camera but the "
         "first, in a scenario's file"
+    )
+    config.more_cameras = [RobotCameraConfig(str(tmp_path / "camera.yaml"), family="tag16h5")]
+    with pytest.raises(DeviceError) as error:
+        open_devices(config, RobotConfig())
+    assert str(error.value) == (
+        "camera:http://host/a,b: its tags are of tag16h5, the first camera's of tag36h11: one id would be two tags; "
+        "print all of one family"
     )
     config.more_cameras = cameras[1:]
     devices = open_devices(config, RobotConfig())

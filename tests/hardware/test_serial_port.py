@@ -14,7 +14,9 @@ from tfg_drake.hardware.serial_port import open_port
 
 def test_without_pyserial(monkeypatch, emulator):
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(DeviceError, match=re.escape("the package pyserial is missing: pip install -e '.[serial]'")):
+    with pytest.raises(
+        DeviceError, match=re.escape("the package pyserial is missing: pip install 'tfg-drake[serial]'")
+    ):
         open_port(emulator.device, 115200, KOBUKI)
 
 

@@ -69,6 +69,18 @@ def test_what_lies_behind_a_door_that_shut_is_named(tool, scenario, time, outcom
     assert summary["reason"].endswith(told) == (outcome == "stuck")
 
 
+def test_tags_that_hang_oddly_or_behind_a_wall_are_named(tool, scenario):
+    """One in mid-room, one turned to its wall, two in the half of the building that is walled off."""
+    walls = [*WIDE, [4, -4, 4, 4]]
+    tags = [TAG, "{id: 5, position: [3, 2], facing: 0}", "{id: 6, position: [0, 3.99], facing: 1.57}", FAR]
+    tags += ["{id: 9, position: [7.99, 3], facing: 3.14}"]
+    code, out, err, summary = tool(scenario(f"start: [2, 0, 0], walls: {walls}, tags: [{', '.join(tags)}]"))
+    assert (code, err, summary["outcome"]) == (0, "", "complete")
+    assert "tags that hang on no wall: 5; is this meant?" in out
+    assert "tags that face into their wall, where nobody sees them: 6; is this meant?" in out
+    assert summary["reason"].endswith(" The robot cannot reach any place that shows these tags: 6, 2, 9.")
+
+
 def test_where_there_is_no_room_for_people_it_is_said(tool, scenario):
     cell = BOX.replace("0.5", "0.28")
     code, _, err, summary = tool(scenario(f"start: [0, 0, 0], walls: {cell}"), "--set", "reality.people=1")

@@ -80,4 +80,4 @@ def test_without_meshcat_it_says_how_to_get_it(small_map, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshcat", None)
     with pytest.raises(ViewerMissing) as caught:
         scene_page(small_map, "", [])
-    assert str(caught.value) == "the package meshcat is missing: pip install -e '.[viewer]'"
+    assert str(caught.value) == "the package meshcat is missing: pip install 'tfg-drake[viewer]'"

@@ -1,7 +1,9 @@
 """A run's folder is read as plain arrays."""
 
+import importlib.util
 import json
-import sys
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,13 +61,27 @@ def test_lists_of_differing_length_name_their_messages(folder):
 def test_a_frame_has_a_row_an_entry(folder, library, monkeypatch):
     pytest.importorskip(library, reason=f"{library} is not installed: pip install {library}")
     if library == "polars":
-        monkeypatch.setitem(sys.modules, "pandas", None)
+        find = importlib.util.find_spec
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: (name != "pandas" and find(name)) or None)
     run = tfg_drake.load_run(folder)
     assert len(run.frame("scan.ranges")) == 3
     frame = run.frame("tags.detections")
     assert type(frame).__module__.startswith(library)
     assert list(frame["ids"]) == [3, 5, 5]
     np.testing.assert_allclose(frame["stamp"], [0.0, 0.0, 0.2])
+
+
+def test_without_pandas_and_polars_it_is_said_what_to_install(folder, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    told = r"^neither pandas nor polars is installed; get pandas with pip install 'tfg-drake\[frames\]'$"
+    with pytest.raises(ImportError, match=told):
+        tfg_drake.load_run(folder).frame("base.odometry")
+    extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    assert extras["optional-dependencies"]["frames"][0].startswith("pandas")
+
+
+def test_a_run_says_in_a_line_what_it_is(folder):
+    assert repr(tfg_drake.load_run(folder)) == f"<run {folder}: complete after 0 s, 2 stages>"
 
 
 def test_a_folder_without_a_run_is_told_in_a_line(folder):

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install 'tfg-drake[camera]'")
 
 # Pixels of a tag's texture a cell, and how many times finer than the image it is rendered.
 CELL, FINER = 20, 4

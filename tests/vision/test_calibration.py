@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from tests.mutations import assert_refused_or_read
 from tests.vision.rendering import cv2
 from tfg_drake.vision.calibration import CalibrationError, CameraCalibration, load_calibration, save_calibration
 
@@ -74,7 +75,7 @@ ANEW = "calibrate anew with tfg-drake camera calibrate"
     ("old", "new", "told"),
     [
         ("image_width: 640", "image_width: wide", f"image_width: expected a number of pixels, found wide; {ANEW}"),
-        ("image_width: 640", "", f"image_width: missing; {ANEW}"),
+        ("image_width: 640", "", f"image_width: expected a number of pixels, missing; {ANEW}"),
         (
             "data: [520.5, 0.0,",
             "data: [0.0,",
@@ -125,3 +126,64 @@ def test_numbers_with_an_exponent(tmp_path, shared_data):
     np.testing.assert_array_equal(load_calibration(write(tmp_path / "mine.yaml", exponents)).coefficients, BROWN)
     found = load_calibration(shared_data("reports") / "calibrations" / "ros_exp.yaml")
     assert found.coefficients.tolist() == [1e-05, -2e-06, 1e-7, -3e-7, 0.0]
+
+
+KALIBR = """
+cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [-0.1, 0.02, 0.001, -0.0005]
+  distortion_model: radtan
+  intrinsics: [520.5, 519.0, 321.25, 239.5]
+  resolution: [640, 480]
+  rostopic: /cam0/image_raw
+"""
+
+
+@pytest.mark.parametrize("text", [KALIBR, re.sub("(?m)^  |^cam0:", "", KALIBR)])
+@pytest.mark.parametrize("model", ["radtan", "equidistant"])
+def test_kalibrs_are_read(text, model, tmp_path):
+    read = load_calibration(write(tmp_path / "camchain.yaml", text.replace("radtan", model)))
+    assert (read.width, read.height) == (640, 480)
+    assert read.model == ("plumb_bob" if model == "radtan" else "equidistant")
+    np.testing.assert_array_equal(read.matrix, K)
+    np.testing.assert_array_equal(read.coefficients, BROWN[:4])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("resolution: [640, 480]", "", f"resolution: expected 2 numbers, missing; {ANEW}"),
+        ("intrinsics: [520.5, 519.0, 321.25, 239.5]", "", f"intrinsics: expected 4 numbers, missing; {ANEW}"),
+        ("[640, 480]", "[640.5, 480]", f"image_width: expected a number of pixels, found 640.5; {ANEW}"),
+        ("[520.5", "[0.9, 520.5", f"intrinsics: expected 4 numbers, found [0.9, 520.5, 519.0, 321.25, 239.5]; {ANEW}"),
+        ("cam0:", "cam1: {intrinsics: [1, 1, 1, 1]}\ncam0:", "cam1, cam0: 2 cameras; keep one of them in the file"),
+    ],
+)
+def test_what_is_wrong_in_kalibrs_is_told(old, new, told, tmp_path):
+    path = write(tmp_path / "camchain.yaml", KALIBR.replace(old, new))
+    with pytest.raises(CalibrationError, match="^" + re.escape(f"{path}: {told}") + "$"):
+        load_calibration(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "count"),
+    [
+        ("kalibr.yaml", "plumb_bob", 4),
+        ("topic_echo.yaml", "plumb_bob", 5),
+        ("opencv_sample.yml", "plumb_bob", 5),
+        ("ros_exp.yaml", "plumb_bob", 5),
+        ("ros_fisheye.yaml", "equidistant", 4),
+        ("ros_rational8.yaml", "plumb_bob", 8),
+    ],
+)
+def test_the_calibrations_found(name, model, count, shared_data):
+    read = load_calibration(shared_data("reports") / "calibrations" / name)
+    assert (read.width, read.height, read.focal, read.model, len(read.coefficients)) == (640, 480, 600.0, model, count)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", [ROS, MESSAGE, KALIBR], ids=["ros", "message", "kalibr"])
+def test_a_mutated_calibration_is_refused_or_read(text, tmp_path):
+    path = write(tmp_path / "camera.yaml", text)
+    assert_refused_or_read(path, lambda: load_calibration(path), CalibrationError, count=1000)

@@ -1,13 +1,14 @@
 """Images of folders, files and videos, in order and with their stamps."""
 
 import re
+import shutil
 import tracemalloc
 
 import numpy as np
 import PIL.Image
 import pytest
 
-from tests.mutations import assert_refused_or_read
+from tests.mutations import assert_refused_or_read, mutations
 from tests.vision.rendering import cv2
 from tfg_drake.vision.frames import FrameError, frames, is_live
 
@@ -196,3 +197,21 @@ def test_mutated_files_of_images_are_refused_or_read(name, tmp_path):
             raise FrameError("fewer")
 
     assert_refused_or_read(file, load, FrameError, count=1000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("good", ["frame_0012", "1690000000.123456789", "1000000000500000000", "left-1690000000123_7"])
+def test_images_of_any_name_are_read(good, tmp_path):
+    """Three images whose names are mutated: all are given, in an order, by finite stamps."""
+    encoded = cv2.imencode(".png", picture(10))[1].tobytes()
+    for names in zip(*3 * [mutations(good.encode(), 999, 0)], strict=True):
+        folder = tmp_path / "images"
+        folder.mkdir()
+        for name in names:
+            shown = re.sub("[/\0]", "", name.decode(errors="replace"))[:60]
+            (folder / f"{shown}.png").write_bytes(encoded)
+        count = len(list(folder.iterdir()))
+        found = list(frames(str(folder)))
+        assert len(found) == count, names
+        assert np.isfinite([frame.stamp for frame in found]).all(), names
+        shutil.rmtree(folder)

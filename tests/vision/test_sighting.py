@@ -119,6 +119,10 @@ def test_what_is_left_out_is_told():
     assert remarks(seen(THREE, [4, 7, 7])) == (
         [4], ("tag 7: 2 times in one image; all are left out, print each id once",),
     )  # fmt: skip
+    assert remarks(seen(THREE, [4, 7, 7], families=("tag36h11", "tag36h11", "tag16h5"))) == (
+        [4],
+        ("tag 7: 2 times in one image of the families tag16h5 and tag36h11; all are left out, print each id once",),
+    )
     assert remarks(seen(THREE, margin=np.array([99.0, 12.0, 31.0]))) == (
         [0, 2], ("tag 1: decision margin 12, below 30; left out as hidden, blurred or far",),
     )  # fmt: skip

@@ -43,6 +43,13 @@ def test_a_mutated_map_file_is_refused_or_read(tmp_path):
     assert_refused_or_read(file, lambda: load(file), WorldError)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["map.yaml", "map.pgm", "map.pgm.gz", "map.png"])
+def test_many_mutated_maps_are_refused_or_read(tmp_path, name):
+    file = write_grid(tmp_path, ROOM, "map.pgm" if name == "map.yaml" else name)
+    assert_refused_or_read(tmp_path / name, lambda: load(file), WorldError, count=1000, seed=1)
+
+
 def test_a_mutated_vectormap_is_refused_or_read(tmp_path):
     file = tmp_path / "room.vectormap.txt"
     file.write_text("0,0,6,0\n6,0,6,4\n6,4,0,4\n0,4,0,0\n2,0,2,1.5\n4,4,4,2.5\n")

@@ -205,6 +205,10 @@ def test_bad_map_server_files_are_refused_in_one_line(tmp_path):
         f"{file}: resolution: must be greater than 0 metres per cell, is -0.1"
     )
     assert message(good.replace("0.1", "fine")) == f"{file}: resolution: expected a number, found 'fine'"
+    assert message(good.replace("resolution: 0.1\n", "")) == f"{file}: resolution: expected a number, missing"
+    assert message(good.replace("0, 0]", "0, 90]")) == (
+        f"{file}: origin: 90 rad is more than a turn; write radians, not degrees"
+    )
     assert message(good.replace("[0, 0, 0]", "[0, 0]")) == (
         f"{file}: origin: expected [x, y, yaw] of the image's lower left corner, found [0, 0]"
     )
@@ -215,7 +219,7 @@ def test_bad_map_server_files_are_refused_in_one_line(tmp_path):
 
 def test_vectormap_has_a_fence_and_drops_walls_of_zero_length(tmp_path, caplog):
     file = tmp_path / "room.vectormap.txt"
-    file.write_text(" 0,0, 4,0\n4,0,4,3\n\n2,2,2,2\n4,3,0,3\n")
+    file.write_text("# a room, m\n 0,0, 4,0\n4,0,4,3  # with a door\n\n#4,0,9,9\n2,2,2,2\n4,3,0,3\n")
     walls, dropped = load_vectormap(file)
     assert dropped == 1
     np.testing.assert_allclose(walls[:3], [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3]])
@@ -232,6 +236,8 @@ def test_vectormap_has_a_fence_and_drops_walls_of_zero_length(tmp_path, caplog):
         ("0,0,1,a\n", "{file}: line 1: expected x0,y0,x1,y1 in metres, found '0,0,1,a'"),
         ("0,0,1,nan\n", "{file}: line 1: expected x0,y0,x1,y1 in metres, found '0,0,1,nan'"),
         ("\n", "{file}: no walls in it; expected lines of x0,y0,x1,y1 in metres"),
+        ("#0,0,1,0\n", "{file}: no walls in it; expected lines of x0,y0,x1,y1 in metres"),
+        ("0,0,1,0\n1,2 # 3,4\n", "{file}: line 2: expected x0,y0,x1,y1 in metres, found '1,2'"),
     ],
 )
 def test_bad_vectormaps_are_refused_in_one_line(tmp_path, text, message):

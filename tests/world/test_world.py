@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.world.world import World, WorldError, check_world, wall_distance
+from tfg_drake.world.world import World, WorldError, check_world, odd_tags, wall_distance
 
 
 def make_world(walls=(), ids=(), positions=(), facing=(), start=(0.0, 0.0, 0.0)) -> World:
@@ -63,3 +63,23 @@ def test_a_bad_world_is_refused_in_one_line(world, message):
     with pytest.raises(WorldError) as error:
         check_world(world, 0.18)
     assert str(error.value) == message
+
+
+WALLS = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_tags_that_nobody_would_hang_so_are_told(backwards):
+    """On walls that run either way: off the wall, on its line, in mid-room, and turned to the wall."""
+    walls = [[x1, y1, x0, y0] if backwards else [x0, y0, x1, y1] for x0, y0, x1, y1 in WALLS]
+    up = 0.5 * np.pi
+    good = {1: (2, 0.01, up), 2: (3, 0, up), 3: (5.99, 2, -2 * up), 4: (5.95, 3.99, -up), 5: (4, 0.05, 0.3)}
+    bad = {11: (3, 2, 0), 12: (1, 1, up), 21: (2, 0.01, -up), 22: (0.01, 2, 2 * up)}
+    rows = np.array([*good.values(), *bad.values()])
+    ids = [*good, *bad]
+    assert odd_tags(make_world(walls, ids, rows[:, :2], rows[:, 2])) == (
+        "tags that hang on no wall: 11, 12; is this meant?",
+        "tags that face into their wall, where nobody sees them: 21, 22; is this meant?",
+    )
+    assert odd_tags(make_world(walls, list(good), rows[:5, :2], rows[:5, 2])) == ()
+    assert odd_tags(make_world([], [1], [[0, 0]], [0])) == ()

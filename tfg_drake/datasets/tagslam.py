@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.spatial.transform import Rotation, Slerp
 
 from tfg_drake.config import OdometryConfig
@@ -23,7 +22,7 @@ from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import GREATEST, find_file, parse_numbers, read_text
 from tfg_drake.messages import FloatArray, IntArray, Odometry
 from tfg_drake.storage.yaml_text import parse_yaml
-from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.calibration import calibration_of
 from tfg_drake.vision.tag_position import tag_positions
 
 # Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
@@ -35,8 +34,6 @@ JUMP_SPEED = 1.0
 JUMP_TURN_RATE = 1.5
 # A tag must be this far from the rig in the plane for its bearing to mean anything, m.
 LEAST_RANGE = 0.3
-# Kalibr's names of lens models, and OpenCV's.
-_MODELS = {"equidistant": "equidistant", "radtan": "plumb_bob"}
 
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "xy")
@@ -85,15 +82,9 @@ class _Setup:
         self.cameras: dict[str, dict[str, Any]] = {}
         try:
             for name, camera in cameras.items():
-                model = str(camera["distortion_model"])
-                if model not in _MODELS:
-                    complaint = f"{name} has distortion_model {model}; equidistant and radtan are known"
-                    raise DatasetError(f"{self.files['cameras']}: {complaint}")
-                fx, fy, cx, cy = _numbers(camera["intrinsics"], 4)
-                K, coefficients = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]], camera["distortion_coeffs"]
                 self.cameras[name] = {
                     "names": {name, *str(camera.get("tagtopic", "")).split("/")},
-                    "calibration": CameraCalibration(0, 0, np.array(K), _MODELS[model], _numbers(coefficients, 4)),
+                    "calibration": calibration_of(camera),
                 }
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise _incomplete(self.files["cameras"], error) from error
@@ -256,12 +247,8 @@ def _read_yaml(file: Path) -> dict[str, Any]:
     text = read_text(file)
     try:
         tree = parse_yaml(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark is not None else ""
-        raise DatasetError(f"{file}{where}: {getattr(error, 'problem', None) or 'not YAML'}; mend it") from error
-    except ValueError as error:  # What looks like a date or a number and is none.
-        raise DatasetError(f"{file}: not YAML: {error}; mend it") from error
+    except ValueError as error:
+        raise DatasetError(f"{file}: {error}; mend it") from error
     if not isinstance(tree, dict):
         raise DatasetError(f"{file}: not as TagSLAM writes it: no keys in it")
     return tree

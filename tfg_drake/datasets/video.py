@@ -35,6 +35,8 @@ MOMENT = 1e-5
 _INTO_A_CONTAINER = "give it its rate, as in ffmpeg -r 30 -i in.h264 -c copy out.mp4, and name out.mp4"
 _TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PLANAR = ("time", "x", "y", "heading")
+# Nothing turns so fast all the time, rad/s: those are degrees. Each turn may count twice, where headings are wrapped.
+_SPINS = 3.0
 # A quaternion that is shorter says nothing; one that is farther from 1 was not only rounded.
 _NO_LENGTH, _ROUNDED = 1e-6, 0.01
 
@@ -136,6 +138,11 @@ def _poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
     mended += tuple(f"{path.name}: {line}" for line in told)
     if table.shape[1] == len(_PLANAR):
         heading = table[:, 3]
+        turning = np.abs(np.diff(heading)).sum() / max(np.ptp(stamps), 1e-9) if len(table) else 0.0
+        if turning > _SPINS:
+            raise DatasetError(
+                f"{path}: the heading turns by {turning:.3g} rad/s on average; write radians, not degrees"
+            )
     else:
         length = np.linalg.norm(table[:, 4:], axis=1)
         if len(none := np.flatnonzero(length < _NO_LENGTH)):

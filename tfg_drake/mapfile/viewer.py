@@ -60,7 +60,7 @@ def scene_page(saved: SavedMap, title: str, figures: Sequence[tuple[str, str]]) 
     try:
         import meshcat
     except ImportError as error:
-        raise ViewerMissing("the package meshcat is missing: pip install -e '.[viewer]'") from error
+        raise ViewerMissing("the package meshcat is missing: pip install 'tfg-drake[viewer]'") from error
     script = Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js"
     parts = {
         "TITLE": html.escape(title),

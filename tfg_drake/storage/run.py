@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
+import importlib.util
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -47,6 +47,10 @@ class Run:
     X_WB_true: FloatArray
     map: SavedMap | None
 
+    def __repr__(self) -> str:
+        outcome, time = self.summary.get("outcome"), self.summary.get("sim_time_s", 0.0)
+        return f"<run {self.folder}: {outcome} after {time:.0f} s, {len(self.stages)} stages>"
+
     @functools.cached_property
     def recording(self) -> PortRecording:
         """What the station's ports carried. Raises RecordingError where that was not recorded."""
@@ -77,10 +81,10 @@ class Run:
     def frame(self, name: str) -> Any:
         """The same as a DataFrame of pandas or else of polars: a row a message or, of lists, an
         entry of one. Raises ImportError without either."""
-        try:
-            frames = importlib.import_module("pandas")
-        except ImportError:
-            frames = importlib.import_module("polars")
+        found = next(filter(importlib.util.find_spec, ("pandas", "polars")), None)
+        if found is None:
+            raise ImportError("neither pandas nor polars is installed; get pandas with pip install 'tfg-drake[frames]'")
+        frames = importlib.import_module(found)
         columns = self.port(name)
         if MESSAGE not in columns:
             return frames.DataFrame({key: list(value) if value.ndim > 1 else value for key, value in columns.items()})

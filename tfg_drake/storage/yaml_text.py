@@ -22,14 +22,28 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
 
 
+class YamlError(ValueError):
+    """YAML that cannot be read; the message is one line: place and problem."""
+
+
 def parse_yaml(text: str) -> object:
     """The value of a YAML document; empty ones before and after it, as a dumped message has, do not count.
 
     Raises:
-        yaml.YAMLError: it is broken, too deep, holds a value too long, a tag such as !!int, or an alias: a few of
-            those, one within the other, stand for billions of values; or there is more than one document.
-        ValueError: something looks like a date or a number and is none.
+        YamlError: it is broken, too deep, holds a value too long, a tag such as !!int, or an alias: a few of those, one
+            within the other, stand for billions of values; there is more than one document; or something looks like a
+            date or a number and is none.
     """
+    try:
+        return _parsed(text)
+    except (ValueError, yaml.YAMLError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise YamlError(f"{place}broken YAML: {problem}") from None
+
+
+def _parsed(text: str) -> object:
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)

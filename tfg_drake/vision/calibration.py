@@ -1,4 +1,4 @@
-"""Calibrations of cameras on disk: OpenCV's YAML and ROS's camera_info, either as its tools write it."""
+"""Calibrations of cameras on disk: OpenCV's YAML, ROS's camera_info and Kalibr's camchain, as their tools write."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from tfg_drake.messages import FloatArray, message
 from tfg_drake.storage.files import read_bytes, write_atomic
@@ -23,7 +22,7 @@ _KEYS = {
     "image_width": ("image_width", "width"),
     "image_height": ("image_height", "height"),
     "camera_matrix": ("camera_matrix", "Camera_Matrix", "K", "k"),
-    "distortion_coefficients": ("distortion_coefficients", "Distortion_Coefficients", "D", "d"),
+    "distortion_coefficients": ("distortion_coefficients", "Distortion_Coefficients", "D", "d", "distortion_coeffs"),
 }
 # A calibration has less than that many bytes; no image is wider nor a coefficient larger, pixels and 1.
 _LONGEST_FILE, _WIDEST_IMAGE, _GREATEST = 100_000, 100_000, 1e6
@@ -65,15 +64,12 @@ def load_calibration(path: Path) -> CameraCalibration:
     text = re.sub(r"\A%YAML[: ]\S*", "", text.lstrip("\ufeff")).replace("!!opencv-matrix", "")
     try:
         tree = parse_yaml(text)
-    except (ValueError, yaml.YAMLError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark is not None else ""
-        what = getattr(error, "problem", None) or " ".join(str(error).split())
-        raise CalibrationError(f"{path}{line}: {what}; mend the YAML") from None
+    except ValueError as error:
+        raise CalibrationError(f"{path}: {error}; mend it") from None
     if not isinstance(tree, dict):
         raise CalibrationError(f"{path}: holds no keys; name a calibration's YAML file")
     try:
-        return _calibration(tree)
+        return calibration_of(tree)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from None
 
@@ -98,7 +94,9 @@ def save_calibration(path: Path, calibration: CameraCalibration) -> None:
     write_atomic(path, text)
 
 
-def _calibration(tree: dict[Any, Any]) -> CameraCalibration:
+def calibration_of(tree: dict[Any, Any]) -> CameraCalibration:
+    """The calibration that parsed YAML holds; raises CalibrationError without the file's name."""
+    tree = _of_kalibr(tree)
     width, height = (_pixels(tree, key) for key in ("image_width", "image_height"))
     matrix = np.array(_numbers(tree, "camera_matrix", (9,))).reshape(3, 3)
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
@@ -112,6 +110,22 @@ def _calibration(tree: dict[Any, Any]) -> CameraCalibration:
     )
 
 
+def _of_kalibr(tree: dict[Any, Any]) -> dict[Any, Any]:
+    """The one camera of Kalibr's camchain by ROS's keys; a calibration of another kind as it is. A pinhole has four
+    intrinsics, Kalibr's other models have more."""
+    trees = [*tree.items(), ("", tree)]
+    cameras = {key: one for key, one in trees if isinstance(one, dict) and {"intrinsics", "resolution"} & one.keys()}
+    if not cameras:
+        return tree
+    if len(cameras) > 1:
+        raise CalibrationError(f"{', '.join(map(str, cameras))}: {len(cameras)} cameras; keep one of them in the file")
+    (one,) = cameras.values()
+    fx, fy, cx, cy = _numbers(one, "intrinsics", (4,))
+    _numbers(one, "resolution", (2,))
+    width, height = one["resolution"]
+    return {**one, "width": width, "height": height, "k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]}
+
+
 def _model(tree: dict[Any, Any]) -> str:
     named = str(tree.get("distortion_model") or ("equidistant" if tree.get("fisheye_model") else "plumb_bob"))
     if named in BROWN:
@@ -122,16 +136,19 @@ def _model(tree: dict[Any, Any]) -> str:
 
 
 def _value(tree: dict[Any, Any], key: str) -> Any:
-    for name in _KEYS[key]:
-        if tree.get(name) is not None:
-            return tree[name]
-    raise CalibrationError(f"{key}: missing; {_ANEW}")
+    """What a file has for a key, by whatever name, None where it has nothing."""
+    return next((tree[name] for name in _KEYS.get(key, (key,)) if tree.get(name) is not None), None)
+
+
+def _unusable(key: str, expected: str, value: Any) -> CalibrationError:
+    found = "missing" if value is None else f"found {str(value)[:50]}"
+    return CalibrationError(f"{key}: expected {expected}, {found}; {_ANEW}")
 
 
 def _pixels(tree: dict[Any, Any], key: str) -> int:
     value = _value(tree, key)
     if isinstance(value, bool) or not isinstance(value, int) or not 0 < value <= _WIDEST_IMAGE:
-        raise CalibrationError(f"{key}: expected a number of pixels, found {str(value)[:50]}; {_ANEW}")
+        raise _unusable(key, "a number of pixels", value)
     return value
 
 
@@ -141,6 +158,5 @@ def _numbers(tree: dict[Any, Any], key: str, counts: tuple[int, ...]) -> list[fl
     numbers = [n for row in value for n in (row if isinstance(row, list) else [row])] if isinstance(value, list) else []
     good = all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) <= _GREATEST for n in numbers)
     if not (isinstance(value, list) and good and len(numbers) in counts):
-        expected = " or ".join(str(count) for count in counts)
-        raise CalibrationError(f"{key}: expected {expected} numbers, found {str(value)[:50]}; {_ANEW}")
+        raise _unusable(key, f"{' or '.join(map(str, counts))} numbers", value)
     return [float(n) for n in numbers]

@@ -97,7 +97,9 @@ def sighted(
     for i, (tag, family) in enumerate(zip(tags.ids.tolist(), tags.families, strict=True)):
         why = ""
         if counts[tag] > 1:
-            why = f"{counts[tag]} times in one image; all are left out, print each id once"
+            of = sorted({other for one, other in zip(tags.ids, tags.families, strict=True) if one == tag})
+            families = f" of the families {' and '.join(of)}" if len(of) > 1 else ""
+            why = f"{counts[tag]} times in one image{families}; all are left out, print each id once"
         elif tags.margin[i] < least_margin:
             why = f"decision margin {tags.margin[i]:.0f}, below {least_margin:g}; left out as hidden, blurred or far"
         elif tags.likeness[i] < LEAST_LIKENESS:

@@ -8,10 +8,10 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import yaml
 from PIL import Image, UnidentifiedImageError
 from scipy import ndimage
 
+from tfg_drake.bad_input import not_radians
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.storage.files import read_bytes
@@ -63,7 +63,7 @@ def load_map_server(path: Path) -> OccupancyMap:
     """Reads the map's .yaml, whose `image` (.pgm, .pgm.gz, .png) is relative to it; raises WorldError."""
     try:
         tree = parse_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         raise WorldError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(tree, dict) or not isinstance(tree.get("image"), str):
         raise WorldError(f"{path}: image: missing; a map_server file names its image, for example image: map.pgm")
@@ -73,6 +73,8 @@ def load_map_server(path: Path) -> OccupancyMap:
     origin = tree.get("origin", [0.0, 0.0, 0.0])
     if not (isinstance(origin, list) and len(origin) == 3 and all(_is_number(value) for value in origin)):
         raise WorldError(f"{path}: origin: expected [x, y, yaw] of the image's lower left corner, found {origin!r}")
+    if told := not_radians(origin[2]):
+        raise WorldError(f"{path}: origin: {told}")
     free, notes = _free_cells(path, tree, resolution)
     if not free.any():
         raise WorldError(f"{path}: no free space in the image; check negate and free_thresh")
@@ -105,7 +107,8 @@ def _is_number(value: object) -> bool:
 def _number(path: Path, tree: dict[str, object], key: str, default: float | None = None) -> float:
     value = tree.get(key, default)
     if not _is_number(value):
-        raise WorldError(f"{path}: {key}: expected a number, found {value!r}")
+        found = "missing" if value is None else f"found {value!r}"
+        raise WorldError(f"{path}: {key}: expected a number, {found}")
     assert isinstance(value, int | float)
     return float(value)
 

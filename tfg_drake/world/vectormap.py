@@ -1,4 +1,4 @@
-"""Vector maps: text files of wall segments, one `x0,y0,x1,y1` in metres a line (the amrl_maps format)."""
+"""Vector maps: text files of wall segments, one `x0,y0,x1,y1` in metres a line (amrl_maps); # begins a comment."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ def load_vectormap(path: Path) -> tuple[FloatArray, int]:
         raise WorldError(f"{path}: cannot be read: {reason}") from None
     rows = []
     for number, line in enumerate(lines, start=1):
-        if not line.strip():
+        line = line.partition("#")[0].strip()
+        if not line:
             continue
         try:
             row = [float(value) for value in line.split(",")]
         except ValueError:
             row = []
         if len(row) != 4 or not np.isfinite(row).all():
-            raise WorldError(f"{path}: line {number}: expected x0,y0,x1,y1 in metres, found {line.strip()[:40]!r}")
+            raise WorldError(f"{path}: line {number}: expected x0,y0,x1,y1 in metres, found {line[:40]!r}")
         rows.append(row)
     if not rows:
         raise WorldError(f"{path}: no walls in it; expected lines of x0,y0,x1,y1 in metres")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tfg_drake.bad_input import not_radians
 from tfg_drake.messages import FloatArray, IntArray, message
 
 
@@ -34,8 +35,8 @@ LARGEST = 5e4
 FARTHEST = 1e8
 # A robot that starts farther outside the walls, m, sees none of them.
 OUTSIDE = 10.0
-# Whoever writes a greater angle, rad, thinks of degrees.
-_TURN = 2.0 * np.pi + 0.01
+# A tag farther from every wall hangs on none, m; nearer than that it is on either side of its wall, m.
+_HANGS, _ON_IT = 0.1, 1e-6
 
 
 def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
@@ -80,8 +81,8 @@ def check_world(world: World, robot_radius: float) -> None:
         raise WorldError("world.start: not a finite number; write [x, y, yaw] in metres and radians")
     angles = {"world.start": world.start[2], **{f"world.tags[{i}].facing": a for i, a in enumerate(world.tag_facing)}}
     for place, angle in angles.items():
-        if abs(angle) > _TURN:
-            raise WorldError(f"{place}: {angle:g} rad is more than a turn; write radians, not degrees")
+        if told := not_radians(angle):
+            raise WorldError(f"{place}: {told}")
     if len(world.walls):
         corners = world.walls.reshape(-1, 2)
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -97,3 +98,21 @@ def check_world(world: World, robot_radius: float) -> None:
                 f"world.start: ({world.start[0]:g}, {world.start[1]:g}) is inside a wall: {distance[nearest]:.3f} m"
                 f" from world.walls[{nearest}], the robot's radius is {robot_radius:g} m; start further away"
             )
+
+
+def odd_tags(world: World) -> tuple[str, ...]:
+    """A line for each thing that is odd about tags, with their ids: they hang on no wall, or face into theirs."""
+    on_no_wall, into_wall = [], []
+    if not len(world.walls):
+        return ()
+    for tag, p, facing in zip(world.tag_ids.tolist(), world.p_WT, world.tag_facing, strict=True):
+        distance = wall_distance(p, world.walls)
+        nearest = int(np.argmin(distance))
+        normal = np.array([[0.0, -1.0], [1.0, 0.0]]) @ (world.walls[nearest, 2:] - world.walls[nearest, :2])
+        side = normal @ (p - world.walls[nearest, :2])
+        if distance[nearest] > _HANGS:
+            on_no_wall.append(tag)
+        elif distance[nearest] > _ON_IT and side * (normal @ [np.cos(facing), np.sin(facing)]) < 0.0:
+            into_wall.append(tag)
+    told = {"hang on no wall": on_no_wall, "face into their wall, where nobody sees them": into_wall}
+    return tuple(f"tags that {what}: {', '.join(map(str, ids))}; is this meant?" for what, ids in told.items() if ids)

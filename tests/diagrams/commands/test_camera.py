@@ -1,6 +1,7 @@
 """The commands of camera and tags on rendered images; what is wrong in one line."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -49,6 +50,15 @@ def test_check_as_json(call, images):
     assert err == "2.5.png: tag 7: 2 times in one image; all are left out, print each id once\n"
 
 
+def test_check_leaves_nothing_where_no_picture_is_asked_for(call, images, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    code, out, _ = call("camera", "check", images, *options(images)[:-2])
+    assert code == 0
+    assert re.search(r"^2 frames, 1 tags, \d+ ms a frame$", out, re.MULTILINE)
+    assert not any((tmp_path / "here").iterdir())
+
+
 def test_check_tells_and_draws(call, images):
     code, out, _ = call("camera", "check", images, *options(images), "--mount", "0.1,0,0,0")
     assert code == 0
@@ -85,7 +95,8 @@ def test_print_tags(call, tmp_path):
     ("change", "told"),
     [
         (["--tag-size", -1], "--tag-size -1: must be greater than 0 m"),
-        (["--mount", "1,2"], "--mount 1,2: must be X,Y,YAW,PITCH in metres and radians, such as 0.1,0,0,0"),
+        (["--mount", "1,2"], "--mount 1,2: must be X,Y,YAW,PITCH in metres and radians, such as 1.5,2,0,0"),
+        (["--mount", "0,0,90,0"], "--mount 0,0,90,0: 90 rad is more than a turn; write radians, not degrees"),
         (["--family", "tag9"], "tag9: unknown family of tags; known are tag36h11, tag16h5"),
         (["--decimation", 0], "1 threads, decimation 0: both must be 1 or more"),
         (

@@ -50,7 +50,7 @@ def test_emulate_prints_device_and_address_and_ends_with_the_truth(how):
 
 def test_emulate_with_sensors_of_its_own(tmp_path):
     """A scanner and a camera that drivers open as those of a robot, and what can happen to them."""
-    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install -e '.[camera]'")
+    pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install 'tfg-drake[camera]'")
     from tests.cameras import pinhole
     from tfg_drake.config import RobotCameraConfig, RobotScannerConfig
     from tfg_drake.hardware.camera_sensor import CameraDriver

@@ -3,6 +3,8 @@
 import re
 import time
 
+import numpy as np
+
 from tfg_drake.diagrams.commands import screen
 
 
@@ -44,3 +46,17 @@ def test_a_terminal_has_one_line(capsys, monkeypatch):
         show("thinking")
         assert show.line() == "thinking"
     assert "\nthinking" not in capsys.readouterr().out
+
+
+def test_long_work_takes_few_lines(capsys, monkeypatch):
+    """Twenty minutes by a clock of the test's own."""
+    now = [0.0]
+    monkeypatch.setattr(screen.time, "monotonic", lambda: now[0])
+    shown = screen.Screen()  # without its thread
+    times = []
+    for now[0] in np.arange(0.0, 1200.0, 0.5).tolist():
+        shown(f"{now[0]} s")
+        times += [now[0]] * capsys.readouterr().out.count("\n")
+    assert 20 < len(times) < 45
+    assert times[0] == 2.0
+    assert max(np.diff(times)) <= 60.5

@@ -2,10 +2,13 @@
 
 import json
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from tests.cameras import pinhole
 from tests.vision.rendering import cv2, render
 from tfg_drake.comparison.metrics import align
 from tfg_drake.datasets.recording import DatasetError
@@ -157,6 +160,73 @@ def test_a_video_without_times_is_told_how_to_get_them(monkeypatch, tmp_path):
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
     with pytest.raises(DatasetError, match=r"frame 1 is not later .*; give it its rate, as in ffmpeg -r 30 -i in.h264"):
         load_video(path, CALIBRATION, SIZE, CameraMount())
+
+
+def bare_h264(images):
+    """Images (96, 128), bytes from 16 to 235, as an H.264 stream of plain macroblocks without any times."""
+    stream = bytes.fromhex("000000016742000af841a2 0000000168ce3880")
+    for image in images:
+        stream += bytes.fromhex("0000000105888421a0")
+        for row in range(0, 96, 16):
+            for column in range(0, 128, 16):
+                luminance = np.clip(image[row : row + 16, column : column + 16], 16, 235).astype(np.uint8)
+                stream += (b"\x0d\x00" if row or column else b"") + luminance.tobytes() + 128 * b"\x80"
+        stream += b"\x80"
+    return stream
+
+
+def test_a_bare_h264_stream_is_told_how_to_get_its_rate(call, tmp_path):
+    small = pinhole(128, 96, 110.0)
+    images = [render([(3, np.eye(3), np.array([0.01 * k, 0.0, 0.35]), SIZE)], small, seed=k) for k in range(4)]
+    (tmp_path / "film.h264").write_bytes(bare_h264(images))
+    save_calibration(tmp_path / "camera.yaml", small)
+    calibration = ["--calibration", tmp_path / "camera.yaml", "--tag-size", SIZE]
+    assert call("slam", tmp_path / "film.h264", *calibration, "--out", tmp_path / "run") == (
+        2,
+        "",
+        f"tfg-drake: {tmp_path}/film.h264: frame 1 is not later than the one before; give it its rate, as in ffmpeg -r"
+        " 30 -i in.h264 -c copy out.mp4, and name out.mp4\n",
+    )
+    # The images themselves are read.
+    assert call("camera", "check", tmp_path / "film.h264", *calibration)[1].count("tag 3 at 0.3") == 4
+
+
+PEAK = """
+import resource, sys
+from pathlib import Path
+from tfg_drake.datasets.video import load_video
+from tfg_drake.vision.calibration import load_calibration
+from tfg_drake.vision.mount import CameraMount
+found = load_video(sys.argv[1], load_calibration(Path(sys.argv[2])), 0.16, CameraMount())
+print(len(found.detections), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["film", "images"])
+def test_ten_minutes_take_no_more_memory_than_one(kind, video, tmp_path):
+    """At five images a second; all of ten minutes would be 0.7 GB."""
+
+    def peak(count):
+        source = tmp_path / f"{count}"
+        if kind == "film":
+            source = source.with_suffix(".avi")
+            writer = cv2.VideoWriter(str(source), cv2.VideoWriter_fourcc(*"MJPG"), 5.0, (320, 240))
+            shown = [cv2.cvtColor(frame(k), cv2.COLOR_GRAY2BGR) for k in range(FRAMES)]
+            for k in range(count):
+                writer.write(shown[k % FRAMES])
+            writer.release()
+        else:
+            source.mkdir()
+            for k in range(count):
+                (source / f"{0.2 * k:.1f}.png").symlink_to(video / "images" / f"{0.1 * (k % FRAMES):.1f}.png")
+        arguments = [sys.executable, "-c", PEAK, str(source), str(video / "camera.yaml")]
+        done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+        seen, peak = map(int, done.stdout.split())
+        assert seen > 0.9 * count
+        return peak
+
+    assert peak(3000) < 1.05 * peak(300)
 
 
 def test_odometry_of_another_clock_is_refused(video):

@@ -59,7 +59,7 @@ def test_a_mission_gets_tags_beside_those_that_it_mapped(call, room, tmp_path, s
         (["run", "--world", "room"], "tags advise: name either the folder of a mission or --world FILE"),
         (["run", "--fresh"], "--fresh: goes with --world; of a mission both are known"),
         (["--world", "ROOM", "--count", "0"], "--count 0: must be 1 or more"),
-        (["--world", "ROOM", "--start", "1,2"], "world.start: expected x, y, yaw, found 2 numbers"),
+        (["--world", "ROOM", "--start", "1,2"], "--start 1,2: must be X,Y,YAW in metres and radians"),
         (["--world", "ROOM", "--start", "a,b,c"], "--start a,b,c: must be X,Y,YAW in metres and radians"),
         (["--world", "ROOM", "--out", "ROOM"], "is the world that is read; name another file"),
         (["nowhere"], "nowhere/scenario.yaml: no such file or scenario"),

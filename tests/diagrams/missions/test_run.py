@@ -39,6 +39,8 @@ def test_a_small_room_is_explored_to_its_end(finished):
     assert summary["contacts"] == 0
     assert summary["area_coverage"] > 0.99
     assert 0.0 < summary["explored_s"] <= summary["sim_time_s"]
+    # Nobody is sent to look after sensors that are well.
+    assert "the base stands" not in (finished.folder / "log.txt").read_text()
 
 
 def test_the_summary_has_every_field_in_order(finished):

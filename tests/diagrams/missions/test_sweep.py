@@ -218,4 +218,4 @@ def test_without_ray_there_is_a_mend(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(SweepError) as caught:
         next(ray_sweep.run_on_ray(tasks(), tmp_path, "local", threading.Event()))
-    assert str(caught.value) == '--ray: Ray is not installed; pip install -e ".[ray]"'
+    assert str(caught.value) == "--ray: Ray is not installed; pip install 'tfg-drake[ray]'"

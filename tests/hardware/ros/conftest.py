@@ -145,7 +145,7 @@ class Transport:
 def ros_domain():
     """A graph of ROS 2 of our own, on this machine only."""
     pytest.importorskip(
-        "rclpy", reason="rclpy is not installed: source ROS 2, or pip install -e .[test] on Linux, x86_64"
+        "rclpy", reason="rclpy is not installed: source ROS 2, or pip install 'tfg-drake[test]' on Linux, x86_64"
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -164,7 +164,7 @@ def ros2(ros_domain):
 @pytest.fixture(scope="module")
 def rosbridge():
     """An emulated TurtleBot behind rosbridge."""
-    pytest.importorskip("roslibpy", reason="roslibpy is not installed: pip install -e .[rosbridge]")
+    pytest.importorskip("roslibpy", reason="roslibpy is not installed: pip install 'tfg-drake[rosbridge]'")
     transport = Transport("rosbridge")
     yield transport
     transport.close()

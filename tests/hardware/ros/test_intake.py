@@ -158,3 +158,21 @@ def test_a_sensors_clock_that_jumps_stops_no_base_but_is_told():
         intake.receive("clock", preset.topics.odometry, odometry(100.0 + jump + 0.1 * i), 5.0 + 0.1 * i)
     assert intake.fault() is None
     assert intake.remarks() == ["/odom: the clock of /odom has jumped; the clock is learned anew"]
+
+
+def test_tags_of_two_families_are_told_once():
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("detections", preset.topics.detections), ("camera_info", preset.topics.camera_info)])
+    P = [600.0, 0.0, 320.0, 0.0, 0.0, 600.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    corners = [296.0, 216.0, 344.0, 218.0, 345.0, 264.0, 296.0, 263.0]
+    for i, family in enumerate(8 * ["tag36h11"] + 8 * ["tag16h5"]):
+        stamp = 100.0 + 0.1 * i
+        header = {"stamp": {"sec": int(stamp), "nanosec": int(1e9 * (stamp % 1.0))}}
+        tags = {"header": header, "detections": [{"family": family, "id": 5, "corners": corners}]}
+        intake.receive("camera_info", preset.topics.camera_info, {"header": header, "p": P}, 5.0 + 0.1 * i)
+        intake.receive("detections", preset.topics.detections, tags, 5.0 + 0.1 * i)
+    assert intake.remarks() == [
+        f"{preset.topics.detections.name}: tags are of tag16h5 and tag36h11: one id of both would be one tag; print all"
+        " of one"
+    ]
+    assert len(intake.take()) > 10

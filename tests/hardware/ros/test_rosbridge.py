@@ -25,7 +25,9 @@ def changed(preset, **topics):
 
 def test_without_roslibpy(rosbridge, monkeypatch):
     monkeypatch.setitem(sys.modules, "roslibpy", None)
-    assert complaint(rosbridge.preset, 9090) == ("rosbridge: roslibpy is not installed: pip install -e '.[rosbridge]'")
+    assert complaint(rosbridge.preset, 9090) == (
+        "rosbridge: roslibpy is not installed: pip install 'tfg-drake[rosbridge]'"
+    )
 
 
 def test_no_server(rosbridge, monkeypatch):
