@@ -6,20 +6,13 @@ import dataclasses
 import logging
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 
 # Of commands, and of odometry: the simulated station's.
 PERIOD = 1.0 / 32.0
@@ -80,24 +73,16 @@ class HardwareBase(LeafSystem):
         self._detections = declare_message_input(self, "detections")
         self._scan = declare_message_input(self, "scan")
         begin = replace(self._device.first(Odometry), stamp=0.0, V_B=np.zeros(2), at_rest=True)
-        self._odometry = self.DeclareAbstractState(AbstractValue.Make(begin))
-        self._state = self.DeclareAbstractState(AbstractValue.Make(_BaseState(Hazards(0.0, 0, 0, 0))))
-        declare_message_output(
-            self,
-            "odometry",
-            lambda context: state_message(context, self._odometry, Odometry),
-            {self.abstract_state_ticket(self._odometry)},
-        )
-        depends = {self.abstract_state_ticket(self._state)}
-        declare_message_output(
-            self, "hazards", lambda context: state_message(context, self._state, _BaseState).hazards, depends
-        )
-        self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, depends)
+        self._odometry = MessageState(self, begin)
+        self._state = MessageState(self, _BaseState(Hazards(0.0, 0, 0, 0)))
+        self.DeclareStateOutputPort("odometry", self._odometry.index)
+        self._state.declare_output(self, "hazards", lambda now: now.hazards)
+        self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, self._state.tickets)
         self.DeclarePeriodicUnrestrictedUpdateEvent(ODOMETRY_PERIOD, 0.0, self._Hear)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Drive)
 
     def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
-        now = state_message(context, self._state, _BaseState)
+        now = self._state(context)
         output.SetAtIndex(0, float(now.enabled and not now.waiting))
 
     def _Hear(self, context: Context, state: State) -> EventStatus:
@@ -111,11 +96,11 @@ class HardwareBase(LeafSystem):
             stamp=max(0.0, self._clock.station(heard[-1].stamp, now)),
             at_rest=all(one.at_rest for one in heard),
         )
-        set_state_message(state, self._odometry, newest)
+        self._odometry.set(state, newest)
         return EventStatus.Succeeded()
 
     def _Drive(self, context: Context, state: State) -> EventStatus:
-        before, time = state_message(context, self._state, _BaseState), context.get_time()
+        before, time = self._state(context), context.get_time()
         now = self._Enabled(self._Waiting(before, context), context)
         hazards = [now.hazards, *self._device.take(Hazards, self._clock.host(time))]
         if len(hazards) > 1:
@@ -126,7 +111,7 @@ class HardwareBase(LeafSystem):
         watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
         for line in [*lines, *self.devices.take_remarks()]:
             _log.warning("%.2f s: %s", time, line)
-        set_state_message(state, self._state, replace(now, watch=watch))
+        self._state.set(state, replace(now, watch=watch))
         return EventStatus.Succeeded()
 
     def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:
@@ -154,7 +139,7 @@ class HardwareBase(LeafSystem):
         """Which message is too old; raises DeviceError where it is so for too long."""
         now = context.get_time()
         stamps = {
-            "odometry": state_message(context, self._odometry, Odometry).stamp,
+            "odometry": self._odometry(context).stamp,
             "scan": eval_message(self._scan, context, LaserScan).stamp,
             "tags": eval_message(self._detections, context, TagDetections).stamp,
         }

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any, Protocol, TypeVar
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.messages import LaserScan, TagDetections, replace
-from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+from tfg_drake.systems.ports import MessageState
 
 # As often as the SLAM estimator looks.
 PERIOD = 1.0 / 16.0
@@ -49,13 +48,8 @@ class HardwareSensor(LeafSystem):
         super().__init__()
         self._source, self._clock = source, clock
         self._kind: Any = type(empty)
-        self._message = self.DeclareAbstractState(AbstractValue.Make(empty))
-        declare_message_output(
-            self,
-            name,
-            lambda context: state_message(context, self._message, self._kind),
-            {self.abstract_state_ticket(self._message)},
-        )
+        self._message = MessageState(self, empty)
+        self.DeclareStateOutputPort(name, self._message.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
@@ -63,6 +57,5 @@ class HardwareSensor(LeafSystem):
         taken = self._source.take(self._kind, self._clock.host(now))
         if not taken:
             return EventStatus.DidNothing()
-        newest = replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now))
-        set_state_message(state, self._message, newest)
+        self._message.set(state, replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now)))
         return EventStatus.Succeeded()

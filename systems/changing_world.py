@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
 
 from tfg_drake.config import ChangeConfig
-from tfg_drake.systems.ports import eval_optional, set_state_message, state_message
+from tfg_drake.systems.ports import MessageState, eval_optional
 from tfg_drake.world.changing import WorldNow, is_due, successive
 from tfg_drake.world.world import World
 
@@ -40,16 +39,16 @@ class ChangingWorld(LeafSystem):
         super().__init__()
         self._changes, self._worlds, self._robot_radius = tuple(changes), successive(world, changes), robot_radius
         self._pose = self.DeclareVectorInputPort("pose", 5)
-        self._now = self.DeclareAbstractState(AbstractValue.Make(WorldNow(world, 0, 0.0)))
+        self._now = MessageState(self, WorldNow(world, 0, 0.0))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Change)
-        self.DeclareStateOutputPort("world", self._now)
+        self.DeclareStateOutputPort("world", self._now.index)
 
     def _Change(self, context: Context, state: State) -> EventStatus:
-        count, time = state_message(context, self._now, WorldNow).count, context.get_time()
+        count, time = self._now(context).count, context.get_time()
         p_WB, made = self._pose.Eval(context)[:2], count
         while made < len(self._changes) and is_due(self._changes[made], time, p_WB, self._robot_radius):
             made += 1
         if made == count:
             return EventStatus.DidNothing()
-        set_state_message(state, self._now, WorldNow(self._worlds[made], made, time))
+        self._now.set(state, WorldNow(self._worlds[made], made, time))
         return EventStatus.Succeeded()

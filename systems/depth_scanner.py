@@ -12,7 +12,7 @@ from pydrake.systems.sensors import ImageDepth32F
 
 from tfg_drake.messages import LaserScan
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import set_state_message
+from tfg_drake.systems.ports import MessageState
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_noise import with_noise
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
@@ -53,14 +53,13 @@ class DepthScanner(LeafSystem):
         self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageDepth32F()))
         self._noise = self.DeclareVectorInputPort("noise", 1, RandomDistribution.kUniform)
         nothing = LaserScan(-math.inf, np.zeros(0), np.zeros(0), self._config.range_max, self._config.sigma)
-        self._message = self.DeclareAbstractState(AbstractValue.Make(nothing))
+        self._message = MessageState(self, nothing)
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / rate, 0.0, self._Scan)
-        self.DeclareStateOutputPort("ranges", self._message)
+        self.DeclareStateOutputPort("ranges", self._message.index)
 
     @metered("depth_scanner")
     def _Scan(self, context: Context, state: State) -> None:
         depth = self._image.Eval(context).data[..., 0]
         if self._noise.HasValue(context):
             depth = with_noise(depth, self._config.noise, int(_SEEDS * self._noise.Eval(context)[0]) + _OTHER)
-        message = depth_scan(depth, self._rays, context.get_time(), self._config)
-        set_state_message(state, self._message, message)
+        self._message.set(state, depth_scan(depth, self._rays, context.get_time(), self._config))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
@@ -12,13 +11,7 @@ from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
 from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, Path, PathStatus, PoseEstimate, message, replace
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 
 PERIOD = 1 / 16
 
@@ -61,18 +54,12 @@ class FrontierGoalSelector(LeafSystem):
         self._mission = declare_message_input(self, "mission")
         self._path = declare_message_input(self, "path")
         self._path_status = declare_message_input(self, "path_status")
-        initial = _SelectorState(empty_choice(), no_tries())
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
-        declare_message_output(
-            self, "goal", lambda context: self._State(context).goal, {self.abstract_state_ticket(self._state)}
-        )
+        self._state = MessageState(self, _SelectorState(empty_choice(), no_tries()))
+        self._state.declare_output(self, "goal", lambda now: now.goal)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
-    def _State(self, context: Context) -> _SelectorState:
-        return state_message(context, self._state, _SelectorState)
-
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
+        now, mission = self._state(context), eval_message(self._mission, context, MissionStatus)
         grid = eval_message(self._grid, context, GridMap)
         if mission.phase == "choose" and mission.stage == grid.stage > now.goal.stage:
             after = self._Choose(context, now, grid)
@@ -80,7 +67,7 @@ class FrontierGoalSelector(LeafSystem):
             after = _SelectorState(replace(now.goal, spent=True), now.tried)
         else:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, after)
+        self._state.set(state, after)
         return EventStatus.Succeeded()
 
     @metered("goal")

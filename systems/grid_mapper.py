@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import GridConfig, OdometryConfig
@@ -16,13 +15,7 @@ from tfg_drake.grid.gmapping import (
 )
 from tfg_drake.messages import GridMap, LaserScan, MissionStatus, Odometry, message
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
 
 # Period of the update, s: the odometry's.
 PERIOD = 1.0 / 16.0
@@ -61,28 +54,24 @@ class GridMapper(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         first = initial_state(config, odometry, seed)
-        self._state = self.DeclareAbstractState(AbstractValue.Make(_MapperState(first, grid_map(first, 0))))
-        ticket = {self.abstract_state_ticket(self._state)}
-        declare_message_output(self, "pose", self._CalcPose, ticket)
-        declare_message_output(self, "grid", lambda context: self._State(context).grid, ticket)
+        self._state = MessageState(self, _MapperState(first, grid_map(first, 0)))
+        declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
+        self._state.declare_output(self, "grid", lambda now: now.grid)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
-
-    def _State(self, context: Context) -> _MapperState:
-        return state_message(context, self._state, _MapperState)
 
     @metered("grid_mapper")
     def _CalcPose(self, context: Context):
-        now = self._State(context)
+        now = self._state(context)
         return pose_estimate(now.filter, now.grid.stage)
 
     @metered("grid_mapper")
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now = self._State(context)
+        now = self._state(context)
         mission = eval_message(self._mission, context, MissionStatus)
         due = mission.phase == "map" and now.grid.stage == mission.stage
         stage = now.grid.stage + due
         moved = process_odometry(now.filter, eval_message(self._odometry, context, Odometry))
         updated = process_scan(moved, eval_message(self._scan, context, LaserScan), force=due)
         grid = grid_map(updated, stage) if updated is not moved or due else now.grid
-        set_state_message(state, self._state, _MapperState(updated, grid))
+        self._state.set(state, _MapperState(updated, grid))
         return EventStatus.Succeeded()

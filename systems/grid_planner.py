@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
@@ -24,13 +23,7 @@ from tfg_drake.messages import (
 from tfg_drake.planning.planner import initial_state
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 
 PERIOD = 1 / 16
 
@@ -75,18 +68,13 @@ class GridPlanner(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         none = initial_state()
-        initial = _PlannerState(none.path, none.status, 0, -math.inf, -math.inf)
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
-        ticket = {self.abstract_state_ticket(self._state)}
-        declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
-        declare_message_output(self, "path_status", lambda context: self._State(context).status, ticket)
+        self._state = MessageState(self, _PlannerState(none.path, none.status, 0, -math.inf, -math.inf))
+        self._state.declare_output(self, "path", lambda now: now.path)
+        self._state.declare_output(self, "path_status", lambda now: now.status)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
-    def _State(self, context: Context) -> _PlannerState:
-        return state_message(context, self._state, _PlannerState)
-
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
+        now, mission = self._state(context), eval_message(self._mission, context, MissionStatus)
         goal = eval_message(self._goal, context, GoalChoice)
         pose = eval_message(self._pose, context, PoseEstimate)
         grid, scan = eval_message(self._grid, context, GridMap), eval_message(self._scan, context, LaserScan)
@@ -98,7 +86,7 @@ class GridPlanner(LeafSystem):
             after = self._Watch(now, grid, scan, pose)
         if after is now:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, after)
+        self._state.set(state, after)
         return EventStatus.Succeeded()
 
     @metered("grid_planner")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
@@ -12,14 +11,7 @@ from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import choose, empty_choice, remember
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    eval_optional,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
 
 PERIOD = 1 / 16
 
@@ -78,27 +70,21 @@ class InfoGainGoalSelector(LeafSystem):
         self._mission = declare_message_input(self, "mission")
         self._recall = self.DeclareVectorInputPort("recall", 1)
         self._requested = declare_message_input(self, "requested_goal")
-        initial = _SelectorState(empty_choice(), empty_choice())
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
-        declare_message_output(
-            self,
-            "goal",
-            lambda context: state_message(context, self._state, _SelectorState).goal,
-            {self.abstract_state_ticket(self._state)},
-        )
+        self._state = MessageState(self, _SelectorState(empty_choice(), empty_choice()))
+        self._state.declare_output(self, "goal", lambda now: now.goal)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def Choose(self, context: Context, goal: GoalChoice) -> None:
         """Makes this the newest choice in the system's context, as if the rule had come to it: its stage is that of the
         one that it replaces, its node one of the roadmap that can be reached."""
         roadmap = eval_message(self._working_roadmap, context, Roadmap)
-        before = state_message(context, self._state, _SelectorState)
+        before = self._state(context)
         remembered = remember(before.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
-        context.SetAbstractState(int(self._state), _SelectorState(goal, remembered, before.sent))
+        context.SetAbstractState(int(self._state.index), _SelectorState(goal, remembered, before.sent))
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self._mission, context, MissionStatus)
-        now = state_message(context, self._state, _SelectorState)
+        now = self._state(context)
         if mission.phase != "choose" or mission.stage <= now.goal.stage:
             return EventStatus.DidNothing()
         working = eval_message(self._working_map, context, WorkingMap)
@@ -106,7 +92,7 @@ class InfoGainGoalSelector(LeafSystem):
         if not mission.stage == working.stage == roadmap.stage:
             return EventStatus.DidNothing()
         chosen = self._Choose(context, now, working, roadmap)
-        set_state_message(state, self._state, self._Send(context, chosen, mission))
+        self._state.set(state, self._Send(context, chosen, mission))
         return EventStatus.Succeeded()
 
     @metered("goal")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig, as_it_is
@@ -14,7 +13,7 @@ from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt
 from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.people import people_at
-from tfg_drake.systems.ports import declare_message_input, set_state_message
+from tfg_drake.systems.ports import MessageState, declare_message_input
 from tfg_drake.world.world import World
 
 
@@ -54,9 +53,9 @@ class LaserScanner(LeafSystem):
         self._ray_faults = self.DeclareVectorInputPort("ray_faults", len(self._angles), RandomDistribution.kUniform)
         self._people = declare_message_input(self, "people")
         self._changing = declare_message_input(self, "world")
-        self._message = self.DeclareAbstractState(AbstractValue.Make(no_scan(config)))
+        self._message = MessageState(self, no_scan(config))
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Scan)
-        self.DeclareStateOutputPort("ranges", self._message)
+        self.DeclareStateOutputPort("ranges", self._message.index)
 
     @metered("laser_scanner")
     def _Scan(self, context: Context, state: State) -> None:
@@ -72,4 +71,4 @@ class LaserScanner(LeafSystem):
         message = replace(message, angles=self._angles)
         if self.has_ray_faults:
             message = spoilt(message, self._ray_faults.Eval(context), self._reality)
-        set_state_message(state, self._message, message)
+        self._message.set(state, message)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
@@ -27,12 +26,11 @@ from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.planning.scripted_drive import end_of_drive
 from tfg_drake.systems.ports import (
+    MessageState,
     declare_message_input,
     declare_message_output,
     eval_message,
     eval_optional,
-    set_state_message,
-    state_message,
 )
 
 PERIOD = 1 / 16
@@ -110,35 +108,30 @@ class ManualDriver(LeafSystem):
         self._planned_status = declare_message_input(self, "planned_status")
         self._following = self.DeclareVectorInputPort("following_commanded", 2)
         self._following_status = declare_message_input(self, "following_status")
-        initial = _Driving(empty_choice(), Path(0, 0, np.zeros((0, 2))))
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
-        ticket = {self.abstract_state_ticket(self._state)}
+        self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, np.zeros((0, 2)))))
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity)
-        declare_message_output(self, "goal", lambda context: self._State(context).goal, ticket)
-        declare_message_output(self, "planned_goal", self._PlannedGoal, ticket)
-        declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
+        self._state.declare_output(self, "goal", lambda now: now.goal)
+        self._state.declare_output(self, "planned_goal", lambda now: now.goal if now.sent.node >= 0 else empty_choice())
+        self._state.declare_output(self, "path", lambda now: now.path)
         declare_message_output(self, "path_status", self._PathStatus, {self.all_sources_ticket()})
         declare_message_output(self, "follower_status", self._Status, {self.all_sources_ticket()})
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def pressed(self, context: Context) -> tuple[Pressed, ...]:
         """All keys so far; context: the system's own."""
-        return self._State(context).pressed
-
-    def _State(self, context: Context) -> _Driving:
-        return state_message(context, self._state, _Driving)
+        return self._state(context).pressed
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
         mission = eval_message(self._mission, context, MissionStatus)
-        if mission.phase == "observe" or self._State(context).sent.node >= 0:
+        if mission.phase == "observe" or self._state(context).sent.node >= 0:
             output.SetFromVector(self._following.Eval(context))
         elif mission.phase in ("done", "paused"):
             output.SetFromVector([0.0, 0.0])
         else:
-            output.SetFromVector(list(self._State(context).velocity))
+            output.SetFromVector(list(self._state(context).velocity))
 
     def _Status(self, context: Context) -> FollowerStatus:
-        mission, now = eval_message(self._mission, context, MissionStatus), self._State(context)
+        mission, now = eval_message(self._mission, context, MissionStatus), self._state(context)
         following = eval_message(self._following_status, context, FollowerStatus)
         if mission.phase == "observe" or now.sent.node >= 0:
             return following
@@ -151,17 +144,13 @@ class ManualDriver(LeafSystem):
     def _Requested(self, context: Context) -> RequestedGoal:
         return eval_optional(self._requested, context, RequestedGoal) or RequestedGoal()
 
-    def _PlannedGoal(self, context: Context) -> GoalChoice:
-        now = self._State(context)
-        return now.goal if now.sent.node >= 0 else empty_choice()
-
     def _PathStatus(self, context: Context) -> PathStatus:
-        now, planned = self._State(context), eval_message(self._planned_status, context, PathStatus)
+        now, planned = self._state(context), eval_message(self._planned_status, context, PathStatus)
         is_free = now.sent.node < 0 or planned.path_id != now.planned or planned.free
         return PathStatus(now.path.id, free=is_free)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        mission, before = eval_message(self._mission, context, MissionStatus), self._State(context)
+        mission, before = eval_message(self._mission, context, MissionStatus), self._state(context)
         now = self._Press(before, context)
         if mission.phase == "paused" and any(now.velocity):
             now = replace(now, velocity=(0.0, 0.0))  # What goes on after a stop stands until the next key.
@@ -179,7 +168,7 @@ class ManualDriver(LeafSystem):
             now = replace(now, path=Path(now.path.id + 1, mission.stage, points))
         if now is before:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, now)
+        self._state.set(state, now)
         return EventStatus.Succeeded()
 
     def _Press(self, now: _Driving, context: Context) -> _Driving:

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.messages import message
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
 
 PERIOD = 1.0 / 16.0
 
@@ -45,18 +38,18 @@ class MessageDelay(LeafSystem):
         super().__init__()
         self._delay = delay
         self._input = declare_message_input(self, f"{name}_at_once")
-        self._queue = self.DeclareAbstractState(AbstractValue.Make(_Queue(())))
+        self._queue = MessageState(self, _Queue(()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
         # Until there is a first message, the input's own.
-        tickets = {self.abstract_state_ticket(self._queue), self.input_port_ticket(self._input.get_index())}
+        tickets = self._queue.tickets | {self.input_port_ticket(self._input.get_index())}
         declare_message_output(self, name, self._Shown, tickets)
 
     def _Shown(self, context: Context) -> object:
-        messages = state_message(context, self._queue, _Queue).messages
+        messages = self._queue(context).messages
         return messages[0][1] if messages else eval_message(self._input, context, object)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        queue, now = state_message(context, self._queue, _Queue), context.get_time()
+        queue, now = self._queue(context), context.get_time()
         newest, messages = eval_message(self._input, context, object), queue.messages
         if not messages or messages[-1][1] is not newest:
             messages = (*messages, (now + self._delay, newest))
@@ -64,5 +57,5 @@ class MessageDelay(LeafSystem):
             messages = messages[1:]
         if messages is queue.messages:
             return EventStatus.DidNothing()
-        set_state_message(state, self._queue, _Queue(messages))
+        self._queue.set(state, _Queue(messages))
         return EventStatus.Succeeded()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
@@ -14,18 +13,12 @@ from tfg_drake.messages import (
     GoalChoice,
     Hazards,
     MapEstimate,
-    MissionStatus,
     Path,
     PathStatus,
     TfgMap,
 )
 from tfg_drake.mission.sequence import MissionInputs, initial_status, step
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 
 PERIOD = 1 / 16
 # The outputs of the TFG explorer that map, by port.
@@ -78,12 +71,12 @@ class MissionSequencer(LeafSystem):
         self._pause = self.DeclareVectorInputPort("pause", 1)
         self._enable = self.DeclareVectorInputPort("enable", 1)
         self._stop = self.DeclareVectorInputPort("stop", 1)
-        self._status = self.DeclareAbstractState(AbstractValue.Make(initial_status()))
-        self.DeclareStateOutputPort("mission", self._status)
+        self._status = MessageState(self, initial_status())
+        self.DeclareStateOutputPort("mission", self._status.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        status = state_message(context, self._status, MissionStatus)
+        status = self._status(context)
         if status.phase == "done":
             return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
         inputs = _Inputs(
@@ -100,7 +93,7 @@ class MissionSequencer(LeafSystem):
         updated = step(status, inputs)
         if updated is status:
             return EventStatus.DidNothing()
-        set_state_message(state, self._status, updated)
+        self._status.set(state, updated)
         return EventStatus.Succeeded()
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from tfg_drake.messages import message, replace
 from tfg_drake.mission.operation import Operation, Request, requested
 from tfg_drake.planning.requested_goal import RequestedGoal, goal_asked_for
 from tfg_drake.simulation.disturbance import Pushes, with_push
-from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+from tfg_drake.systems.ports import MessageState
 
 PERIOD = 1.0 / 16.0
 
@@ -58,24 +57,20 @@ class Operator(LeafSystem):
         super().__init__()
         self._sources, self._recalls, self._enabled = tuple(sources), recalls, enabled
         beginning = requested(Operation(), "enable") if enabled else Operation()
-        self._state = self.DeclareAbstractState(AbstractValue.Make(_Asked(beginning)))
-        depends = {self.abstract_state_ticket(self._state)}
+        self._state = MessageState(self, _Asked(beginning))
         for name, calc in (
             ("enable", lambda operation: operation.enabling),
             ("pause", lambda operation: operation.paused),
             ("stop", lambda operation: operation.ended),
             ("recall", lambda operation: operation.recalled),
         ):
-            self.DeclareVectorOutputPort(name, 1, self._Calc(calc), depends)
-        declare_message_output(self, "requested_goal", lambda context: self._State(context).goal, depends)
-        declare_message_output(self, "pushes", lambda context: self._State(context).pushes, depends)
+            self.DeclareVectorOutputPort(name, 1, self._Calc(calc), self._state.tickets)
+        self._state.declare_output(self, "requested_goal", lambda now: now.goal)
+        self._state.declare_output(self, "pushes", lambda now: now.pushes)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Calc(self, calc: Callable[[Operation], float]) -> Callable[[Context, BasicVector], None]:
-        return lambda context, output: output.SetAtIndex(0, float(calc(self._State(context).operation)))
-
-    def _State(self, context: Context) -> _Asked:
-        return state_message(context, self._state, _Asked)
+        return lambda context, output: output.SetAtIndex(0, float(calc(self._state(context).operation)))
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         requests = [request for source in self._sources for request in source()]
@@ -84,7 +79,7 @@ class Operator(LeafSystem):
             _log.info("nothing moves before it is enabled")
         if not requests:
             return EventStatus.DidNothing()
-        before = after = self._State(context)
+        before = after = self._state(context)
         # It holds from the next instant on, which all who listen still have before them.
         then = context.get_time() + PERIOD
         places = [request for request in requests if isinstance(request, tuple)]
@@ -106,5 +101,5 @@ class Operator(LeafSystem):
             after = replace(after, operation=requested(after.operation, command))
         if after is before:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, after)
+        self._state.set(state, after)
         return EventStatus.Succeeded()

@@ -5,13 +5,12 @@ from __future__ import annotations
 import functools
 
 from pydrake.common import RandomDistribution
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.people import NUMBERS, People, astray, discs_at, first_met, ground, nobody, step
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_input, eval_optional, set_state_message, state_message
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_optional
 from tfg_drake.world.changing import WorldNow
 from tfg_drake.world.world import World
 
@@ -50,13 +49,13 @@ class PeopleWalking(LeafSystem):
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._numbers = self.DeclareVectorInputPort("numbers", NUMBERS * count, RandomDistribution.kUniform)
         self._changing = declare_message_input(self, "world")
-        self._people = self.DeclareAbstractState(AbstractValue.Make(nobody()))
+        self._people = MessageState(self, nobody())
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Step)
-        self.DeclareStateOutputPort("people", self._people)
+        self.DeclareStateOutputPort("people", self._people.index)
 
     @metered("people")
     def _Step(self, context: Context, state: State) -> None:
-        now, time = state_message(context, self._people, People), context.get_time()
+        now, time = self._people(context), context.get_time()
         robot, numbers = self._pose.Eval(context), self._numbers.Eval(context).reshape(self._count, NUMBERS)
         floor = self._ground
         changing = eval_optional(self._changing, context, WorldNow)
@@ -68,4 +67,4 @@ class PeopleWalking(LeafSystem):
             after = step(now, time, PERIOD, robot, self._robot_radius, numbers, floor)
         else:
             after = first_met(time, robot, numbers, floor)
-        set_state_message(state, self._people, after)
+        self._people.set(state, after)

@@ -6,7 +6,7 @@ Drake's abstract values check no Python type; these few functions do.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, InputPort, LeafSystem, OutputPort, State
@@ -65,6 +65,28 @@ def state_message(context: Context | State, index: int, kind: type[T]) -> T:
 def set_state_message(state: State, index: int, value: object) -> None:
     """Puts a message into an abstract state variable."""
     state.get_mutable_abstract_state(int(index)).set_value(value)
+
+
+class MessageState(Generic[T]):
+    """An abstract state variable that holds messages of one kind; called with a context it is the message there."""
+
+    def __init__(self, system: LeafSystem, initial: T) -> None:
+        """Declares it. initial: the message at first, of the kind of all others."""
+        self._kind = type(initial)
+        self.index = system.DeclareAbstractState(AbstractValue.Make(initial))
+        self.tickets = {system.abstract_state_ticket(self.index)}
+
+    def __call__(self, context: Context | State) -> T:
+        """The message. Raises TypeError as `state_message` does."""
+        return state_message(context, self.index, self._kind)
+
+    def set(self, state: State, value: T) -> None:
+        """Puts another message there."""
+        set_state_message(state, self.index, value)
+
+    def declare_output(self, system: LeafSystem, name: str, part: Callable[[T], object]) -> OutputPort:
+        """Declares an output port of the same system for what a part of the message is, or is made of it alone."""
+        return declare_message_output(system, name, lambda context: part(self(context)), self.tickets)
 
 
 def _name(port: InputPort) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
@@ -23,13 +22,7 @@ from tfg_drake.planning.planner import PlannerState, initial_state, make_roadmap
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState
 from tfg_drake.planning.roadmap_parts import whole_roadmap
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
 from tfg_drake.tfg.submaps import Submaps
 
 PERIOD = 1 / 16
@@ -80,25 +73,21 @@ class PrmPlanner(LeafSystem):
         self._goal = declare_message_input(self, "goal")
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial_state()))
-        ticket = {self.abstract_state_ticket(self._state)}
+        self._state = MessageState(self, initial_state())
         # Who looks at all of a large map's roadmap does so again and again: once a stage is enough.
         self._RoadmapOfAll = functools.lru_cache(maxsize=1)(self._MakeRoadmapOfAll)
         whole = {self.input_port_ticket(port.get_index()) for port in (self._map, self._tfg)}
-        declare_message_output(self, "roadmap", self._Roadmap, ticket | whole)
-        declare_message_output(self, "working_roadmap", lambda context: self._State(context).roadmap, ticket)
-        declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
-        declare_message_output(self, "path_status", lambda context: self._State(context).status, ticket)
+        declare_message_output(self, "roadmap", self._Roadmap, self._state.tickets | whole)
+        self._state.declare_output(self, "working_roadmap", lambda now: now.roadmap)
+        self._state.declare_output(self, "path", lambda now: now.path)
+        self._state.declare_output(self, "path_status", lambda now: now.status)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
-
-    def _State(self, context: Context) -> PlannerState:
-        return state_message(context, self._state, PlannerState)
 
     def _Whole(self, context: Context) -> tuple[MapEstimate, TfgMap]:
         return eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
 
     def _Roadmap(self, context: Context) -> Roadmap:
-        now = self._State(context)
+        now = self._state(context)
         if not now.parts.inactive:
             return now.roadmap
         estimate, tfg = self._Whole(context)
@@ -113,7 +102,7 @@ class PrmPlanner(LeafSystem):
         return make_roadmap(whole_roadmap(parts, estimate.X_MA), tfg, estimate, self._parameters, segments, driven)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now = self._State(context)
+        now = self._state(context)
         working = eval_message(self._working_map, context, WorkingMap)
         mission = eval_message(self._mission, context, MissionStatus)
         scan = eval_message(self._scan, context, LaserScan)
@@ -128,7 +117,7 @@ class PrmPlanner(LeafSystem):
         updated = take(context, now, working, scan, mission)
         if updated is now:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, updated)
+        self._state.set(state, updated)
         return EventStatus.Succeeded()
 
     def _Step(

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.messages import FloatArray, GoalChoice, MissionStatus, Path, PathStatus, PoseEstimate, TfgMap, message
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.scripted_drive import next_place, straight_path
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 
 PERIOD = 1 / 16
 
@@ -51,21 +44,14 @@ class ScriptedDriver(LeafSystem):
         self._tfg = declare_message_input(self, "tfg")
         self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
-        initial = _Driving(empty_choice(), Path(0, 0, p_MG[:0]), 0)
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
-        ticket = {self.abstract_state_ticket(self._state)}
-        declare_message_output(self, "goal", lambda context: self._State(context).goal, ticket)
-        declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
-        declare_message_output(
-            self, "path_status", lambda context: PathStatus(self._State(context).path.id, free=True), ticket
-        )
+        self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, p_MG[:0]), 0))
+        self._state.declare_output(self, "goal", lambda now: now.goal)
+        self._state.declare_output(self, "path", lambda now: now.path)
+        self._state.declare_output(self, "path_status", lambda now: PathStatus(now.path.id, free=True))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
-    def _State(self, context: Context) -> _Driving:
-        return state_message(context, self._state, _Driving)
-
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now, mission = self._State(context), eval_message(self._mission, context, MissionStatus)
+        now, mission = self._state(context), eval_message(self._mission, context, MissionStatus)
         goal, path = now.goal, now.path
         if mission.phase == "choose" and mission.stage > goal.stage:
             goal = next_place(self._drive, mission.stage, eval_message(self._tfg, context, TfgMap))
@@ -74,5 +60,5 @@ class ScriptedDriver(LeafSystem):
             path = straight_path(path.id + 1, mission.stage, X_MB, goal.p_MG)
         else:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, _Driving(goal, path, mission.replans))
+        self._state.set(state, _Driving(goal, path, mission.replans))
         return EventStatus.Succeeded()

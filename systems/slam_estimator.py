@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import (
     GoalChoice,
     LaserScan,
-    MapEstimate,
     MissionStatus,
     Odometry,
     PoseEstimate,
@@ -30,13 +28,7 @@ from tfg_drake.slam.estimator import (
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
 
 # Period of the update, s: the odometry's.
 PERIOD = 1.0 / 16.0
@@ -75,30 +67,24 @@ class SlamEstimator(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         self._goal = declare_message_input(self, "goal")
-        self._state = self.DeclareAbstractState(
-            AbstractValue.Make(initial_state(odometry_config, path_keyframe_period, camera_model(sensor)))
-        )
-        self._detections_stamp = self.DeclareAbstractState(AbstractValue.Make(-float("inf")))
-        depends = {self.abstract_state_ticket(self._state)}
-        declare_message_output(self, "pose", self._CalcPose, depends)
-        declare_message_output(self, "map", self._CalcMap, depends)
+        self._state = MessageState(self, initial_state(odometry_config, path_keyframe_period, camera_model(sensor)))
+        self._detections_stamp = MessageState(self, -math.inf)
+        declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
+        self._state.declare_output(self, "map", lambda now: map_estimate(now) or empty_map())
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
     def estimator(self, context: Context) -> EstimatorState:
         """All it knows, in its own context; for whoever keeps the map."""
-        return state_message(context, self._state, EstimatorState)
+        return self._state(context)
 
     @metered("slam_estimator")
     def _CalcPose(self, context: Context) -> PoseEstimate:
-        return pose_estimate(state_message(context, self._state, EstimatorState))
-
-    def _CalcMap(self, context: Context) -> MapEstimate:
-        return map_estimate(state_message(context, self._state, EstimatorState)) or empty_map()
+        return pose_estimate(self._state(context))
 
     @metered("slam_estimator")
     def _Update(self, context: Context, state: State) -> EventStatus:
-        estimator = state_message(context, self._state, EstimatorState)
-        detections_stamp = state_message(context, self._detections_stamp, float)
+        estimator = self._state(context)
+        detections_stamp = self._detections_stamp(context)
         odometry = eval_message(self._odometry, context, Odometry)
         detections = eval_message(self._detections, context, TagDetections)
         mission = eval_message(self._mission, context, MissionStatus)
@@ -107,7 +93,7 @@ class SlamEstimator(LeafSystem):
         estimator = process_odometry(estimator, odometry)
         if detections.stamp > detections_stamp:
             estimator = process_detections(estimator, detections)
-            set_state_message(state, self._detections_stamp, detections.stamp)
+            self._detections_stamp.set(state, detections.stamp)
         stage = estimator.map.stage if estimator.map is not None else 0
         if mission.phase in ("observe", "glance") and estimator.turn is None and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
@@ -116,5 +102,5 @@ class SlamEstimator(LeafSystem):
                 self._goal.HasValue(context) and eval_message(self._goal, context, GoalChoice).explored < math.inf
             )
             estimator = end_turn(estimator, odometry.stamp, explored=explored)
-        set_state_message(state, self._state, estimator)
+        self._state.set(state, estimator)
         return EventStatus.Succeeded()

@@ -7,10 +7,10 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from pydrake.systems.sensors import ImageRgba8U
 
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_output, set_state_message, state_message
+from tfg_drake.systems.ports import MessageState
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
-from tfg_drake.vision.same_view import Views, no_views, weighed
+from tfg_drake.vision.same_view import no_views, weighed
 from tfg_drake.vision.sighting import Sighting, TagNoise, TagSizes, nothing_sighted, sighted
 from tfg_drake.vision.tag_detector import TagDetector as Detector
 
@@ -47,20 +47,16 @@ class TagDetector(LeafSystem):
         self._sheet = (calibration, sizes, mount, noise)
         self._least_side = least_side
         self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageRgba8U()))
-        self._state = self.DeclareAbstractState(AbstractValue.Make(nothing_sighted()))
-        self._views = self.DeclareAbstractState(AbstractValue.Make(no_views()))
+        self._state = MessageState(self, nothing_sighted())
+        self._views = MessageState(self, no_views())
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / rate, 0.0, self._Detect)
-        tickets = {self.abstract_state_ticket(self._state)}
-        declare_message_output(self, "detections", lambda context: self._Newest(context).detections, tickets)
-        declare_message_output(self, "remarks", lambda context: self._Newest(context).remarks, tickets)
-
-    def _Newest(self, context: Context) -> Sighting:
-        return state_message(context, self._state, Sighting)
+        self._state.declare_output(self, "detections", lambda now: now.detections)
+        self._state.declare_output(self, "remarks", lambda now: now.remarks)
 
     @metered("tag_detector")
     def _Detect(self, context: Context, state: State) -> None:
         tags = self._detector.detect(self._image.Eval(context).data)
         sighting = sighted(tags, context.get_time(), *self._sheet, least_side=self._least_side)
-        detections, views = weighed(sighting.detections, tags, state_message(context, self._views, Views))
-        set_state_message(state, self._state, Sighting(detections, sighting.remarks))
-        set_state_message(state, self._views, views)
+        detections, views = weighed(sighting.detections, tags, self._views(context))
+        self._state.set(state, Sighting(detections, sighting.remarks))
+        self._views.set(state, views)

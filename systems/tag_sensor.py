@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from scipy.special import ndtr
 
@@ -15,7 +14,7 @@ from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, n
 from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.people import people_at
-from tfg_drake.systems.ports import declare_message_input, declare_message_output, set_state_message, state_message
+from tfg_drake.systems.ports import MessageState, declare_message_input
 from tfg_drake.world.world import World
 
 
@@ -68,18 +67,13 @@ class TagSensor(LeafSystem):
         self.has_frame_noise = reality.clock_jitter > 0.0 or reality.frame_loss_probability > 0.0
         is_white = reality.correlation_time == 0.0
         initial = _SensorState(no_detections(), np.zeros((0, 2)) if is_white else np.zeros((n, 2)))
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
+        self._state = MessageState(self, initial)
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Detect)
-        declare_message_output(
-            self, "detections", lambda context: self._State(context).frame, {self.abstract_state_ticket(self._state)}
-        )
-
-    def _State(self, context: Context) -> _SensorState:
-        return state_message(context, self._state, _SensorState)
+        self._state.declare_output(self, "detections", lambda now: now.frame)
 
     @metered("tag_sensor")
     def _Detect(self, context: Context, state: State) -> EventStatus:
-        reality, now = self._reality, self._State(context)
+        reality, now = self._reality, self._state(context)
         pose = self._pose.Eval(context)
         fresh = self._noise.Eval(context).reshape(-1, NOISE_PER_TAG)
         noise = now.noise
@@ -95,7 +89,7 @@ class TagSensor(LeafSystem):
                 return EventStatus.DidNothing()
             stamp += reality.clock_jitter * late
         if 0.0 < reality.blurring_turn_rate < abs(pose[4]):
-            set_state_message(state, self._state, _SensorState(replace(no_detections(), stamp=stamp), noise))
+            self._state.set(state, _SensorState(replace(no_detections(), stamp=stamp), noise))
             return EventStatus.Succeeded()
         errors = None
         if self.has_tag_errors:
@@ -109,5 +103,5 @@ class TagSensor(LeafSystem):
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
         discs = people_at(self._people, context)
         frame = detect(world, X_WS, stamp, fresh, self._config, self._stated, errors, discs, reality.detection_range)
-        set_state_message(state, self._state, _SensorState(frame, noise))
+        self._state.set(state, _SensorState(frame, noise))
         return EventStatus.Succeeded()

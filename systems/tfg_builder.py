@@ -5,20 +5,13 @@ from __future__ import annotations
 import functools
 import math
 
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, WorkingMap, message, replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, no_sightings, note_sightings, resolve
 from tfg_drake.tfg.panorama import build_panorama
 from tfg_drake.tfg.submaps import Submaps
@@ -74,33 +67,29 @@ class TfgBuilder(LeafSystem):
         # One value: Drake copies every abstract state at every event of any system.
         estimate = empty_map()
         initial = _BuilderState(empty_graphs(), estimate, empty_working_map(estimate), (), no_sightings())
-        self._state = self.DeclareAbstractState(AbstractValue.Make(initial))
-        ticket = {self.abstract_state_ticket(self._state)}
-        declare_message_output(self, "tfg", lambda context: self._Whole(self._State(context)), ticket)
-        declare_message_output(self, "working_map", lambda context: self._State(context).working, ticket)
+        self._state = MessageState(self, initial)
+        self._state.declare_output(self, "tfg", self._Whole)
+        self._state.declare_output(self, "working_map", lambda now: now.working)
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
 
     def graph(self, context: Context) -> TfgGraph:
         """The graph, in the builder's own context, in the coordinates of its landmarks and views."""
-        return whole_graph(self._State(context).graphs)
+        return whole_graph(self._state(context).graphs)
 
     def tfg(self, context: Context, estimate: MapEstimate) -> TfgMap:
         """The graph resolved with an estimate of its stage, or of the stage after: then as it was."""
-        now = self._State(context)
+        now = self._state(context)
         if estimate.stage != now.estimate.stage:
             return self._Whole(now)
         return self._Resolved(now.graphs, estimate)
-
-    def _State(self, context: Context) -> _BuilderState:
-        return state_message(context, self._state, _BuilderState)
 
     def _Whole(self, now: _BuilderState) -> TfgMap:
         return now.working.tfg if now.working.is_all else self._Resolved(now.graphs, now.estimate)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now = self._State(context)
+        now = self._state(context)
         estimate = eval_message(self._map, context, MapEstimate)
         mission = eval_message(self._mission, context, MissionStatus)
         if estimate.stage > now.estimate.stage:
@@ -109,7 +98,7 @@ class TfgBuilder(LeafSystem):
             after = self._Collect(context, now, mission.phase)
         if after is now:
             return EventStatus.DidNothing()
-        set_state_message(state, self._state, after)
+        self._state.set(state, after)
         return EventStatus.Succeeded()
 
     def _Collect(self, context: Context, now: _BuilderState, phase: str) -> _BuilderState:
