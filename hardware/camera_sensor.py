@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import dataclasses
 import os
 import time
 from collections.abc import Sequence
@@ -32,18 +31,6 @@ DARK, BRIGHT, _SPARSE = 25.0, 230.0, 16
 LASTS, WITHOUT_TAG = 2.0, 30.0
 
 
-@dataclasses.dataclass(frozen=True)
-class CameraSensorConfig:
-    """What the process is told. source: as tfg_drake.vision.frames.frames has it."""
-
-    source: str
-    camera: RobotCameraConfig
-
-    def open(self) -> CameraDriver:
-        """The driver; raises DeviceError."""
-        return CameraDriver(self.source, self.camera)
-
-
 class CameraDriver(SensorReader):
     """Finds tags in the newest image; see tfg_drake.hardware.device.Driver. A camera that was unplugged or a stream
     that ended is opened again.
@@ -52,7 +39,8 @@ class CameraDriver(SensorReader):
     """
 
     def __init__(self, source: str, camera: RobotCameraConfig) -> None:
-        """Waits for an image of the calibration's size; raises DeviceError."""
+        """Waits for an image of the calibration's size; raises DeviceError. source: as tfg_drake.vision.frames.frames
+        has it."""
         name = f"camera:{source}"
         super().__init__(name, {TagDetections: f"tags of {name}"})
         self._calibration = known_calibration(self.name, camera)

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from multiprocessing import Pipe
 from typing import Any, Protocol, TypeVar
 
@@ -105,11 +105,8 @@ class Driver(Protocol):
         """Lets go of the robot."""
 
 
-class DriverConfig(Protocol):
-    """What the process is told: pickled, and opened there."""
-
-    def open(self) -> Driver:
-        """The driver, its robot found, odometry arriving; raises DeviceError."""
+# What the process is told, pickled, and calls: the driver, its robot found, odometry arriving; raises DeviceError.
+OpenDriver = Callable[[], Driver]
 
 
 class Device:
@@ -121,8 +118,8 @@ class Device:
     heard: how often the process has said anything, which it does twice a second at least.
     """
 
-    def __init__(self, config: DriverConfig) -> None:
-        """Starts the process and waits until odometry arrives; raises DeviceError."""
+    def __init__(self, open_driver: OpenDriver) -> None:
+        """Starts the process, which opens the driver, and waits until odometry arrives; raises DeviceError."""
         self._changed = threading.Condition()
         self._newest: dict[type, Message] = {}
         self._waiting: dict[type, collections.deque[Message]] = {}
@@ -139,7 +136,7 @@ class Device:
             self._start()
         except (OSError, RuntimeError) as error:  # RuntimeError is what a thread raises that cannot be started
             raise DeviceError(f"no process for it can be started: {error.args[-1]}; end other programs") from None
-        self._put(config)
+        self._put(open_driver)
         with self._changed:
             self._changed.wait_for(lambda: self._ready or self._ended is not None, START_TIMEOUT)
         if not self._ready:

@@ -1,6 +1,6 @@
 """The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... ORDERS ANNOUNCEMENTS`.
 
-ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive the driver's configuration,
+ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive what opens the driver,
 ("command", sent, speed, turn_rate), ("enable", sent), ("lock", reason) and ("close",).
 What it says: ("ready", None), ("message", message) of those that are plausible, ("locked", reason or None), ("answer",
 reason or None) to an enable, ("remark", line) for the operator, ("alive", None) twice a second, and ("ended", line).
@@ -126,7 +126,7 @@ def main() -> None:
         signal.signal(number, lambda *_: sys.exit(0))
     connection = Connection(int(sys.argv[1]))
     try:
-        driver = connection.recv().open()
+        driver = connection.recv()()
     except DeviceError as error:
         connection.send(("ended", str(error)))
         return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import time
 from pathlib import Path
@@ -32,24 +31,13 @@ NOISE = 0.004
 _OLDEST = 1.0
 
 
-@dataclasses.dataclass(frozen=True)
-class RealsenseConfig:
-    """What the process is told. device: serial number of the camera, path of a recording, or empty for any camera."""
-
-    device: str
-    mount: RobotScannerConfig
-
-    def open(self) -> RealsenseDriver:
-        """The driver; raises DeviceError."""
-        return RealsenseDriver(self.device, self.mount)
-
-
 class RealsenseDriver(SensorReader):
     """Makes a scan of each depth image; see tfg_drake.hardware.device.Driver. A camera that was unplugged is opened
     again."""
 
     def __init__(self, device: str, mount: RobotScannerConfig) -> None:
-        """Waits for the first image; raises DeviceError."""
+        """Waits for the first image; raises DeviceError. device: serial number of the camera, path of a recording, or
+        empty for any camera."""
         name = f"realsense:{device}"
         super().__init__(name, {LaserScan: f"scan of {name}"})
         try:

@@ -7,13 +7,14 @@ no sender kept waiting; and what parses large messages must not share a process 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import threading
 import urllib.parse
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from tfg_drake.config import HardwareConfig
-from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, DriverConfig
+from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, OpenDriver
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.messages import LaserScan, TagDetections
@@ -95,10 +96,10 @@ class SensorSource:
     Its process is started again where it ends or hangs; meanwhile nothing arrives.
     """
 
-    def __init__(self, name: str, config: DriverConfig) -> None:
+    def __init__(self, name: str, open_driver: OpenDriver) -> None:
         """Waits until what is wanted arrives; raises DeviceError. name: of the connection, in remarks."""
-        self._name, self._config = name, config
-        self._device = Device(config)
+        self._name, self._open_driver = name, open_driver
+        self._device = Device(open_driver)
         self._remarks: list[str] = []
         self._published: dict[str, dict[str, Any]] = {}
         self._lock = threading.Lock()
@@ -155,7 +156,7 @@ class SensorSource:
         while not self._closed.wait(delay):
             delay = min(2.0 * delay, _LONGEST_BACK_OFF)
             try:
-                device = Device(self._config)
+                device = Device(self._open_driver)
             except DeviceError as error:
                 if str(error) != told:
                     self._remark("does not begin", f": {error}")
@@ -202,7 +203,7 @@ def open_sources(
     try:
         for spec, topics in wanted.items():
             name = " and ".join((*(use for use, _ in topics), *(["the robot"] if not topics else [])))
-            opened[spec] = SensorSource(f"{name} of {spec}", _config(spec, topics, preset, spec == base, hardware))
+            opened[spec] = SensorSource(f"{name} of {spec}", _opening(spec, topics, preset, spec == base, hardware))
     except DeviceError:
         for source in opened.values():
             source.close()
@@ -210,34 +211,34 @@ def open_sources(
     return {use: opened[spec] for use, spec in place.items()}
 
 
-def _config(
+def _opening(
     spec: SourceSpec,
     topics: list[tuple[str, str | Topic]],
     preset: Preset,
     base: bool,
     hardware: HardwareConfig | None,
-) -> DriverConfig:
+) -> OpenDriver:
     if spec.transport in OWN:
-        return _own_config(spec, hardware or HardwareConfig())
+        return _opening_own(spec, hardware or HardwareConfig())
     if spec.transport == "socket":
-        from tfg_drake.hardware.socket_sensors import SocketConfig
+        from tfg_drake.hardware.socket_sensors import SocketDriver
 
-        return SocketConfig(spec.host, spec.port, tuple(KINDS[use] for use, _ in topics))
-    from tfg_drake.hardware.ros.sensors import SensorConfig
+        return functools.partial(SocketDriver, spec.host, spec.port, tuple(KINDS[use] for use, _ in topics))
+    from tfg_drake.hardware.ros import sensors
 
     host = spec.host if spec.transport == "rosbridge" else None
-    return SensorConfig(tuple(topics), preset, base, host, spec.port)
+    return functools.partial(sensors.open_driver, host, spec.port, tuple(topics), preset, base)
 
 
-def _own_config(spec: SourceSpec, hardware: HardwareConfig) -> DriverConfig:
+def _opening_own(spec: SourceSpec, hardware: HardwareConfig) -> OpenDriver:
     if spec.transport == "camera":
-        from tfg_drake.hardware.camera_sensor import CameraSensorConfig
+        from tfg_drake.hardware.camera_sensor import CameraDriver
 
-        return CameraSensorConfig(spec.device, hardware.camera)
+        return functools.partial(CameraDriver, spec.device, hardware.camera)
     if spec.transport == "rplidar":
-        from tfg_drake.hardware.rplidar.driver import RplidarConfig
+        from tfg_drake.hardware.rplidar.driver import RplidarDriver
 
-        return RplidarConfig(spec.device, hardware.scanner)
-    from tfg_drake.hardware.realsense_sensor import RealsenseConfig
+        return functools.partial(RplidarDriver, spec.device, hardware.scanner)
+    from tfg_drake.hardware.realsense_sensor import RealsenseDriver
 
-    return RealsenseConfig(spec.device, hardware.scanner)
+    return functools.partial(RealsenseDriver, spec.device, hardware.scanner)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import socket
 import time
 from multiprocessing.connection import wait
@@ -24,19 +23,6 @@ _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
 _NAMES = {LaserScan: "scan", TagDetections: "detections"}
 
 
-@dataclasses.dataclass(frozen=True)
-class SocketConfig:
-    """What the process is told. kinds: of the messages that are wanted."""
-
-    host: str
-    port: int
-    kinds: tuple[type[LaserScan] | type[TagDetections], ...]
-
-    def open(self) -> SocketDriver:
-        """The driver; raises DeviceError."""
-        return SocketDriver(self.host, self.port, self.kinds)
-
-
 class SocketDriver(SensorReader):
     """Reads lines; see tfg_drake.hardware.device.Driver. Lost connections are opened again.
 
@@ -44,7 +30,7 @@ class SocketDriver(SensorReader):
     """
 
     def __init__(self, host: str, port: int, kinds: tuple[type[LaserScan] | type[TagDetections], ...]) -> None:
-        """Waits for a message of each kind that is plausible; raises DeviceError."""
+        """Waits for a message of each kind that is plausible; raises DeviceError. kinds: of those that are wanted."""
         name = f"socket:{host}:{port}"
         super().__init__(name, {kind: f"{_NAMES[kind]} of {name}" for kind in kinds})
         self._address, self._kinds = (host, port), kinds

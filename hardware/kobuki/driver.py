@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import math
 import time
 from multiprocessing.connection import wait
@@ -36,19 +36,7 @@ _STOP = p.BaseControl(0, 0)
 
 def connect(port: str = "/dev/kobuki", limits: Limits | None = None) -> Device:
     """The base on a serial port, driven within limits; raises DeviceError."""
-    return Device(KobukiConfig(port, limits or Limits()))
-
-
-@dataclasses.dataclass(frozen=True)
-class KobukiConfig:
-    """What the robot's process is told. port: path of the serial port."""
-
-    port: str
-    limits: Limits
-
-    def open(self) -> KobukiDriver:
-        """The driver; raises DeviceError."""
-        return KobukiDriver(self.port, self.limits)
+    return Device(functools.partial(KobukiDriver, port, limits or Limits()))
 
 
 class KobukiDriver:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import functools
 import os
 import sys
 import time
@@ -18,18 +18,12 @@ from tfg_drake.hardware.ros.ros2_messages import filled, message_type
 
 def connect(preset: Preset) -> Device:
     """The base of a preset's robot over ROS 2; raises DeviceError."""
-    return Device(Ros2Config(preset))
+    return Device(functools.partial(open_driver, preset))
 
 
-@dataclasses.dataclass(frozen=True)
-class Ros2Config:
-    """What the robot's process is told."""
-
-    preset: Preset
-
-    def open(self) -> GraphBaseDriver:
-        """The driver; raises DeviceError."""
-        return GraphBaseDriver(Ros2Graph(discovery=self.preset.discovery), self.preset)
+def open_driver(preset: Preset) -> GraphBaseDriver:
+    """Its driver; raises DeviceError."""
+    return GraphBaseDriver(Ros2Graph(discovery=preset.discovery), preset)
 
 
 class Ros2Graph:

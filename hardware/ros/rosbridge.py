@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import array
 import contextlib
-import dataclasses
+import functools
 import queue
 import time
 from collections.abc import Callable
@@ -30,20 +30,12 @@ Receive = Callable[[Any, float], None]
 
 def connect(preset: Preset, host: str = "localhost", port: int = 9090) -> Device:
     """The base of a preset's robot behind the rosbridge server at host and port; raises DeviceError."""
-    return Device(RosbridgeConfig(preset, host, port))
+    return Device(functools.partial(open_driver, preset, host, port))
 
 
-@dataclasses.dataclass(frozen=True)
-class RosbridgeConfig:
-    """What the robot's process is told."""
-
-    preset: Preset
-    host: str
-    port: int
-
-    def open(self) -> GraphBaseDriver:
-        """The driver; raises DeviceError."""
-        return GraphBaseDriver(RosbridgeGraph(self.host, self.port), self.preset)
+def open_driver(preset: Preset, host: str, port: int) -> GraphBaseDriver:
+    """Its driver; raises DeviceError."""
+    return GraphBaseDriver(RosbridgeGraph(host, port), preset)
 
 
 class RosbridgeGraph:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from typing import Any
 
@@ -18,33 +17,17 @@ from tfg_drake.messages import LaserScan, TagDetections
 KEYS = {"tags": ("detections", TagDetections), "scan": ("scan", LaserScan)}
 
 
-@dataclasses.dataclass(frozen=True)
-class SensorConfig:
-    """What the process is told.
+def open_driver(
+    host: str | None, port: int, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool
+) -> SensorDriver:
+    """Joins a graph; raises DeviceError. host, port: of rosbridge, None and any for ROS 2. Else as of SensorDriver."""
+    if host is None:
+        from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
-    topics: (what for, topic), "tags" or "scan"; of one that is a name only, the graph has the type. preset: where the
-    scanner and the camera are mounted, and the topic of the camera's calibration. base: the robot's base is on this
-    graph, so its odometry tells the clock and how the robot moves. host: of rosbridge, None for ROS 2.
-    """
+        return SensorDriver(Ros2Graph("tfg_drake_sensors", preset.discovery), topics, preset, base)
+    from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
 
-    topics: tuple[tuple[str, str | Topic], ...]
-    preset: Preset
-    base: bool = False
-    host: str | None = None
-    port: int = 9090
-
-    def open(self) -> SensorDriver:
-        """The driver; raises DeviceError."""
-        return SensorDriver(self._graph(), self.topics, self.preset, self.base)
-
-    def _graph(self) -> Graph:
-        if self.host is None:
-            from tfg_drake.hardware.ros.ros2 import Ros2Graph
-
-            return Ros2Graph("tfg_drake_sensors", self.preset.discovery)
-        from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
-
-        return RosbridgeGraph(self.host, self.port)
+    return SensorDriver(RosbridgeGraph(host, port), topics, preset, base)
 
 
 class SensorDriver(GraphDriver):
@@ -53,10 +36,13 @@ class SensorDriver(GraphDriver):
 
     limits = Limits()
 
-    def __init__(
-        self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool = False
-    ) -> None:
-        """Waits until every topic is there and has sent a message; raises DeviceError."""
+    def __init__(self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool) -> None:
+        """Waits until every topic is there and has sent a message; raises DeviceError.
+
+        topics: (what for, topic), "tags" or "scan"; of one that is a name only, the graph has the type. preset: where
+        the scanner and the camera are mounted, and the topic of the camera's calibration. base: the robot's base is on
+        this graph, so its odometry tells the clock and how the robot moves.
+        """
         super().__init__(graph, preset)
         self._announcer = Announcer(preset.publish, graph.publisher, lambda now: self._intake.clock.robot(now))
         self.sources: dict[type, str] = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import os
 import termios
 import time
@@ -30,18 +29,6 @@ ANSWER_WITHIN, RESET_WITHIN, PATIENCE = 0.5, 1.0, 8.0
 SILENT = 2.0
 
 
-@dataclasses.dataclass(frozen=True)
-class RplidarConfig:
-    """What the process is told. port: path of the serial port. mount: of the scanner."""
-
-    port: str
-    mount: RobotScannerConfig
-
-    def open(self) -> RplidarDriver:
-        """The driver; raises DeviceError."""
-        return RplidarDriver(self.port, self.mount)
-
-
 class RplidarDriver(SensorReader):
     """Starts the motor and reads two sweeps a turn; see tfg_drake.hardware.device.Driver. A scanner that was
     unplugged or is silent is started again.
@@ -50,7 +37,7 @@ class RplidarDriver(SensorReader):
     """
 
     def __init__(self, path: str, mount: RobotScannerConfig) -> None:
-        """Waits for a whole revolution; raises DeviceError."""
+        """Waits for a whole revolution; raises DeviceError. path: of the serial port. mount: of the scanner."""
         name = f"rplidar:{path}"
         super().__init__(name, {Sweep: f"scan of {name}"})
         self._path, self._mount = path, mount

@@ -5,24 +5,24 @@ import sys
 
 import pytest
 
-from tfg_drake.hardware.device import Device, DeviceError
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.ros import graph_driver, stamps
 from tfg_drake.hardware.ros import ros2 as transport
 from tfg_drake.hardware.ros.preset import Topic, load_preset
-from tfg_drake.hardware.ros.sensors import SensorConfig
+from tfg_drake.hardware.ros.sensors import open_driver
 
 
 def complaint(preset):
     """What opening the driver of a preset's base in this process says."""
     with pytest.raises(DeviceError) as error:
-        transport.Ros2Config(preset).open()
+        transport.open_driver(preset)
     return str(error.value)
 
 
 def complaint_of_scan(preset):
     """What opening the driver of its scanner says."""
     with pytest.raises(DeviceError) as error:
-        SensorConfig((("scan", preset.topics.scan),), preset, base=True).open()
+        open_driver(None, 0, (("scan", preset.topics.scan),), preset, base=True)
     return str(error.value)
 
 
@@ -48,7 +48,7 @@ def test_a_package_that_is_not_there(ros_domain):
 
 def test_the_line_comes_through_the_process(ros_domain):
     with pytest.raises(DeviceError, match=r"^ros2: /hazard_detection needs the package irobot_create_msgs"):
-        Device(transport.Ros2Config(load_preset("turtlebot4")))
+        transport.connect(load_preset("turtlebot4"))
 
 
 def test_nobody_publishes(ros2, monkeypatch):

@@ -15,7 +15,7 @@ from tfg_drake.hardware.ros.preset import Topic
 def complaint(preset, port):
     """What opening a preset's driver in this process says."""
     with pytest.raises(DeviceError) as error:
-        transport.RosbridgeConfig(preset, "localhost", port).open()
+        transport.open_driver(preset, "localhost", port)
     return str(error.value)
 
 
