@@ -5,6 +5,7 @@ So a map of a large building holds up neither the planner nor the watchdog.
 
 from __future__ import annotations
 
+import itertools
 import threading
 from multiprocessing.connection import Connection
 from typing import Any, Protocol, runtime_checkable
@@ -19,21 +20,26 @@ class Publisher(Protocol):
         time, s."""
 
 
-class Announcements:
-    """The planner's end. Of what is put faster than it is taken the newest of each key goes out."""
+class Outbox:
+    """Sends pairs of a key and what it stands for from a thread of its own: whoever reads late holds nothing up."""
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._waiting: dict[str, dict[str, Any]] = {}
+    def __init__(self, connection: Connection, most: int | None = None) -> None:
+        """most: how many pairs wait to be sent, at the most, the oldest of more being lost; None: of each key the
+        newest waits."""
+        self._connection, self._most = connection, most
+        self._waiting: dict[object, tuple[str, Any]] = {}
+        self._numbers = itertools.count()
         self._changed = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def put(self, key: str, message: dict[str, Any]) -> None:
-        """Has a message published."""
+    def put(self, key: str, content: Any) -> None:
+        """Has a pair sent."""
         with self._changed:
-            self._waiting[key] = message
+            self._waiting[key if self._most is None else next(self._numbers)] = key, content
+            if self._most is not None and len(self._waiting) > self._most:
+                del self._waiting[next(iter(self._waiting))]
             self._changed.notify()
 
     def close(self) -> None:
@@ -52,7 +58,7 @@ class Announcements:
                     return
                 waiting, self._waiting = self._waiting, {}
             try:
-                for one in waiting.items():
+                for one in waiting.values():
                     self._connection.send(one)
             except OSError:
                 return  # the process has ended; Device says so

@@ -21,7 +21,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.hardware.announcements import Announcements
+from tfg_drake.hardware.announcements import Outbox
 from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message
@@ -161,7 +161,7 @@ class Device:
                     stdout=subprocess.DEVNULL,
                     start_new_session=True,
                 )
-            self._announcements = Announcements(announcing)
+            self._announcements = Outbox(announcing)
             undo.callback(self._announcements.close)
             self._reader.start()
             undo.pop_all()

@@ -10,7 +10,6 @@ What comes by the second is published, see announcements.py.
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import math
 import os
@@ -19,9 +18,8 @@ import sys
 import threading
 import time
 from multiprocessing.connection import Connection
-from typing import Any
 
-from tfg_drake.hardware.announcements import Publisher, announce
+from tfg_drake.hardware.announcements import Outbox, Publisher, announce
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, Driver
 from tfg_drake.hardware.plausible import Judge
 from tfg_drake.hardware.watchdog import TICK, Watchdog
@@ -35,36 +33,9 @@ _ORDERS_WITHIN = TICK
 _ALIVE_EVERY = 0.5
 
 
-class _Outbox:
-    """Sends from a thread of its own: a parent that does not read holds nothing up, but misses the oldest."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._waiting: collections.deque[tuple[str, Any]] = collections.deque(maxlen=WAITING)
-        self._changed = threading.Condition()
-        threading.Thread(target=self._run, daemon=True).start()
-
-    def put(self, kind: str, content: Any) -> None:
-        with self._changed:
-            self._waiting.append((kind, content))
-            self._changed.notify()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting)
-                waiting = list(self._waiting)
-                self._waiting.clear()
-            try:
-                for one in waiting:
-                    self._connection.send(one)
-            except OSError:
-                return
-
-
 def serve(driver: Driver, connection: Connection) -> None:
     """Drives until the other end of the connection is closed or its process gone."""
-    watchdog, outbox, parent = Watchdog(driver.limits), _Outbox(connection), os.getppid()
+    watchdog, outbox, parent = Watchdog(driver.limits), Outbox(connection, WAITING), os.getppid()
     judge = Judge(driver.sources)
     outbox.put("ready", None)
     told, moved, said_alive = watchdog.locked, False, -math.inf

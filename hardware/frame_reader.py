@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import contextlib
 import threading
 import time
 from collections.abc import Iterator
@@ -53,11 +52,7 @@ class FrameReader:
 
     def take_remarks(self) -> list[str]:
         """Lines for the operator since the last call."""
-        lines = []
-        with contextlib.suppress(IndexError):
-            while True:
-                lines.append(self._remarks.popleft())
-        return lines
+        return [self._remarks.popleft() for _ in range(len(self._remarks))]
 
     def close(self) -> None:
         """Lets go of the camera."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import os
 import queue
 import sys
@@ -58,11 +57,7 @@ class Keyboard(Generic[T]):
 
     def requests(self) -> list[T]:
         """What was asked for since the last call."""
-        taken = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                taken.append(self._requests.get_nowait())
-        return taken
+        return [self._requests.get_nowait() for _ in range(self._requests.qsize())]
 
     def close(self) -> None:
         """Gives the terminal back."""

@@ -36,7 +36,9 @@ class SensorDriver(GraphDriver):
 
     limits = Limits()
 
-    def __init__(self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool) -> None:
+    def __init__(
+        self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool = False
+    ) -> None:
         """Waits until every topic is there and has sent a message; raises DeviceError.
 
         topics: (what for, topic), "tags" or "scan"; of one that is a name only, the graph has the type. preset: where

@@ -4,7 +4,7 @@ import threading
 import time
 from multiprocessing import Pipe
 
-from tfg_drake.hardware.announcements import Announcements, announce
+from tfg_drake.hardware.announcements import Outbox, announce
 
 LARGE = {"data": bytes(5_000_000)}
 
@@ -25,7 +25,7 @@ def test_of_what_is_too_fast_the_newest_is_published():
     publisher = Slow()
     thread = threading.Thread(target=announce, args=(publisher, theirs))
     thread.start()
-    announcements = Announcements(ours)
+    announcements = Outbox(ours)
     announcements.put("map", LARGE)
     put = 0
     while len(publisher.published) < 5:
@@ -48,7 +48,7 @@ def test_of_what_is_too_fast_the_newest_is_published():
 
 def test_nobody_reads():
     theirs, ours = Pipe(duplex=False)
-    announcements = Announcements(ours)
+    announcements = Outbox(ours)
     began = time.monotonic()
     for _ in range(10):
         announcements.put("map", LARGE)

@@ -19,7 +19,6 @@ import struct
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import lz4.frame
@@ -147,9 +146,7 @@ class PortWriter:
     def __enter__(self) -> PortWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def write(self, port: str, time: float, value: object) -> None:
