@@ -20,6 +20,7 @@ from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, wri
 if TYPE_CHECKING:
     from tfg_drake.datasets.recording import Recording
     from tfg_drake.messages import FloatArray, TagDetections
+    from tfg_drake.vision.calibration import CameraCalibration
     from tfg_drake.vision.image import Image
     from tfg_drake.vision.mount import CameraMount
 
@@ -67,7 +68,6 @@ def check(
     """Say which tags a camera sees, where and how exactly, and what is wrong."""
     _need_packages()
     from tfg_drake.vision.annotated import annotated
-    from tfg_drake.vision.calibration import CalibrationError, load_calibration
     from tfg_drake.vision.frames import frames as all_frames
     from tfg_drake.vision.frames import is_live
     from tfg_drake.vision.sighting import TagSizes, sighted
@@ -75,12 +75,9 @@ def check(
 
     if not (math.isfinite(tag_size) and tag_size > 0.0):
         bad_input(f"--tag-size {tag_size:g}: must be greater than 0 m")
-    where = _mount(mount)
+    where, known = _mount(mount), _calibration(calibration)
     try:
-        known = load_calibration(calibration)
         detector = TagDetector(DetectorConfig(tuple(family or ("tag36h11",)), threads, decimation))
-    except CalibrationError as error:
-        bad_input(f"--calibration {error}")
     except ValueError as error:
         bad_input(str(error))
     into_folder = out is not None and out.suffix == ""
@@ -158,13 +155,8 @@ def video_loader(
     """What reads a video or a folder of images as a recording, for `tfg-drake slam`; the options are as given there."""
     _need_packages()
     from tfg_drake.datasets.video import load_video
-    from tfg_drake.vision.calibration import CalibrationError, load_calibration
 
-    where = _mount(mount)
-    try:
-        known = load_calibration(calibration)
-    except CalibrationError as error:
-        bad_input(f"--calibration {error}")
+    where, known = _mount(mount), _calibration(calibration)
     return lambda source: load_video(
         str(source), known, tag_size, where, odometry, lambda count: show(f"looking for tags: {count} frames")
     )
@@ -229,6 +221,15 @@ def _board(text: str) -> tuple[int, int]:
     if not (columns.isdigit() and rows.isdigit() and 3 <= int(columns) <= 50 and 3 <= int(rows) <= 50):
         bad_input(f"--board {text}: must be the numbers of inner corners, 3 to 50, such as 9x6")
     return int(columns), int(rows)
+
+
+def _calibration(path: Path) -> CameraCalibration:
+    from tfg_drake.vision.calibration import CalibrationError, load_calibration
+
+    try:
+        return load_calibration(path)
+    except CalibrationError as error:
+        bad_input(f"--calibration {error}")
 
 
 def _mount(text: str) -> CameraMount:

@@ -27,13 +27,13 @@ from tfg_drake.diagrams.missions.run_folder import open_run_folder
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import save_map, saved_map
-from tfg_drake.messages import TfgMap
+from tfg_drake.messages import replace
 from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import write_tum
-from tfg_drake.tfg.graph import empty_graph
+from tfg_drake.tfg.graph import empty_graph, empty_map
 
 _log = logging.getLogger("tfg_drake.slam_command")
 
@@ -172,11 +172,9 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
         folder / "figure.png",
         f"{recording.name}: each aligned to the truth" if recording.truth is not None else recording.name,
         {"smoothed": transform(X_robot, smoothed.X_MB[:, :2]), "online": transform(X_online, online.X_MB[:, :2])},
-        truth.X_WB[:, :2],
         smoothed.ids,
         transform(X_landmarks, smoothed.p_ML),
-        truth.ids,
-        truth.p_WL,
+        truth,
         landmarks.misfit_ids,
     )
     return {
@@ -206,22 +204,15 @@ def _keep_map(folder: Path, state: EstimatorState) -> None:
     estimate = state.map
     if estimate is None:
         return
-    none, stars = np.zeros(0), np.zeros(estimate.stage + 1, dtype=np.int64)
-    tfg = TfgMap(
-        stage=estimate.stage,
-        segments=np.zeros((0, 4)),
-        segment_kind=np.zeros(0, dtype=np.int64),
-        segment_ids=np.zeros((0, 2), dtype=np.int64),
+    stage, stars = estimate.stage, np.zeros(estimate.stage + 1, dtype=np.int64)
+    tfg = replace(
+        empty_map(),
+        stage=stage,
         facing=np.zeros((len(estimate.ids), 2)),
-        frontiers=np.zeros((0, 2)),
-        frontier_length=none,
-        frontier_normal=np.zeros((0, 2)),
         star_offsets=stars,
-        star_vertices=np.zeros((0, 2)),
         star_centers=estimate.X_MA[:, :2],
     )
-    graph = dataclasses.replace(empty_graph(), stage=estimate.stage, star_offsets=stars)
-    saved = saved_map(np.zeros(3), state, graph, tfg)
+    saved = saved_map(np.zeros(3), state, replace(empty_graph(), stage=stage, star_offsets=stars), tfg)
     save_map(folder / "map.npz", saved)
     write_atomic(folder / "landmarks.csv", landmark_csv(saved))
 
@@ -233,17 +224,8 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
     except ValueError as error:
         raise DatasetError(f"{dataset}: {error}; add an edge or the vertices' values") from error
     write_g2o(folder / "solved.g2o", solved)
-    draw_slam(
-        folder / "figure.png",
-        name,
-        {"smoothed": solved.X_MB[:, :2]},
-        np.empty((0, 2)),
-        solved.landmark_ids,
-        solved.p_ML,
-        np.empty(0, dtype=np.int64),
-        np.empty((0, 2)),
-        np.empty(0, dtype=np.int64),
-    )
+    truth, way = _no_truth(), {"smoothed": solved.X_MB[:, :2]}
+    draw_slam(folder / "figure.png", name, way, solved.landmark_ids, solved.p_ML, truth, truth.ids)
     return {
         "method": GRAPH_METHOD,
         "outcome": "complete",

@@ -52,8 +52,6 @@ def coverage_curve(
     X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float
 ) -> Curve:
     """Share of the cells seen so far by the scanner against the distance driven (m); see `scan_coverage`."""
-    if not len(X_WB) or not len(p_WC):
-        return Curve(np.zeros(0), np.zeros(0))
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(X_WB[:, :2], axis=0).T))])
     rows, share = scan_coverage(X_WB, p_WC, walls, scan_range, field_of_view)
     return Curve(driven[rows], share)

@@ -43,8 +43,6 @@ class Spread:
 
 def spread(sample: FloatArray) -> Spread:
     """The spread of a sample (n,), all nan for none."""
-    if not len(sample):
-        return Spread(0, Interval(math.nan, math.nan, math.nan), math.nan)
     std = float(sample.std(ddof=1)) if len(sample) > 1 else math.nan
     return Spread(len(sample), _interval(_mean, sample), std)
 

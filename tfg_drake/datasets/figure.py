@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.pictures.figure_file import write_figure
 
@@ -20,11 +21,9 @@ def draw_slam(
     path: Path,
     title: str,
     trajectories: dict[str, FloatArray],
-    truth: FloatArray,
     ids: IntArray,
     p_WL: FloatArray,
-    true_ids: IntArray,
-    p_WL_true: FloatArray,
+    truth: GroundTruth,
     misfit_ids: IntArray,
 ) -> None:
     """Write the figure as a PNG, atomically; everything in one frame, any part may be empty.
@@ -33,16 +32,15 @@ def draw_slam(
         path: the file.
         title: stands above the figure.
         trajectories: "smoothed" and "online" positions (n, 2), m.
-        truth: (m, 2) true positions.
         ids, p_WL: (l,) and (l, 2) estimated landmarks.
-        true_ids, p_WL_true: (t,) and (t, 2) true landmarks.
+        truth: true poses and landmarks.
         misfit_ids: landmarks that contradict their truth; a line joins the two.
 
     Raises:
         OSError: the file cannot be written.
     """
-    known = np.isin(true_ids, ids)
-    points = np.vstack([truth, *trajectories.values(), p_WL, p_WL_true[known], np.zeros((1, 2))])
+    known, path_true = np.isin(truth.ids, ids), truth.X_WB[:, :2]
+    points = np.vstack([path_true, *trajectories.values(), p_WL, truth.p_WL[known], np.zeros((1, 2))])
     width, height = np.ptp(points, axis=0) + 1.0
     figure = Figure(figsize=(9.0, float(np.clip(9.0 * height / width, 4.0, 12.0)) + 0.8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -52,20 +50,20 @@ def draw_slam(
     axes.tick_params(labelsize=8, colors="0.35")
     for spine in axes.spines.values():
         spine.set_visible(False)
-    if len(truth):
-        axes.plot(*truth.T, color=_TRUTH, linewidth=1.8, label="true path")
+    if len(path_true):
+        axes.plot(*path_true.T, color=_TRUTH, linewidth=1.8, label="true path")
     for (name, path_points), color in zip(trajectories.items(), (_SMOOTHED, _ONLINE), strict=False):
         if len(path_points):
             axes.plot(*path_points.T, color=color, linewidth=0.7, label=f"{name} path")
     if known.any():
-        axes.plot(*p_WL_true[known].T, "s", color="0.55", markersize=7, fillstyle="none", label="true landmark")
+        axes.plot(*truth.p_WL[known].T, "s", color="0.55", markersize=7, fillstyle="none", label="true landmark")
     if len(ids):
         axes.plot(*p_WL.T, "o", color="0.1", markersize=4, markeredgewidth=0, label="landmark")
     if len(ids) <= _MOST_NAMES:
         for name, p in zip(ids, p_WL, strict=True):
             axes.annotate(str(name), p, xytext=(4, 4), textcoords="offset points", fontsize=7, color="0.25")
     for name in misfit_ids:
-        ends = np.vstack([p_WL[ids == name], p_WL_true[true_ids == name]])
+        ends = np.vstack([p_WL[ids == name], truth.p_WL[truth.ids == name]])
         axes.plot(*ends.T, "--", color=_WRONG, linewidth=0.8)
     figure.legend(loc="outside lower left", ncols=5, fontsize=8, frameon=False, labelcolor="0.25")
     write_figure(path, figure)

@@ -9,6 +9,7 @@ from tfg_drake.datasets.mrclam import load_mrclam
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.tagslam import load_tagslam
+from tfg_drake.datasets.text import found_file
 
 # What a user may have meant.
 _VIDEO = "of a video give --calibration and --tag-size"
@@ -22,11 +23,11 @@ def load_dataset(path: Path, robot: int | None = None) -> Recording | PoseGraph:
     """
     if not path.exists():
         raise DatasetError(f"{path}: no such file or folder; name a data set")
-    if path.is_dir() and _holds(path, "Barcodes.dat"):
+    if found_file(path, "Barcodes.dat"):
         return load_mrclam(path, 1 if robot is None else robot)
     if robot is not None:
         raise DatasetError(f"--robot {robot}: {path} has one robot only; leave --robot out")
-    if path.is_dir() and _holds(path, "tag_corners.csv"):
+    if found_file(path, "tag_corners.csv"):
         return load_tagslam(path)
     if path.is_dir():
         kinds = "neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM)"
@@ -34,7 +35,3 @@ def load_dataset(path: Path, robot: int | None = None) -> Recording | PoseGraph:
     if not path.name.endswith((".g2o", ".g2o.gz")):
         raise DatasetError(f"{path}: not a data set; name a .g2o file, an MR.CLAM or TagSLAM folder, or {_VIDEO}")
     return read_g2o(path)
-
-
-def _holds(folder: Path, name: str) -> bool:
-    return (folder / name).is_file() or (folder / f"{name}.gz").is_file()

@@ -14,7 +14,7 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import read_table
-from tfg_drake.datasets.text import find_file
+from tfg_drake.datasets.text import find_file, found_file
 from tfg_drake.messages import FloatArray, Odometry
 from tfg_drake.storage.clock_unit import UNITS, clock_unit
 
@@ -145,13 +145,11 @@ def _truth(folder: Path, robot: int, unit: float) -> tuple[GroundTruth | None, l
     notes: list[str] = []
     stamps, X_WB = np.empty(0), np.empty((0, 3))
     ids, p_WL = np.empty(0, dtype=np.int64), np.empty((0, 2))
-    if any((folder / f"Robot{robot}_Groundtruth.dat{end}").is_file() for end in ("", ".gz")):
-        file = find_file(folder, f"Robot{robot}_Groundtruth.dat")
+    if file := found_file(folder, f"Robot{robot}_Groundtruth.dat"):
         poses, mended = read_table(file, ("time", "x", "y", "heading"))
         notes += mended
         stamps, X_WB = unit * poses[:, 0], poses[:, 1:]
-    if any((folder / f"Landmark_Groundtruth.dat{end}").is_file() for end in ("", ".gz")):
-        file = find_file(folder, "Landmark_Groundtruth.dat")
+    if file := found_file(folder, "Landmark_Groundtruth.dat"):
         landmarks, mended = read_table(file, ("subject", "x", "y", "sigma x", "sigma y"), timed=False)
         notes += mended
         landmarks = landmarks[np.argsort(landmarks[:, 0])]

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import Rows, ShortRowError
-from tfg_drake.datasets.text import GREATEST, find_file, parse_numbers, read_text
+from tfg_drake.datasets.text import GREATEST, find_file, found_file, parse_numbers, read_text
 from tfg_drake.messages import FloatArray, IntArray, Odometry
 from tfg_drake.storage.yaml_text import parse_yaml
 from tfg_drake.vision.calibration import calibration_of
@@ -194,7 +194,7 @@ def _detections(
 def _truth(folder: Path, setup: _Setup, notes: list[str]) -> GroundTruth | None:
     """The survey and the reference trajectory; not independent of the detections, but all there is."""
     stamps, X_WB = np.empty(0), np.empty((0, 3))
-    if any((folder / f"tagslam_reference.csv{end}").is_file() for end in ("", ".gz")):
+    if found_file(folder, "tagslam_reference.csv"):
         stamps, R_WR, p_WR = _rig_poses(folder, "tagslam_reference.csv", np.eye(3), np.zeros(3), notes)
         X_WB = np.column_stack([p_WR[:, :2], _heading(R_WR)])
     if not len(stamps) and not len(setup.surveyed_ids):

@@ -19,16 +19,20 @@ _ANY = 2**20
 GREATEST = 1e19
 
 
+def found_file(folder: Path, name: str) -> Path | None:
+    """The file of this name in a folder, or its gzipped version; None where there is neither."""
+    return next((path for path in (folder / name, folder / f"{name}.gz") if path.is_file()), None)
+
+
 def find_file(folder: Path, name: str) -> Path:
-    """The file of this name in a folder, or its gzipped version.
+    """The same where it must be there.
 
     Raises:
         DatasetError: there is neither.
     """
-    for path in (folder / name, folder / f"{name}.gz"):
-        if path.is_file():
-            return path
-    raise DatasetError(f"{folder / name}: no such file, nor with .gz; put it there")
+    if (path := found_file(folder, name)) is None:
+        raise DatasetError(f"{folder / name}: no such file, nor with .gz; put it there")
+    return path
 
 
 def read_text(path: Path) -> str:
