@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.pictures import scene, tables
 from tfg_drake.planning.requested_goal import REASON
+from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
@@ -45,6 +47,7 @@ _MESSAGES = {
     "pose": PoseEstimate,
     "scan": LaserScan,
     "people": People,
+    "pushes": Pushes,
     "working_map": WorkingMap,
     "working_roadmap": Roadmap,
 }
@@ -73,6 +76,7 @@ class TimelineRecorder(LeafSystem):
         - pose
         - scan
         - people
+        - pushes
         - working_map
         - working_roadmap
         - enabled
@@ -101,14 +105,17 @@ class TimelineRecorder(LeafSystem):
 
     @staticmethod
     def AddToBuilder(
-        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter
+        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter, operator: System | None = None
     ) -> TimelineRecorder:
-        """Adds a recorder of a mission, connected to its station and explorer by port name."""
+        """Adds a recorder of a mission, connected to its station, explorer and, where there is one, operator by port
+        name."""
         recorder = TimelineRecorder(writer)
         builder.AddNamedSystem("timeline_recorder", recorder)
         for name in _MESSAGES:
             if explorer.HasOutputPort(name):
                 builder.Connect(explorer.GetOutputPort(name), recorder.GetInputPort(name))
+        if operator is not None:
+            builder.Connect(operator.GetOutputPort("pushes"), recorder.GetInputPort("pushes"))
         for name, port in (
             ("scan.ranges", "scan"),
             ("base.enabled", "enabled"),
@@ -149,7 +156,7 @@ class TimelineRecorder(LeafSystem):
         """Writes what has changed since the last look; everything: also what has been written too much lately."""
         working = self._Get(context, "working_map")
         is_large = working is not None and not working.is_all
-        for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "mission"):
+        for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "pushes", "mission"):
             is_made = is_large and name in _WHOLE
             if is_made and not everything and (now < self._whole_due.get(name, now) or not self._IsDue(name, now)):
                 continue
@@ -186,16 +193,20 @@ class TimelineRecorder(LeafSystem):
             near = working is not None and not working.is_all
             roadmap = self._Get(context, "working_roadmap" if near else "roadmap")
             there = scene.goal(message) if message.node >= 0 else {"points": np.zeros((0, 2))}
+            there = there if roadmap is None else {**there, **scene.tour(message, roadmap)}
             told = {"verdict": message.verdict, "reason": message.reason, "stage": message.stage}
             told["sent"] = message.reason == REASON
             write("goal", now, there, **told)
             if roadmap is not None:
                 told = {"explained": scene.explained(message, roadmap), "stage": message.stage}
+                told["most"] = round(float(message.gain.max(initial=0.0)), 4)
                 self._WriteRows("gains", now, tables.gains(message, roadmap), **told)
         elif name == "path":
             write("path", now, scene.path(message))
         elif name == "grid":
             write("grid", now, scene.grid_cells(message), resolution=message.resolution, stage=message.stage)
+        elif name == "pushes":
+            write("pushes", now, {}, pushes=[dataclasses.asdict(push) for push in message.pushes])
         else:
             told = {"phase": message.phase, "stage": message.stage, "outcome": message.outcome}
             write("mission", now, {}, **told, reason=message.reason, drives=message.drives)
@@ -244,4 +255,7 @@ class TimelineRecorder(LeafSystem):
         scan = self._Get(context, "scan") if scans else None
         if scan is not None and pose is not None and scan is not self._newest.get("scan"):
             self._newest["scan"] = scan
-            self._writer.write("scan", now, scene.scan_points(scan, pose))
+            self._writer.write("scan", now, scene.scan_rays(scan, pose))
+        if scans and pose is not None and pose.new_ids.tolist() != self._newest.get("sighted", []):
+            self._newest["sighted"] = pose.new_ids.tolist()
+            self._writer.write("sighted", now, {"points": pose.p_MU, "ids": pose.new_ids})

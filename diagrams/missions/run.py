@@ -66,6 +66,7 @@ TOLD_AT_THE_END = (
     "position_error_m",
     "area_coverage",
     "contacts",
+    "contacts_received",
 )
 
 _log = logging.getLogger("tfg_drake.run")
