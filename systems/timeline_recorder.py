@@ -105,17 +105,15 @@ class TimelineRecorder(LeafSystem):
 
     @staticmethod
     def AddToBuilder(
-        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter, operator: System | None = None
+        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter, *others: System
     ) -> TimelineRecorder:
-        """Adds a recorder of a mission, connected to its station, explorer and, where there is one, operator by port
+        """Adds a recorder of a mission, connected to its station, explorer and others, such as its operator, by port
         name."""
         recorder = TimelineRecorder(writer)
         builder.AddNamedSystem("timeline_recorder", recorder)
-        for name in _MESSAGES:
-            if explorer.HasOutputPort(name):
-                builder.Connect(explorer.GetOutputPort(name), recorder.GetInputPort(name))
-        if operator is not None:
-            builder.Connect(operator.GetOutputPort("pushes"), recorder.GetInputPort("pushes"))
+        for system in (explorer, *others):
+            for name in filter(system.HasOutputPort, _MESSAGES):
+                builder.Connect(system.GetOutputPort(name), recorder.GetInputPort(name))
         for name, port in (
             ("scan.ranges", "scan"),
             ("base.enabled", "enabled"),
@@ -192,14 +190,12 @@ class TimelineRecorder(LeafSystem):
             working = self._Get(context, "working_map")
             near = working is not None and not working.is_all
             roadmap = self._Get(context, "working_roadmap" if near else "roadmap")
-            there = scene.goal(message) if message.node >= 0 else {"points": np.zeros((0, 2))}
-            there = there if roadmap is None else {**there, **scene.tour(message, roadmap)}
+            there = {**scene.goal(message), **(scene.tour(message, roadmap) if roadmap is not None else {})}
             told = {"verdict": message.verdict, "reason": message.reason, "stage": message.stage}
-            told["sent"] = message.reason == REASON
+            told |= {"sent": message.reason == REASON, "most": round(float(message.gain.max(initial=0.0)), 4)}
             write("goal", now, there, **told)
             if roadmap is not None:
                 told = {"explained": scene.explained(message, roadmap), "stage": message.stage}
-                told["most"] = round(float(message.gain.max(initial=0.0)), 4)
                 self._WriteRows("gains", now, tables.gains(message, roadmap), **told)
         elif name == "path":
             write("path", now, scene.path(message))

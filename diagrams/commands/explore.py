@@ -210,11 +210,6 @@ def progress_line(progress: Progress) -> str:
     return f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
 
 
-def counted(count: int, what: str) -> str:
-    """Such as "1 contact" and "2 contacts"."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
 def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
     """What the closing table says of files that could not be written, or not all of them: which, and why."""
     return [("not whole", f"{name}: {reason}") for name, reason in unwritten.items()]
@@ -262,7 +257,6 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows["coverage"] = ", ".join(known)
     if summary["contacts"] is not None:
         clearance = number(summary["min_clearance_m"], "{:.2f}")
-        rows["safety"] = f"{counted(summary['contacts'], 'contact')}, least clearance {clearance} m"
-        if summary["contacts_received"]:
-            rows["safety"] += f"; {counted(summary['contacts_received'], 'contact')} that others caused"
+        caused = f"{summary['contacts']} by the robot, {summary['contacts_received']} by others"
+        rows["safety"] = f"contacts: {caused}; least clearance {clearance} m"
     return list(rows.items())

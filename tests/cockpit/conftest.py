@@ -85,10 +85,10 @@ def stage(writer, number, time):
     writer.write_rows("roadmap", time, Table({"edges": edges}, nodes[1:], edges.astype(float)))
     stops = 3 - number if number > 1 else 3
     tour = {"tour": nodes[[3, 2, 0]][:stops], "done": np.array([6.0, 11.5, 21.0], dtype=np.float32)[:stops]}
-    told = {"verdict": "goal", "reason": "It looks round once more.", "stage": number, "sent": False}
+    told = {"verdict": "goal", "reason": "It looks round once more.", "stage": number, "sent": False, "most": 31.4}
     writer.write("goal", time, {"points": nodes[-1:], **tour}, **told)
     share = np.array([25, 128, 180, 255], dtype=np.uint8)
-    writer.write("gains", time, {"points": nodes, "share": share}, explained=EXPLAINED, stage=number, most=31.4)
+    writer.write("gains", time, {"points": nodes, "share": share}, explained=EXPLAINED, stage=number)
     writer.write("path", time, {"segments": np.array([[0.0, 0.0, 2.0, 1.0], [2.0, 1.0, 3.5, 1.2]])})
     writer.write("mission", time, {}, phase="follow", stage=number, outcome="", reason="", drives=True)
 

@@ -125,14 +125,15 @@ def test_the_end_has_the_numbers_of_the_terminal(page):
     numbers, card = page.text("numbers").splitlines(), page.text("card").splitlines()
     shown = dict(zip(card[1:-1:2], card[2::2], strict=False))
     told = dict(table_rows({**dict.fromkeys(FIELDS), **SUMMARY, "position_error_m": {"mean": 0.015, "max": 0.02}}))
-    assert dict(zip(numbers[::2], numbers[1::2], strict=True))["driven"] == shown["driven"] == told["driven"].split(",")[0]
+    driven = dict(zip(numbers[::2], numbers[1::2], strict=True))["driven"]
+    assert driven == shown["driven"] == told["driven"].split(",")[0]
     assert shown["time"].split(",")[0] == told["time"].split(",")[0] == page.text("clock")
     assert page.text("time").endswith(f"of {page.text('clock')}")
     assert f"{shown['tags']}, map error {shown['map error']}" == told["tags"]
     assert told["pose error"].startswith(shown["pose error"] + ",")
-    assert shown["contacts"] == "0, and 1 that others caused"
-    assert told["safety"] == "0 contacts, least clearance - m; 1 contact that others caused"
-    assert page("return number(2.25, 1) + ' ' + number(2.75, 1) + ' ' + number(-0.01, 1)") == f"{2.25:.1f} {2.75:.1f} -0.0"
+    assert told["safety"] == f"contacts: {shown['contacts']}; least clearance - m"
+    assert shown["contacts"] == "0 by the robot, 1 by others"
+    assert page("return [2.25, 2.75, -0.06].map((value) => number(value, 1))") == ["2.2", "2.8", f"{-0.06:.1f}"]
 
 
 def test_any_time_is_shown(page):
@@ -280,8 +281,9 @@ def test_the_first_look_shows_what_is_seen(page):
     assert figures["tags mapped"] == "0, 3 seen"
     assert page("return groups.free.getObjectByName('first look') !== undefined")
     # The scan's triangles, from the two rays to the right of a gap to the last: shapely's area, but for cells.
-    polygon = shapely.union_all([shapely.Polygon([(0.4 * t, 0), *(ENDS + [0.4 * t, 0])]) for t in np.arange(0, 1.1, 0.25)])
-    assert float(figures["floor seen"].split()[0]) == pytest.approx(polygon.area, abs=1.0)
+    places = [np.array([0.4 * t, 0.0]) for t in np.arange(0.0, 1.1, 0.25)]
+    area = shapely.union_all([shapely.Polygon([place, *(ENDS + place)]) for place in places]).area
+    assert float(figures["floor seen"].split()[0]) == pytest.approx(area, abs=1.0)
     assert "The robot's first look" in page.text("choice")
     assert "The robot's first look" in page("return element('phase').title")
     page.seek(2.1)

@@ -68,7 +68,7 @@ def test_what_does_not_change_is_written_once_and_what_moves_again_and_again(wri
     assert told["enabled"]["enabled"] is True
     assert told["mission"]["phase"] == "follow"
     assert told["gains"]["explained"][0]["chosen"]
-    assert told["gains"]["most"] == 1.0
+    assert told["goal"]["most"] == 1.0
 
 
 def test_the_tour_is_recorded_with_the_goal(writer, tmp_path):

@@ -165,7 +165,7 @@ def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:
 
 def goal(choice: GoalChoice) -> Layer:
     """points: (1, 2) the goal, (0, 2) where there is none."""
-    return {"points": choice.p_MG[None] if choice.verdict == "goal" else np.zeros((0, 2))}
+    return {"points": choice.p_MG[None] if choice.verdict == "goal" and choice.node >= 0 else np.zeros((0, 2))}
 
 
 def tour(choice: GoalChoice, roadmap: Roadmap) -> Layer:

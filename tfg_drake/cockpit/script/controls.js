@@ -105,7 +105,7 @@ function paint() {
   for (const mark of document.querySelectorAll("i[data-colour]"))
     mark.style.setProperty("--colour", colour(mark.dataset.colour));
   const root = document.documentElement.style;
-  for (const name of ["stop", "instead"]) root.setProperty(`--${name}`, colour(name));
+  for (const [name, of] of [...Object.entries(BADGES), ["free", "free"]]) root.setProperty(`--${name}`, colour(of));
   root.setProperty("--shades", shadesOfGain().join());
   dirty = true;
 }

@@ -129,7 +129,7 @@ const draw = {
     const { tour = [] } = arrays(record),
       legs = [];
     for (let i = 0; i + 3 < tour.length; i += 2) legs.push(...tour.slice(i, i + 4));
-    const look = material("stop", { above: true, opacity: 0.55 });
+    const look = material("path", { above: true, opacity: 0.55 });
     put(groups.tour, "legs", boxes(legs, null, 0.6 * unit, 0.004, Z.tour, look, 5));
     put(groups.tour, "stops", badges(tour, "stop", 4.4 * unit));
     put(

@@ -132,13 +132,13 @@ function tellChoice() {
   const shown = firstLook(time) ? FIRST_LOOK : record;
   if (shown === choiceShown) return;
   choiceShown = shown;
-  const table = record ? record.told.explained : [];
-  element("most").lastChild.textContent = table.length ? number(record.told.most, 0, "nats") : "– nats";
+  const table = record ? record.told.explained : [],
+    goal = timeline.at("goal", time);
+  element("most").lastChild.textContent = `${table.length ? number(goal?.told.most, 0) : "–"} nats`;
   element("choice").hidden = !table.length && shown !== FIRST_LOOK;
   if (shown === FIRST_LOOK) element("choice").replaceChildren(made("h2", {}, "First look"), made("p", {}, FIRST_LOOK));
   if (!table.length || shown === FIRST_LOOK) return;
-  const goal = timeline.at("goal", time),
-    toured = goal && (arrays(goal).done ?? []).length > 0;
+  const toured = goal && (arrays(goal).done ?? []).length > 0;
   const cell = (v) => made("td", {}, number(v, Math.abs(v) < 9.95 ? 1 : 0));
   const head = [
     ["goal", ""],
@@ -198,7 +198,7 @@ function tellEnd() {
     list.push(["pose error", `${number(end.position_error_m.mean, 3, "m")} mean`]);
   if (end.area_coverage !== null) list.push(["coverage", `${number(100 * end.area_coverage, 1)} % of the area`]);
   if (end.contacts !== null)
-    list.push(["contacts", `${end.contacts}` + (end.contacts_received ? `, and ${end.contacts_received} that others caused` : "")]);
+    list.push(["contacts", `${end.contacts} by the robot, ${end.contacts_received} by others`]);
   list.push(["folder", end.folder]);
   const title = made("h2", {}, `Mission ${end.outcome.replace("_", " ")}`),
     names = made("dl", {}, ...list.flatMap(([name, text]) => [made("dt", {}, name), made("dd", {}, `${text}`)])),

@@ -78,7 +78,7 @@ const LAYERS = [
   [
     "tour",
     "tour, instead",
-    "stop",
+    "path",
     true,
     "Numbered, its goal first: the tour that it has planned. Grey squares: where it could have gone instead",
   ],

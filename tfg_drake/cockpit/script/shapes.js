@@ -187,18 +187,19 @@ function badges(points, name, radius) {
   return group;
 }
 
-const badgeLooks = new Map();
+const BADGES = { stop: "path", instead: "truth" }, // their colours
+  badgeLooks = new Map();
 function badgeLook(name, number) {
   const key = [name, number, dark.matches].join();
   if (!badgeLooks.has(key)) {
     const canvas = made("canvas", { width: 64, height: 64 }),
       context = canvas.getContext("2d");
-    context.fillStyle = colour(name);
+    context.fillStyle = colour(BADGES[name]);
     context.beginPath();
     if (name === "stop") context.arc(32, 32, 31, 0, 2 * Math.PI);
     else context.roundRect(5, 5, 54, 54, 8);
     context.fill();
-    Object.assign(context, { fillStyle: "#ffffff", font: "bold 42px sans-serif", textAlign: "center" });
+    Object.assign(context, { fillStyle: colour("free"), font: "bold 42px sans-serif", textAlign: "center" });
     context.fillText(number, 32, 47);
     const map = new T.CanvasTexture(canvas);
     badgeLooks.set(key, new T.SpriteMaterial({ map, depthTest: false }));
