@@ -249,7 +249,7 @@ class TimelineRecorder(LeafSystem):
         if people is not None:
             self._writer.write("people", now, {"points": places_at(people, now)})
         scan = self._Get(context, "scan") if scans else None
-        if scan is not None and pose is not None and scan is not self._newest.get("scan"):
+        if scan and pose and np.isfinite(scan.stamp) and scan is not self._newest.get("scan"):
             self._newest["scan"] = scan
             self._writer.write("scan", now, scene.scan_rays(scan, pose))
         if scans and pose is not None and pose.new_ids.tolist() != self._newest.get("sighted", []):

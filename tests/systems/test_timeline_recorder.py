@@ -90,6 +90,12 @@ def test_tags_that_are_seen_and_not_mapped_are_recorded_as_they_change(writer, t
     np.testing.assert_allclose(sighted.arrays["points"], pose.p_MU)
 
 
+def test_before_there_is_a_scan_none_is_recorded(writer, tmp_path):
+    messages = make_messages()
+    Simulator(make_diagram(writer, messages | {"scan": replace(messages["scan"], stamp=-np.inf)})).AdvanceTo(0.5)
+    assert "scan" not in {record.layer for record in recorded(writer, tmp_path)}
+
+
 def test_a_push_is_recorded(writer, tmp_path):
     Simulator(make_diagram(writer, {"pushes": with_push(Pushes(), 2.5)})).AdvanceTo(1.0)
     (record,) = [record for record in recorded(writer, tmp_path) if record.layer == "pushes"]
@@ -107,7 +113,7 @@ def test_with_nothing_connected_there_is_nothing_to_write(writer, tmp_path):
 def test_empty_messages_of_the_beginning(writer, tmp_path):
     Simulator(make_diagram(writer, make_messages(f=0))).AdvanceTo(0.25)
     layers = {record.layer: record for record in recorded(writer, tmp_path)}
-    assert layers["goal"].arrays["points"].shape == (0, 2)
+    assert layers["goal"].arrays["points"].shape == layers["goal"].arrays["tour"].shape == (0, 2)
     assert layers["map"].arrays["points"].shape == (0, 2)
 
 

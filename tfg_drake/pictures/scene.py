@@ -182,9 +182,7 @@ def path(message: Path) -> Layer:
 
 def scan_rays(scan: LaserScan, pose: PoseEstimate) -> Layer:
     """rays: (r + 1, 2) where the scanner was, then the end of each ray of which something is known, at full range where
-    it met nothing. met: (r,) whether it met something."""
-    if not math.isfinite(scan.stamp):
-        return {"rays": np.zeros((0, 2)), "met": np.zeros(0, dtype=np.bool_)}
+    it met nothing. met: (r,) whether it met something. There has been a scan: its stamp is finite."""
     known = ~np.isnan(scan.ranges)
     angles, ranges = scan.angles[known], np.minimum(scan.ranges[known], scan.range_max)
     ends = ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
