@@ -63,14 +63,19 @@ def test_a_frontier_is_a_bar_across_its_normal():
     """On the border of what is known, or on the surface that it lies in front of."""
     tfg = make_messages()["tfg"]
     normal = np.array([[0.6, 0.8], [0.0, -1.0]])
-    frontiers = replace(tfg, frontier_normal=normal, frontier_length=np.array([0.2, 7.0]))
-    surface = np.array([[4.0, 3.25, 0.0, 3.25]])  # A quarter of a metre behind the second, which is in front of it.
+    # The second lies in free space, a quarter of a metre in front of a surface: whichever of its sides was seen.
+    star = np.array([[1.0, 2.0], [3.0, 2.0], [3.0, 3.24], [1.0, 3.24]])
+    free = {"star_vertices": star, "star_offsets": np.array([0, 4]), "star_centers": np.array([[2.0, 2.5]])}
+    frontiers = replace(tfg, frontier_normal=normal, frontier_length=np.array([0.2, 7.0]), **free)
+    surface = np.array([[0.0, 3.25, 4.0, 3.25]])
     bars = scene.frontiers(replace(frontiers, segments=surface))["segments"]
     along = bars[:, 2:] - bars[:, :2]
     np.testing.assert_allclose(np.sum(along * normal, axis=1), 0.0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), [0.2, 0.4])
     middles = 0.5 * (bars[:, 2:] + bars[:, :2])
     np.testing.assert_allclose(middles, [tfg.frontiers[0] + 0.35 * normal[0], [2.0, 3.25]])
+    bare = scene.frontiers(replace(frontiers, segments=surface[:0]))["segments"][1]
+    np.testing.assert_allclose(0.5 * (bare[:2] + bare[2:]), tfg.frontiers[1])
 
 
 def test_a_tag_faces_away_from_the_longest_wall_that_it_is_on():

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.geometry.distance import clearance, enter
+from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.geometry.star import inside_any
 from tfg_drake.grid.frontier import FREE, OCCUPIED, classify
 from tfg_drake.grid.runs import row_runs
 from tfg_drake.messages import (
@@ -79,13 +80,13 @@ def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:
 
 
 def frontiers(tfg: TfgMap) -> Layer:
-    """segments: (f, 4), a bar at each of the frontier's points, on the border of what is known or, where the point lies
-    in front of a surface, on that surface."""
-    p, normal, segments = tfg.frontiers, tfg.frontier_normal, np.array(tfg.segments)
+    """segments: (f, 4), a bar at each of the frontier's points: on the border of what is known, or of one that lies in
+    free space, in front of a surface, on that surface."""
+    p, normal = tfg.frontiers, tfg.frontier_normal
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-    before_surface = enter(np.hstack([p, p - PUSH * normal]), segments)
-    to_surface = clearance(np.hstack([p, p]), segments, PUSH)
-    p = p + np.where(before_surface, -to_surface, PUSH)[:, None] * normal
+    in_free = inside_any(p, tfg.star_offsets, tfg.star_vertices)
+    to_surface = clearance(np.hstack([p, p]), np.array(tfg.segments), PUSH) % PUSH  # 0 where there is none
+    p = p + np.where(in_free, -to_surface, PUSH)[:, None] * normal
     # A point may stand for that of several views, which lies round about.
     half = 0.5 * np.minimum(tfg.frontier_length, SPACING)[:, None] * along
     return {"segments": np.hstack([p - half, p + half])}

@@ -27,10 +27,10 @@ function number(value, digits, unit) {
   return roundings[digits].format(value) + (unit ? ` ${unit}` : "");
 }
 
-/** A time as it is told: the mission has ended when its summary says so, its recording a moment later. */
+/** A time as it is told: a mission has ended when its summary says so, its recording a moment later. */
 function asTold(t) {
-  const end = ended()?.told.sim_time_s;
-  return t > end && t < end + 0.5 ? end : t;
+  const ends = [timeline, forks.timeline].map((run) => run?.at("end", Infinity)?.told.sim_time_s);
+  return ends.find((end) => t > end && t < end + 0.5) ?? t;
 }
 
 // Panels are written anew so often at most, ms, while time goes on by itself.
