@@ -82,10 +82,10 @@ def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:
 def frontiers(tfg: TfgMap) -> Layer:
     """segments: (f, 4), a bar at each of the frontier's points: on the border of what is known, or of one that lies in
     free space, in front of a surface, on that surface."""
-    p, normal = tfg.frontiers, tfg.frontier_normal
+    p, normal = np.array(tfg.frontiers), tfg.frontier_normal
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     in_free = inside_any(p, tfg.star_offsets, tfg.star_vertices)
-    to_surface = clearance(np.hstack([p, p]), np.array(tfg.segments), PUSH) % PUSH  # 0 where there is none
+    to_surface = clearance(np.hstack([p, p]), tfg.segments, PUSH) % PUSH  # 0 where there is none
     p = p + np.where(in_free, -to_surface, PUSH)[:, None] * normal
     # A point may stand for that of several views, which lies round about.
     half = 0.5 * np.minimum(tfg.frontier_length, SPACING)[:, None] * along
