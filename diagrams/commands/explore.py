@@ -241,8 +241,8 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows["tags"] = f"{mapped} mapped"
     if mapped is not None and present is not None:
         rows["tags"] += (
-            f" of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
-            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
+            f" of {present} reachable, map error {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" RMSE ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
     if summary["landmarks_doubtful"]:
         rows["tags"] += f"; doubtful: {', '.join(map(str, summary['landmarks_doubtful']))}"

@@ -146,7 +146,7 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     names = [line[:12].strip() for line in out.splitlines()[-10:-1]]
     assert names == ["outcome", "time", "driven", "tags", "pose error", "coverage", "safety", "files", "page"]
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
-    assert f"\ntags        {mapped} mapped of {reachable} reachable, RMSE 0.0" in out
+    assert f"\ntags        {mapped} mapped of {reachable} reachable, map error 0.0" in out
     assert "\nsafety      contacts: 0 by the robot, 0 by others; least clearance " in out
 
 
