@@ -100,7 +100,7 @@ class Building:
         pose = np.array([*place, 0.3 * now % 6.0, 1e-4, 0.0, 1e-4, 1e-4], dtype=np.float32)
         writer.write("pose", now, {"pose": pose})
         writer.write("truth", now, {"pose": pose[:3] + np.float32(0.02)})
-        writer.write("scan", now, {"points": place + self.star[1:]})
+        writer.write("scan", now, {"rays": place + self.star, "met": np.ones(len(self.star) - 1, dtype=np.bool_)})
 
     def stage(self, writer: TimelineWriter, now: float, number: int, rooms: int, place: np.ndarray) -> None:
         """A look, of so many rooms: what is near the robot has become a little more accurate. Now and then it is told

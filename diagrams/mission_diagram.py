@@ -86,7 +86,7 @@ def MakeMissionDiagram(
     if writer is not None:
         PortRecorder.AddToBuilder(builder, station, explorer, writer, requested)
     if timeline is not None:
-        TimelineRecorder.AddToBuilder(builder, station, explorer, timeline)
+        TimelineRecorder.AddToBuilder(builder, station, explorer, timeline, *filter(None, [operator]))
     if visualizer is not None:
         visualizer.Connect(builder, station, explorer)
 

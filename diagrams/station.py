@@ -64,10 +64,10 @@ def MakeTurtlebotStation(
     base.odometry, base.hazards, tags.detections and scan.ranges are messages: Odometry, Hazards, TagDetections,
     LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
-    made. truth.clearance: least distance of the outline to any wall so far, m. truth.people: a People message, where
-    there are some. truth.world: a WorldNow message, where something changes. truth.pushes: a Pushes message, what moves
-    the base besides its wheels; of a plant that can be pushed. A real robot's station has no truth, and its time must
-    keep to real time: Simulator.set_target_realtime_rate(1.0).
+    made, or walls while it was pushed. truth.clearance: least distance of the outline to any wall so far, m.
+    truth.people: a People message, where there are some. truth.world: a WorldNow message, where something changes.
+    truth.pushes: a Pushes message, what moves the base besides its wheels; of a plant that can be pushed. A real
+    robot's station has no truth, and its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
 
     scenario.station.eyes says what it sees with: ideal sensors, or a camera whose images are rendered.
 

@@ -42,7 +42,8 @@ class DifferentialDrivePlant(LeafSystem):
     unconnected where nobody pushes. pose: x, y, theta of X_WB (m,
     rad), then speed and turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often
     the base began to touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to
-    any wall so far, m. contacts_received: how often somebody else began to touch it.
+    any wall so far, m. contacts_received: how often somebody else began to touch it, or it a wall while it was pushed
+    or slipped.
     """
 
     def __init__(self, world: World, robot: RobotConfig, disturbances: Sequence[DisturbanceConfig] = ()):

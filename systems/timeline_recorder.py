@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.pictures import scene, tables
 from tfg_drake.planning.requested_goal import REASON
+from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
@@ -45,6 +47,7 @@ _MESSAGES = {
     "pose": PoseEstimate,
     "scan": LaserScan,
     "people": People,
+    "pushes": Pushes,
     "working_map": WorkingMap,
     "working_roadmap": Roadmap,
 }
@@ -73,6 +76,7 @@ class TimelineRecorder(LeafSystem):
         - pose
         - scan
         - people
+        - pushes
         - working_map
         - working_roadmap
         - enabled
@@ -101,14 +105,15 @@ class TimelineRecorder(LeafSystem):
 
     @staticmethod
     def AddToBuilder(
-        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter
+        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter, *others: System
     ) -> TimelineRecorder:
-        """Adds a recorder of a mission, connected to its station and explorer by port name."""
+        """Adds a recorder of a mission, connected to its station, explorer and others, such as its operator, by port
+        name."""
         recorder = TimelineRecorder(writer)
         builder.AddNamedSystem("timeline_recorder", recorder)
-        for name in _MESSAGES:
-            if explorer.HasOutputPort(name):
-                builder.Connect(explorer.GetOutputPort(name), recorder.GetInputPort(name))
+        for system in (explorer, *others):
+            for name in filter(system.HasOutputPort, _MESSAGES):
+                builder.Connect(system.GetOutputPort(name), recorder.GetInputPort(name))
         for name, port in (
             ("scan.ranges", "scan"),
             ("base.enabled", "enabled"),
@@ -149,7 +154,7 @@ class TimelineRecorder(LeafSystem):
         """Writes what has changed since the last look; everything: also what has been written too much lately."""
         working = self._Get(context, "working_map")
         is_large = working is not None and not working.is_all
-        for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "mission"):
+        for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "pushes", "mission"):
             is_made = is_large and name in _WHOLE
             if is_made and not everything and (now < self._whole_due.get(name, now) or not self._IsDue(name, now)):
                 continue
@@ -185,9 +190,9 @@ class TimelineRecorder(LeafSystem):
             working = self._Get(context, "working_map")
             near = working is not None and not working.is_all
             roadmap = self._Get(context, "working_roadmap" if near else "roadmap")
-            there = scene.goal(message) if message.node >= 0 else {"points": np.zeros((0, 2))}
+            there = {**scene.goal(message), **(scene.tour(message, roadmap) if roadmap is not None else {})}
             told = {"verdict": message.verdict, "reason": message.reason, "stage": message.stage}
-            told["sent"] = message.reason == REASON
+            told |= {"sent": message.reason == REASON, "most": round(float(message.gain.max(initial=0.0)), 4)}
             write("goal", now, there, **told)
             if roadmap is not None:
                 told = {"explained": scene.explained(message, roadmap), "stage": message.stage}
@@ -196,6 +201,8 @@ class TimelineRecorder(LeafSystem):
             write("path", now, scene.path(message))
         elif name == "grid":
             write("grid", now, scene.grid_cells(message), resolution=message.resolution, stage=message.stage)
+        elif name == "pushes":
+            write("pushes", now, {}, pushes=[dataclasses.asdict(push) for push in message.pushes])
         else:
             told = {"phase": message.phase, "stage": message.stage, "outcome": message.outcome}
             write("mission", now, {}, **told, reason=message.reason, drives=message.drives)
@@ -242,6 +249,9 @@ class TimelineRecorder(LeafSystem):
         if people is not None:
             self._writer.write("people", now, {"points": places_at(people, now)})
         scan = self._Get(context, "scan") if scans else None
-        if scan is not None and pose is not None and scan is not self._newest.get("scan"):
+        if scan and pose and np.isfinite(scan.stamp) and scan is not self._newest.get("scan"):
             self._newest["scan"] = scan
-            self._writer.write("scan", now, scene.scan_points(scan, pose))
+            self._writer.write("scan", now, scene.scan_rays(scan, pose))
+        if scans and pose is not None and pose.new_ids.tolist() != self._newest.get("sighted", []):
+            self._newest["sighted"] = pose.new_ids.tolist()
+            self._writer.write("sighted", now, {"points": pose.p_MU, "ids": pose.new_ids})

@@ -319,7 +319,8 @@ class TfgVisualizer(LeafSystem):
         if pose is not None:
             self._meshcat.SetTransform("/tfg/map/robot", _planar(pose_at(pose, context.get_time())))
         if pose is not None and scan is not None and math.isfinite(scan.stamp):
-            points = scene.scan_points(scan, pose)["points"]
+            layer = scene.scan_rays(scan, pose)
+            points = layer["rays"][1:][layer["met"]]
             self._ShowTriangles("map/scan", discs(points, 0.6 * self._unit, _Z["scan"], corners=6), SCAN)
         if mission is not None:
             self._meshcat.SetProperty("/tfg/map/path", "visible", mission.drives)

@@ -370,6 +370,7 @@ class GoalChoice:
     the mission ends, for a passage that was too narrow or a tag that is doubtful.
     longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget.
     explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
+    tour: (s,) ids of the candidates to be visited in this order, the goal first; empty where no tour was planned.
     """
 
     stage: int
@@ -389,6 +390,7 @@ class GoalChoice:
     looked_again: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     explored: float = math.inf
     longest_way: float = math.inf
+    tour: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @message

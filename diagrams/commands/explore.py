@@ -201,8 +201,8 @@ def progress_line(progress: Progress) -> str:
     """How far the mission has come, on one line of a terminal of 80 columns; what is done now where it has ended."""
     if progress.outcome:
         # In a building of thousands of tags the last solve takes half a minute.
-        return f"{progress.time:5.0f} s  {progress.outcome}: solving the whole map, writing the run's files"
-    where = f"{progress.time:5.0f} s  stage {progress.stage:3d} {progress.phase:8s}"
+        return f"{progress.time:6.1f} s  {progress.outcome}: solving the whole map, writing the run's files"
+    where = f"{progress.time:6.1f} s  stage {progress.stage:3d} {progress.phase:8s}"
     if progress.word:
         return f"{where} {progress.word}"
     speed = progress.time / max(progress.wall_time, 1e-9)
@@ -230,22 +230,22 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
     rows = {
         "outcome": f"{summary['outcome']}: {summary['reason']}",
-        "time": f"{summary['sim_time_s']:.0f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
+        "time": f"{summary['sim_time_s']:.1f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
         "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
-        "landmarks": "-",
+        "tags": "-",
         "pose error": "-",
         "coverage": "-",
         "safety": "-",
     }
     if mapped is not None:
-        rows["landmarks"] = f"{mapped}"
+        rows["tags"] = f"{mapped} mapped"
     if mapped is not None and present is not None:
-        rows["landmarks"] += (
-            f" mapped of {present} reachable, RMSE {number(summary['landmark_rmse_m'], '{:.3f}')} m"
-            f" ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
+        rows["tags"] += (
+            f" of {present} reachable, map error {number(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f" RMSE ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
     if summary["landmarks_doubtful"]:
-        rows["landmarks"] += f"; doubtful: tags {', '.join(map(str, summary['landmarks_doubtful']))}"
+        rows["tags"] += f"; doubtful: {', '.join(map(str, summary['landmarks_doubtful']))}"
     if position.get("mean") is not None:
         rows["pose error"] = (
             f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"
@@ -257,6 +257,6 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows["coverage"] = ", ".join(known)
     if summary["contacts"] is not None:
         clearance = number(summary["min_clearance_m"], "{:.2f}")
-        plural = "" if summary["contacts"] == 1 else "s"
-        rows["safety"] = f"{summary['contacts']} contact{plural}, least clearance {clearance} m"
+        caused = f"{summary['contacts']} by the robot, {summary['contacts_received']} by others"
+        rows["safety"] = f"contacts: {caused}; least clearance {clearance} m"
     return list(rows.items())

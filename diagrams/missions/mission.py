@@ -338,6 +338,7 @@ class Mission:
             "radius": robot.radius,
             "rule": scenario.explorer.goal,
             "simulated": not self.robot.real,
+            "pushes": [dataclasses.asdict(one) for one in scenario.disturbances if not self.robot.real],
         }
         camera = {"range": scenario.tags.range, "field_of_view": scenario.tags.field_of_view}
         layer = scene.walls(self.world) if self.world is not None else {}

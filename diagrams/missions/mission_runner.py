@@ -196,7 +196,7 @@ class MissionRunner:
         status, landmarks = mission.status, len(mission.map.ids) if mission.map is not None else 0
         self._on_progress(
             Progress(
-                mission.time,
+                mission.end_time,
                 wall_time,
                 status.phase,
                 status.stage,

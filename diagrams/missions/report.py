@@ -215,5 +215,5 @@ def _title(summary: dict[str, Any]) -> str:
         )
     return (
         f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"
-        f" {summary['sim_time_s']:.0f} s, {summary['distance_m']:.0f} m, {summary['stages']} stages\n{'; '.join(parts)}"
+        f" {summary['sim_time_s']:.1f} s, {summary['distance_m']:.1f} m, {summary['stages']} stages\n{'; '.join(parts)}"
     )

@@ -67,6 +67,7 @@ TOLD_AT_THE_END = (
     "position_error_m",
     "area_coverage",
     "contacts",
+    "contacts_received",
 )
 
 _log, _of_world = logging.getLogger("tfg_drake.run"), logging.getLogger("tfg_drake.world")

@@ -17,7 +17,8 @@ class Truth:
     """What the truth ports of a simulated station say.
 
     contacts: so far with walls, and with people whom the robot moved towards. contacts_received: those that people
-    made. clearance: least distance of the outline to any wall so far, m. All as of the last look.
+    made, or walls while it was pushed. clearance: least distance of the outline to any wall so far, m. All as of the
+    last look.
     """
 
     def __init__(self, station: System, log: VectorLogSink) -> None:

@@ -12,8 +12,8 @@ STAGES = (2.0, 5.0, 8.0)
 SUMMARY = {
     "outcome": "complete",
     "reason": "Nothing is left <b>to see</b>.",
-    "sim_time_s": 10.0,
-    "distance_m": 4.0,
+    "sim_time_s": 9.85,
+    "distance_m": 4.04,
     "stages": 3,
     "landmarks_mapped": 3,
     "landmarks_reachable": 3,
@@ -22,10 +22,18 @@ SUMMARY = {
     "position_error_m": {"mean": 0.015},
     "area_coverage": 1.0,
     "contacts": 0,
+    "contacts_received": 1,
     "folder": "runs/room",
 }
 GOAL = {"at": [1.0, 1.0], "exploitation": 2.0, "exploration": 3.5, "pose_price": 0.5, "gain": 5.5, "time": 4.0}
 EXPLAINED = [{**GOAL, "rate": 1.4, "chosen": i == 0} for i in range(4)]
+# Somebody's push, at 4 s, and what the scenario says, at 7 s and after the end.
+PUSH = {"time": 4.0, "duration": 0.5, "ahead": 0.0, "left": 0.5, "turn": 0.5235987755982988, "gyro_feels": True}
+SCRIPTED = [{**PUSH, "time": 7.0, "left": -0.2}, {**PUSH, "time": 70.0}]
+
+
+# The ends of a scan's rays: a wall one metre ahead, as far as half a metre to the left; to the right nothing is met.
+ENDS = np.array([[2.0, -3.0], [3.0, -1.0], [3.0, -0.4], *((1.0, y) for y in np.arange(-0.1, 0.51, 0.05)), [1.5, 1.5]])
 
 
 def f4(*values):
@@ -36,6 +44,7 @@ def begin(writer, *, simulated=True):
     """The mission before it has begun to move."""
     camera = {"range": 2.0, "field_of_view": 2.0}
     told = {"title": "room, seed 3", "radius": 0.18, "rule": "tour", "simulated": simulated, "camera": camera}
+    told["pushes"] = SCRIPTED if simulated else []
     tags = {"tags": np.array([[3.0, 0.0]]), "tag_facing": np.array([1.57]), "ids": np.array([1])}
     writer.write("world", 0.0, {"segments": WALLS, **tags} if simulated else {}, **told)
     writer.write("frame", 0.0, f4(1.0, 2.0, 0.0))
@@ -49,7 +58,8 @@ def drive(writer, time):
     x = 0.4 * time
     writer.write("pose", time, f4(x, 0.0, 0.0, 1e-2, 0.0, 2e-2, 1e-3))
     writer.write("truth", time, f4(1.02 + x, 2.0, 0.0))
-    writer.write("scan", time, {"points": np.array([[x + 1.0, 0.5], [x + 1.0, 0.7], [x + 1.0, 0.9]])})
+    rays, met = np.array([[x, 0.0]]) + np.vstack([[[0.0, 0.0]], ENDS]), np.arange(len(ENDS)) > 2
+    writer.write("scan", time, {"rays": rays, "met": met})
 
 
 def stage(writer, number, time):
@@ -73,7 +83,10 @@ def stage(writer, number, time):
     ids, edges = np.array([2, 5, 6, 9]), np.array([[2, 5], [5, 6], [5, 9]])
     writer.write_rows("nodes", time, Table({"points": nodes, "ids": ids}, nodes, nodes, ids))
     writer.write_rows("roadmap", time, Table({"edges": edges}, nodes[1:], edges.astype(float)))
-    writer.write("goal", time, {"points": nodes[-1:]}, verdict="goal", reason="")
+    stops = 3 - number if number > 1 else 3
+    tour = {"tour": nodes[[3, 2, 0]][:stops], "done": np.array([6.0, 11.5, 21.0], dtype=np.float32)[:stops]}
+    told = {"verdict": "goal", "reason": "It looks round once more.", "stage": number, "sent": False, "most": 31.4}
+    writer.write("goal", time, {"points": nodes[-1:], **tour}, **told)
     share = np.array([25, 128, 180, 255], dtype=np.uint8)
     writer.write("gains", time, {"points": nodes, "share": share}, explained=EXPLAINED, stage=number)
     writer.write("path", time, {"segments": np.array([[0.0, 0.0, 2.0, 1.0], [2.0, 1.0, 3.5, 1.2]])})
@@ -93,6 +106,11 @@ def write_mission(path):
         begin(writer)
         for time in np.arange(0.25, 10.01, 0.25):
             drive(writer, time)
+            if time < STAGES[0]:
+                seen = np.array([[1.5, 0.4], [2.0, 0.4 + time]])
+                writer.write("sighted", time, {"points": seen, "ids": np.array([3, int(time)])})
+            if time == PUSH["time"]:
+                writer.write("pushes", time, {}, pushes=[PUSH])
             if time in STAGES:
                 stage(writer, STAGES.index(time) + 1, time)
         end(writer)

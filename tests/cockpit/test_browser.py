@@ -9,17 +9,20 @@ import zlib
 import cv2
 import numpy as np
 import pytest
+import shapely
 from PIL import Image, ImageSequence
 
-from tests.cockpit.conftest import EXPLAINED, STAGES, SUMMARY, begin, drive, end, stage, write_mission
+from tests.cockpit.conftest import ENDS, EXPLAINED, STAGES, SUMMARY, begin, drive, end, stage, write_mission
 from tfg_drake.cockpit.browser import SEEK, BrowserMissing, open_browser, wait_for_page, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
+from tfg_drake.diagrams.commands.explore import table_rows
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.storage.rows import Table
 from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded, read_timeline
 
-LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "path", "trail", "scan", "camera", "free"]
+LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "trail", "scan", "camera"]
+LAYERS += ["free"]
 
 
 @pytest.fixture(scope="module")
@@ -106,10 +109,31 @@ def test_it_begins_at_the_end_and_says_how_it_ended(page):
     assert page.text("title") == "room, seed 3"
     assert page.text("phase") == "complete"
     card = page.text("card")
-    for words in ("Mission complete", "Nothing is left <b>to see</b>.", "10 s, 3 stages", "runs/room", "0.010 m"):
+    for words in ("Mission complete", "Nothing is left <b>to see</b>.", "3 stages", "runs/room"):
         assert words in card
     page.driver.find_element("css selector", "#card button").click()
     assert not page.driver.find_element("id", "card").is_displayed()
+    page.seek(0.0)
+
+
+def test_the_end_has_the_numbers_of_the_terminal(page):
+    """The same of each, rounded alike; the page's sum of the way is a little less than the summary's."""
+    page.seek(9.75)
+    numbers = page.text("numbers").splitlines()
+    assert dict(zip(numbers[::2], numbers[1::2], strict=True))["driven"] == "3.9 m"
+    page.seek(10.0)
+    numbers, card = page.text("numbers").splitlines(), page.text("card").splitlines()
+    shown = dict(zip(card[1:-1:2], card[2::2], strict=False))
+    told = dict(table_rows({**dict.fromkeys(FIELDS), **SUMMARY, "position_error_m": {"mean": 0.015, "max": 0.02}}))
+    driven = dict(zip(numbers[::2], numbers[1::2], strict=True))["driven"]
+    assert driven == shown["driven"] == told["driven"].split(",")[0]
+    assert shown["time"].split(",")[0] == told["time"].split(",")[0] == page.text("clock")
+    assert page.text("time").endswith(f"of {page.text('clock')}")
+    assert f"{shown['tags']}, map error {shown['map error']}" == told["tags"]
+    assert told["pose error"].startswith(shown["pose error"] + ",")
+    assert told["safety"] == f"contacts: {shown['contacts']}; least clearance - m"
+    assert shown["contacts"] == "0 by the robot, 1 by others"
+    assert page("return [2.25, 2.75, -0.06].map((value) => number(value, 1))") == ["2.2", "2.8", f"{-0.06:.1f}"]
 
 
 def test_any_time_is_shown(page):
@@ -125,8 +149,9 @@ def test_any_time_is_shown(page):
     np.testing.assert_allclose(page("return robot.position.toArray()"), [2.05, 0.0, 0.0], atol=1e-5)
     np.testing.assert_allclose(page("return ghost.position.toArray().slice(0, 2)"), [3.07, 2.0], atol=1e-3)
     page.seek(1.0)
-    assert page("return groups.map.children.length") == 0  # It forgets what it did not know then.
-    assert page.text("phase") == "looks round"
+    known = "return groups.map.children.map((object) => object.name)"
+    assert page(known) == ["sighted"]  # It forgets what it did not know then.
+    assert page.text("phase") == "observe: first look"
     assert page.text("wheels") == "wheels enabled"
 
 
@@ -211,8 +236,91 @@ def test_numbers_and_the_goal_are_explained(page):
     assert figures["true error"] == "2.0 cm"
     assert figures["stated uncertainty"] == "12.2 cm"  # the root of the mean variance
     choice = page.text("choice")
-    assert "chosen 2.0 3.5 0.5 5.5 4.0 1.4" in " ".join(choice.split())
-    assert choice.count("next") == 3
+    assert "chosen 1 2.0 3.5 0.5 5.5 4.0 1.4" in " ".join(choice.split())
+    assert [f"instead {i}" in " ".join(choice.split()) for i in (1, 2, 3, 4)] == [True, True, True, False]
+    assert page.text("most") == "0\n31 nats"  # the scale of the gains
+    swatch = "return getComputedStyle(document.querySelector('label i[data-layer=' + arguments[0] + ']'))"
+    assert "gradient" in page(f"{swatch}.backgroundImage", "gains")
+    looks = [page(f"{swatch}.borderStyle + {swatch[7:]}.backgroundImage", name) for name in ("map", "uncertainty")]
+    assert looks[0] != looks[1]
+
+
+def test_the_tour_is_drawn_as_numbered_stops(page):
+    badges = "return groups.tour.getObjectByName(arguments[0]).children.map((badge) => badge.position.toArray())"
+    number_ = """const canvas = groups.tour.getObjectByName("stops").children[arguments[0]].material.map.image;
+        return canvas.getContext("2d").getImageData(0, 0, 64, 64).data.join();"""
+    page.seek(2.1)
+    stops = np.array([[3.5, 1.2], [2.0, -1.0], [0.0, 1.0]])
+    np.testing.assert_allclose(np.array(page(badges, "stops"))[:, :2], stops, atol=1e-3)
+    assert len({page(number_, k) for k in range(3)}) == 3
+    assert len(page(badges, "instead")) == 3
+    # A line from each to the next.
+    legs = page("return [...groups.tour.getObjectByName('legs').geometry.attributes.position.array]")
+    legs = np.array(legs).reshape(2, 4, 3)[..., :2]
+    np.testing.assert_allclose(legs.mean(axis=1), 0.5 * (stops[1:] + stops[:-1]), atol=1e-3)
+    assert "A tour of 3 stops, 21 s in all" in page.text("choice")
+    page.seek(5.1)
+    assert len(page(badges, "stops")) == 1
+    assert "A tour of one stop, 6 s" in page.text("choice")
+    page.seek(8.1)  # Of another rule: no stops, only what was not taken, and why.
+    assert page(badges, "stops") == []
+    assert len(page(badges, "instead")) == 3
+    assert "It looks round once more." in page.text("choice")
+    assert "chosen 1" not in " ".join(page.text("choice").split())
+    page.seek(10.0)
+    assert not any(page("return groups.tour.children.map((child) => child.visible)"))
+
+
+def test_the_first_look_shows_what_is_seen(page):
+    page.seek(1.0)
+    seen = page("return [sightedTags(time), groups.map.getObjectByName('sighted') !== undefined]")
+    np.testing.assert_allclose(np.reshape(seen[0], (3, 2)), [[1.5, 0.4], [2.0, 1.15], [2.0, 1.4]], atol=1e-3)
+    assert seen[1] is True
+    numbers = page.text("numbers").splitlines()
+    figures = dict(zip(numbers[::2], numbers[1::2], strict=True))
+    assert figures["tags mapped"] == "0, 3 seen"
+    assert page("return groups.free.getObjectByName('first look') !== undefined")
+    # The scan's triangles, from the two rays to the right of a gap to the last: shapely's area, but for cells.
+    places = [np.array([0.4 * t, 0.0]) for t in np.arange(0.0, 1.1, 0.25)]
+    area = shapely.union_all([shapely.Polygon([place, *(ENDS + place)]) for place in places]).area
+    assert float(figures["floor seen"].split()[0]) == pytest.approx(area, abs=1.0)
+    assert "The robot's first look" in page.text("choice")
+    assert "The robot's first look" in page("return element('phase').title")
+    page.seek(2.1)
+    assert page("return [groups.free.getObjectByName('first look') ?? null, sightedTags(time)]")[0] is None
+    assert "first look" not in page.text("choice")
+
+
+def test_the_camera_sees_no_farther_than_the_scan(page):
+    page.seek(6.0)
+    corners = np.array(page("return [...groups.camera.getObjectByName('cone').geometry.attributes.position.array]"))
+    corners = corners.reshape(-1, 3)[2:, :2]
+    reach, bearing = np.hypot(*corners.T), np.arctan2(corners[:, 1], corners[:, 0])
+    ahead = (bearing > -0.1) & (bearing < 0.46)  # where the wall is
+    assert ahead.sum() >= 3
+    assert np.all(corners[ahead, 0] <= 1.0 + 1e-3)
+    assert reach.max() == pytest.approx(2.0, abs=1e-3)  # its range, where nothing is in the way
+    assert np.abs(bearing).max() <= 1.0 + 1e-6
+
+
+def test_who_moved_the_robot_is_marked_in_the_time_line(page):
+    marks = "return [...element('marks').children].map((mark) => [mark.title, parseFloat(mark.style.left)])"
+    page.seek(9.0)
+    scripted, pushed = page(marks)  # The scenario's second is after the end.
+    assert scripted == ["7.0 s: Slip or push of the scenario: 0.00 m ahead, -0.20 m to its left, turned by 30°", 70]
+    assert pushed == ["4.0 s: Somebody has pushed the robot: 0.00 m ahead, 0.50 m to its left, turned by 30°", 40]
+    page.driver.find_element("css selector", "#marks i:last-child").click()
+    assert page("return time") == 4
+
+
+def test_there_is_a_scale_from_above(page):
+    page.seek(6.0)
+    bar = "return [parseFloat(element('scale').style.width) * metresPerPixel(), element('scale').textContent]"
+    length, text = page(bar)
+    assert f"{length:.3g} m" == text
+    page.click("mode")
+    assert not page.driver.find_element("id", "scale").is_displayed()
+    page.click("mode")
 
 
 @pytest.mark.parametrize("flat", [True, False])
@@ -371,6 +479,8 @@ def hostile(told, numbers, name=""):
     return SCRIPT if numbers and isinstance(told, int | float) and name in SHOWN else told
 
 
+# Of the summary what the end's card does not show.
+FIELDS = ["heading_error_rad", "surface_coverage", "real_time_factor", "landmarks_doubtful", "min_clearance_m"]
 # The page's own.
 SCRIPTS = 3
 SHOWN = [*SUMMARY, "mean", "stage", "entropy", "views", *EXPLAINED[0]]
@@ -504,9 +614,41 @@ def test_a_mission_under_way(driver, live):
 
     live.drive(9.0, 2)
     end(live.writer)
-    page.until("return !element('card').hidden && element('stop').disabled")
+    page.until("return !element('card').hidden && element('stop').hidden")
     assert "Mission complete" in page.text("card")
+    assert page.text("controls") == "The mission is over."
+    assert page("return document.querySelectorAll('header button:not([hidden]), header select').length") == 0
     assert page.complaints() == []
+
+
+def test_whatever_the_status_says_nothing_moves(driver, live):
+    """The words give way: all of them are in the title."""
+    words = "waits for the wheels to be enabled, and for somebody who reads all of this"
+    places = """PHASES.observe = arguments[0]; timeline.at("mission", time).told.phase = arguments[0];
+        timeline.at("mission", time).told.stage = 1; tell();
+        return ["bar", "stop", "request-hold", "request-end", "clock-rate", "scene", "wheels"].map((name) => {
+          const { left, right, top, bottom } = element(name)?.getBoundingClientRect() ?? {};
+          return [left, right, top, bottom];
+        });"""
+    if not live.simulated:
+        pytest.skip("the robot's bar has fewer buttons")
+    live.begin()
+    try:
+        page = Page(driver, live.cockpit.address)
+        page.until("return element('clock-rate') !== null && timeline.at('mission', time) !== null")
+        for width in (1024, 1100, 1200, 1366, 1600):
+            driver.set_window_size(width, 600)
+            page.until("return Math.abs(innerWidth - arguments[0]) < 3", width)
+            short, long = page(places, "map"), page(places, words)
+            assert long == short, width
+            assert len({top for _, _, top, _ in short[:1]}) == 1
+            assert short[0][3] < 50, width  # It is one line,
+            assert all(right <= width for _, right, _, _ in short), width  # and all of it is in the window.
+            assert page("const { scrollWidth, clientWidth } = element('clock-rate'); return scrollWidth <= clientWidth")
+            assert words in page("return element('phase').title")
+            assert page("return element('phase').scrollWidth > element('phase').clientWidth")
+    finally:
+        driver.set_window_size(820, 560)
 
 
 @pytest.mark.slow

@@ -144,12 +144,10 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
     # Before the table, on a slow machine, come lines of progress.
     names = [line[:12].strip() for line in out.splitlines()[-10:-1]]
-    assert names == ["outcome", "time", "driven", "landmarks", "pose error", "coverage", "safety", "files", "page"]
+    assert names == ["outcome", "time", "driven", "tags", "pose error", "coverage", "safety", "files", "page"]
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
-    assert f"\nlandmarks   {mapped} mapped of {reachable} reachable, RMSE 0.0" in out
-    assert "\nsafety      0 contacts, least clearance " in out
-    once = dict(explore_command.table_rows(summary | {"contacts": 1}))
-    assert once["safety"].startswith("1 contact, least clearance")
+    assert f"\ntags        {mapped} mapped of {reachable} reachable, map error 0.0" in out
+    assert "\nsafety      contacts: 0 by the robot, 0 by others; least clearance " in out
 
 
 def test_a_mission_has_a_page_and_prints_its_address_first(call, room, tmp_path):
@@ -317,14 +315,14 @@ def test_the_progress_line():
     progress = Progress(
         time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks=63, area=412.4, position_error=0.0213
     )
-    expected = "  120 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
+    expected = " 120.0 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
     assert explore_command.progress_line(progress) == expected
     untold = explore_command.progress_line(dataclasses.replace(progress, position_error=math.nan))
-    assert untold == "  120 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
+    assert untold == " 120.0 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
     over = explore_command.progress_line(dataclasses.replace(progress, outcome="complete"))
-    assert over == "  120 s  complete: solving the whole map, writing the run's files"
+    assert over == " 120.0 s  complete: solving the whole map, writing the run's files"
     busy = explore_command.progress_line(dataclasses.replace(progress, word="compiling kernels, 12 of 74"))
-    assert busy == "  120 s  stage   7 follow   compiling kernels, 12 of 74"
+    assert busy == " 120.0 s  stage   7 follow   compiling kernels, 12 of 74"
 
 
 @pytest.mark.parametrize(("number", "name"), SIGNALS)

@@ -94,7 +94,7 @@ def test_the_closing_table_shows_what_is_known(truthless, worldless):
     assert rows["pose error"] == rows["safety"] == "-"
     assert rows["coverage"] == "100.0 % of the surface"
     rows = dict(explore_command.table_rows(worldless.summary))
-    assert rows["landmarks"] == str(worldless.summary["landmarks_mapped"])
+    assert rows["tags"] == f"{worldless.summary['landmarks_mapped']} mapped"
     assert rows["coverage"] == "-"
 
 

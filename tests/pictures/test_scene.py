@@ -29,6 +29,23 @@ def test_the_chosen_goal_is_explained_beside_the_three_next_best():
     assert first["at"] == [2.0, 3.0]
 
 
+def test_what_the_tour_visits_later_is_not_among_what_was_not_taken():
+    choice = choice_of([-3.0, -1.0, -np.inf, -2.5, -np.inf], [4, 10, 7, 2, 9], node=1)
+    told = scene.explained(replace(choice, tour=np.array([1, 3, 0])), roadmap_of(5))
+    assert [row["gain"] for row in told] == [10, 9, 7]
+
+
+def test_a_tour_has_its_stops_and_when_each_is_done_with():
+    choice, roadmap = choice_of([-3.0, -1.0, -np.inf, -2.5], [4, 10, 7, 2], node=1), roadmap_of(4)
+    layer = scene.tour(replace(choice, tour=np.array([1, 3, 0])), roadmap)
+    np.testing.assert_array_equal(layer["tour"], roadmap.points[[1, 3, 0]])
+    np.testing.assert_array_equal(layer["done"], np.float32([1.0, 2.5, 3.0]))
+    # A stop that the roadmap does not have any more is left out.
+    fewer = replace(roadmap, points=roadmap.points[:3], ids=roadmap.ids[:3])
+    np.testing.assert_array_equal(scene.tour(replace(choice, tour=np.array([1, 3, 0])), fewer)["done"], [1.0, 3.0])
+    assert [len(array) for array in scene.tour(choice, roadmap).values()] == [0, 0]
+
+
 def test_there_is_nothing_to_explain_where_nothing_was_chosen():
     assert scene.explained(choice_of([], [], node=-1), roadmap_of(0)) == []
 
@@ -43,13 +60,22 @@ def test_gains_are_shares_of_the_most_and_only_of_places_that_the_roadmap_has():
 
 
 def test_a_frontier_is_a_bar_across_its_normal():
+    """On the border of what is known, or on the surface that it lies in front of."""
     tfg = make_messages()["tfg"]
     normal = np.array([[0.6, 0.8], [0.0, -1.0]])
-    bars = scene.frontiers(replace(tfg, frontier_normal=normal, frontier_length=np.array([0.2, 7.0])))["segments"]
+    # The second lies in free space, a quarter of a metre in front of a surface: whichever of its sides was seen.
+    star = np.array([[1.0, 2.0], [3.0, 2.0], [3.0, 3.24], [1.0, 3.24]])
+    free = {"star_vertices": star, "star_offsets": np.array([0, 4]), "star_centers": np.array([[2.0, 2.5]])}
+    frontiers = replace(tfg, frontier_normal=normal, frontier_length=np.array([0.2, 7.0]), **free)
+    surface = np.array([[0.0, 3.25, 4.0, 3.25]])
+    bars = scene.frontiers(replace(frontiers, segments=surface))["segments"]
     along = bars[:, 2:] - bars[:, :2]
     np.testing.assert_allclose(np.sum(along * normal, axis=1), 0.0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), [0.2, 0.4])
-    np.testing.assert_allclose(0.5 * (bars[:, 2:] + bars[:, :2]), tfg.frontiers)
+    middles = 0.5 * (bars[:, 2:] + bars[:, :2])
+    np.testing.assert_allclose(middles, [tfg.frontiers[0] + 0.35 * normal[0], [2.0, 3.25]])
+    bare = scene.frontiers(replace(frontiers, segments=surface[:0]))["segments"][1]
+    np.testing.assert_allclose(0.5 * (bare[:2] + bare[2:]), tfg.frontiers[1])
 
 
 def test_a_tag_faces_away_from_the_longest_wall_that_it_is_on():
@@ -89,8 +115,13 @@ def test_a_landmarks_covariance_is_told_by_its_three_numbers():
     np.testing.assert_allclose(scene.landmarks(estimate)["covariance"], [[4.0, 1.0, 9.0]])
 
 
-def test_a_scan_shows_what_it_met():
+def test_a_scan_shows_its_rays_and_which_of_them_met_something():
     messages = make_messages()
-    points = scene.scan_points(messages["scan"], replace(messages["pose"], X_MB=np.zeros(3)))["points"]
-    np.testing.assert_allclose(points, [[np.cos(1), -np.sin(1)], [2 * np.cos(1), 2 * np.sin(1)]])
-    assert len(scene.scan_points(replace(messages["scan"], stamp=-np.inf), messages["pose"])["points"]) == 0
+    pose = replace(messages["pose"], X_MB=np.array([1.0, 2.0, 0.0]))
+    layer = scene.scan_rays(messages["scan"], pose)
+    ends = [[0, 0], [np.cos(1), -np.sin(1)], [10, 0], [2 * np.cos(1), 2 * np.sin(1)]]
+    np.testing.assert_allclose(layer["rays"], np.array([1.0, 2.0]) + ends)
+    assert layer["met"].tolist() == [True, False, True]
+    blind = scene.scan_rays(replace(messages["scan"], ranges=np.array([np.nan, 1.0, np.inf])), pose)
+    np.testing.assert_allclose(blind["rays"], [[1, 2], [2, 2], [1 + 10 * np.cos(1), 2 + 10 * np.sin(1)]])
+    assert blind["met"].tolist() == [True, False]

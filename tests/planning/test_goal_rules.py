@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.expected_gains import ExpectedGains
-from tfg_drake.planning.goal_rules import _shortest_order, gain_per_time, nearest_frontier, tour
+from tfg_drake.planning.goal_rules import _shortest_order, gain_per_time, nearest_frontier, stops, tour
 from tfg_drake.planning.information_gain import Gains
 
 
@@ -67,6 +67,14 @@ def test_a_tour_clears_the_short_end_before_it_leaves_for_the_long_one():
     assert np.argmax(value) == 0
     np.testing.assert_array_equal(value, [-5.0, -15.0, -21.0])
     np.testing.assert_array_equal(look, [True, False, False])
+
+
+def test_the_stops_of_a_tour_are_in_its_order_and_its_first_is_the_goal():
+    value, _ = tour_of([-3.0, 5.0, 9.0, 5.1], [5.0, 60.0, 60.0, 1.0], [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0]])
+    assert stops(value, 0).tolist() == [0, 1, 2]
+    assert stops(value, 3).tolist() == stops(value, 1).tolist() == []  # It goes elsewhere first.
+    by_gain, _ = tour_of([1.0, 8.0], [30.0, 40.0], np.zeros((2, 1)))
+    assert stops(by_gain, 0).tolist() == []
 
 
 def test_a_tour_does_not_leave_what_is_near_for_last():

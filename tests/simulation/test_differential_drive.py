@@ -71,6 +71,17 @@ def test_a_contact_counts_again_only_after_release():
     assert again[drive.CONTACTS] == 2
 
 
+def test_a_contact_that_begins_while_the_base_is_pushed_is_not_its_own():
+    state, still = drive.initial_state(np.array([1.7, 0.0, 0.0]), ROOM[:4], ROBOT), np.zeros(2)
+    pushed = drive.step(state, still, ROOM[:4], ROBOT, PERIOD, np.array([0.2, 0.0, 0.0, 0.0]))
+    assert (pushed[drive.CONTACTS], pushed[drive.RECEIVED], pushed[drive.BUMPER]) == (0, 1, 2)
+    # It is the same contact as long as it lasts; the next one, by its own wheels, is its own.
+    pressed = drive_for(pushed, [0.1, 0.0], ROOM[:4], 1.0)[-1]
+    assert (pressed[drive.CONTACTS], pressed[drive.RECEIVED]) == (0, 1)
+    again = drive_for(drive_for(pressed, [-0.05, 0.0], ROOM[:4], 1.0)[-1], [0.1, 0.0], ROOM[:4], 2.0)[-1]
+    assert (again[drive.CONTACTS], again[drive.RECEIVED]) == (1, 1)
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.floats(-np.pi, np.pi),

@@ -11,6 +11,7 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from tests.systems.test_visualizer import GrowingMap, make_map, make_messages
 from tfg_drake.messages import GridMap, WorkingMap, replace
+from tfg_drake.simulation.disturbance import Pushes, with_push
 from tfg_drake.simulation.people import People
 from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter, read_timeline
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
@@ -67,6 +68,39 @@ def test_what_does_not_change_is_written_once_and_what_moves_again_and_again(wri
     assert told["enabled"]["enabled"] is True
     assert told["mission"]["phase"] == "follow"
     assert told["gains"]["explained"][0]["chosen"]
+    assert told["goal"]["most"] == 1.0
+
+
+def test_the_tour_is_recorded_with_the_goal(writer, tmp_path):
+    messages = make_messages(3)
+    goal = replace(messages["goal"], value=np.array([-9.0, -np.inf, -2.0]), node=2, tour=np.array([2, 0]))
+    roadmap = replace(messages["roadmap"], ids=np.arange(3))
+    Simulator(make_diagram(writer, messages | {"goal": goal, "roadmap": roadmap})).AdvanceTo(0.1)
+    layers = {record.layer: record for record in recorded(writer, tmp_path)}
+    np.testing.assert_allclose(layers["goal"].arrays["tour"], roadmap.points[[2, 0]])
+    assert layers["goal"].arrays["done"].tolist() == [2.0, 9.0]
+    assert [row["at"] for row in layers["gains"].told["explained"]] == [[4.0, 5.0], [2.0, 3.0]]
+
+
+def test_tags_that_are_seen_and_not_mapped_are_recorded_as_they_change(writer, tmp_path):
+    pose = replace(make_messages()["pose"], new_ids=np.array([4, 9]), p_MU=np.array([[1.0, 2.0], [3.0, 4.0]]))
+    Simulator(make_diagram(writer, {"pose": pose})).AdvanceTo(2.0)
+    (sighted,) = [record for record in recorded(writer, tmp_path) if record.layer == "sighted"]
+    assert sighted.arrays["ids"].tolist() == [4, 9]
+    np.testing.assert_allclose(sighted.arrays["points"], pose.p_MU)
+
+
+def test_before_there_is_a_scan_none_is_recorded(writer, tmp_path):
+    messages = make_messages()
+    Simulator(make_diagram(writer, messages | {"scan": replace(messages["scan"], stamp=-np.inf)})).AdvanceTo(0.5)
+    assert "scan" not in {record.layer for record in recorded(writer, tmp_path)}
+
+
+def test_a_push_is_recorded(writer, tmp_path):
+    Simulator(make_diagram(writer, {"pushes": with_push(Pushes(), 2.5)})).AdvanceTo(1.0)
+    (record,) = [record for record in recorded(writer, tmp_path) if record.layer == "pushes"]
+    (push,) = record.told["pushes"]
+    assert (push["time"], push["left"], push["turn"]) == (2.5, 0.5, np.pi / 6)
 
 
 def test_with_nothing_connected_there_is_nothing_to_write(writer, tmp_path):
@@ -79,7 +113,7 @@ def test_with_nothing_connected_there_is_nothing_to_write(writer, tmp_path):
 def test_empty_messages_of_the_beginning(writer, tmp_path):
     Simulator(make_diagram(writer, make_messages(f=0))).AdvanceTo(0.25)
     layers = {record.layer: record for record in recorded(writer, tmp_path)}
-    assert layers["goal"].arrays["points"].shape == (0, 2)
+    assert layers["goal"].arrays["points"].shape == layers["goal"].arrays["tour"].shape == (0, 2)
     assert layers["map"].arrays["points"].shape == (0, 2)
 
 

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.geometry.star import inside_any
 from tfg_drake.grid.frontier import FREE, OCCUPIED, classify
 from tfg_drake.grid.runs import row_runs
 from tfg_drake.messages import (
@@ -31,7 +33,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.pictures.drawing import polyline_segments
 from tfg_drake.slam.pose_prediction import pose_at
-from tfg_drake.tfg.frontier import SPACING
+from tfg_drake.tfg.frontier import PUSH, SPACING
 from tfg_drake.world.world import World
 
 Layer = Mapping[str, NDArray[Any]]
@@ -78,11 +80,16 @@ def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:
 
 
 def frontiers(tfg: TfgMap) -> Layer:
-    """segments: (f, 4), a bar along the frontier at each of its points."""
-    along = np.stack([-tfg.frontier_normal[:, 1], tfg.frontier_normal[:, 0]], axis=1)
+    """segments: (f, 4), a bar at each of the frontier's points: on the border of what is known, or of one that lies in
+    free space, in front of a surface, on that surface."""
+    p, normal = np.array(tfg.frontiers), tfg.frontier_normal
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    in_free = inside_any(p, tfg.star_offsets, tfg.star_vertices)
+    to_surface = clearance(np.hstack([p, p]), tfg.segments, PUSH) % PUSH  # 0 where there is none
+    p = p + np.where(in_free, -to_surface, PUSH)[:, None] * normal
     # A point may stand for that of several views, which lies round about.
     half = 0.5 * np.minimum(tfg.frontier_length, SPACING)[:, None] * along
-    return {"segments": np.hstack([tfg.frontiers - half, tfg.frontiers + half])}
+    return {"segments": np.hstack([p - half, p + half])}
 
 
 def free_space(tfg: TfgMap) -> tuple[FloatArray, ...]:
@@ -128,15 +135,16 @@ def gains(choice: GoalChoice, roadmap: Roadmap) -> Layer:
 
 
 def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:
-    """The chosen goal, then the next best candidates by the value that was maximised: place, parts of the gain, nats,
-    time, s, to get there, and gain per second."""
+    """The chosen goal, then the best candidates that were not taken, by the value that was maximised: place, parts of
+    the gain, nats, time, s, to get there, and gain per second. What a tour visits later is taken."""
     if choice.node < 0 or not len(choice.candidates):
         return []
     rows = roadmap.nodes(choice.candidates)
     # Of equals those with more gain; a tour gives no value to what it leaves out.
     order = np.lexsort((-choice.gain, -choice.value))
     chosen = [i for i in order if choice.candidates[i] == choice.node][:1]
-    others = [i for i in order if choice.candidates[i] != choice.node and rows[i] >= 0][:NEXT_BEST]
+    taken = np.isin(choice.candidates, choice.tour) | (choice.candidates == choice.node)
+    others = [i for i in order if not taken[i] and rows[i] >= 0][:NEXT_BEST]
     told = []
     for i in chosen + others:
         row = int(rows[i])
@@ -158,7 +166,14 @@ def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:
 
 def goal(choice: GoalChoice) -> Layer:
     """points: (1, 2) the goal, (0, 2) where there is none."""
-    return {"points": choice.p_MG[None] if choice.verdict == "goal" else np.zeros((0, 2))}
+    return {"points": choice.p_MG[None] if choice.verdict == "goal" and choice.node >= 0 else np.zeros((0, 2))}
+
+
+def tour(choice: GoalChoice, roadmap: Roadmap) -> Layer:
+    """tour: (s, 2) the stops of the tour, the goal first. done: (s,) s from the choice until each is done with."""
+    rows, of_tour = roadmap.nodes(choice.tour), np.isin(choice.candidates, choice.tour)
+    done = np.sort(-choice.value[of_tour])
+    return {"tour": roadmap.points[rows[rows >= 0]], "done": done[rows >= 0].astype(np.float32)}
 
 
 def path(message: Path) -> Layer:
@@ -166,13 +181,14 @@ def path(message: Path) -> Layer:
     return {"segments": polyline_segments(message.points)}
 
 
-def scan_points(scan: LaserScan, pose: PoseEstimate) -> Layer:
-    """points: (h, 2) where rays met something."""
-    if not math.isfinite(scan.stamp):
-        return {"points": np.zeros((0, 2))}
-    hit = np.isfinite(scan.ranges) & (scan.ranges < scan.range_max)
-    rays = scan.ranges[hit, None] * np.stack([np.cos(scan.angles[hit]), np.sin(scan.angles[hit])], axis=1)
-    return {"points": transform(pose_at(pose, scan.stamp), rays)}
+def scan_rays(scan: LaserScan, pose: PoseEstimate) -> Layer:
+    """rays: (r + 1, 2) where the scanner was, then the end of each ray of which something is known, at full range where
+    it met nothing. met: (r,) whether it met something. There has been a scan: its stamp is finite."""
+    known = ~np.isnan(scan.ranges)
+    angles, ranges = scan.angles[known], np.minimum(scan.ranges[known], scan.range_max)
+    ends = ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rays = transform(pose_at(pose, scan.stamp), np.vstack([np.zeros(2), ends]))
+    return {"rays": rays, "met": ranges < scan.range_max}
 
 
 def grid_cells(grid: GridMap) -> Layer:

@@ -22,7 +22,7 @@ from tfg_drake.planning.candidates import (
 )
 from tfg_drake.planning.doubtful_tags import best_views
 from tfg_drake.planning.expected_view import expected_tags
-from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, tour
+from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, stops, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given_up_open, why_end
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
@@ -106,6 +106,7 @@ def choose(
         nearer = _nearer_before(best, candidates, open_to, previous)
         if nearer >= 0:
             best, look = nearer, candidates.open_ahead[nearer] > 0.0
+    planned = stops(value, best) if explorer.goal == "tour" and best >= 0 else np.zeros(0, dtype=np.int64)
     looked = previous.looked_again
     # Of a large map it is not asked again where all that draws the robot is nats.
     explored = math.inf if open_left or estimate.is_joint else previous.explored
@@ -145,6 +146,7 @@ def choose(
         look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
         looked_again=looked,
         explored=explored,
+        tour=candidates.node_ids[planned],
     )
 
 

@@ -93,6 +93,13 @@ def tour(
     return value, look
 
 
+def stops(value: FloatArray, first: int) -> IntArray:
+    """The candidates (s,) that a tour visits, in its order, by the value (c,) that it gave them; none where the first
+    of them is another one than `first`, or where no tour was planned."""
+    order = np.argsort(-value)[: np.count_nonzero(np.isfinite(value))]
+    return order if value[first] < 0.0 and order[0] == first else order[:0]
+
+
 def _most_by_time(
     expected_gains: ExpectedGains, frontier: FloatArray, least: float, spent: FloatArray
 ) -> tuple[list[int], list[BoolArray]]:

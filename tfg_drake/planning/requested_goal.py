@@ -83,4 +83,5 @@ def goal_there(choice: GoalChoice, node: int, roadmap: Roadmap, reason: str = RE
         reason=reason,
         spent=False,
         look=np.zeros(0),
+        tour=np.zeros(0, dtype=np.int64),
     )

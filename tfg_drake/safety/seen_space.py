@@ -285,5 +285,9 @@ def open_distance_among(
             # What is beneath the base is free.
             if radius * radius < dx * dx + dy * dy < span * span:
                 x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
-                least = min(least, touch_distance(x, y, curvature, outline, corridor) - CELL)
+                distance = touch_distance(x, y, curvature, outline, corridor)
+                if distance < 0.0 and outline > radius:
+                    # It is as near already to what was met, and may go where its outline does not touch it.
+                    distance = touch_distance(x, y, curvature, radius, radius)
+                least = min(least, distance - CELL)
     return least

@@ -17,7 +17,7 @@ from tfg_drake.messages import FloatArray
 
 # Entries of the state: the time (s) it holds at, the pose X_WB, forward speed and turn rate, rising edges of contact so
 # far, whether the base touches a wall, least clearance of the outline from walls so far (m), the bumper's bits, rising
-# edges of contact that somebody else made, and whether the base touches somebody (0, or one of the two below).
+# edges of contact that others made, and whether the base touches somebody (0, or one of the two below).
 TIME, X, Y, THETA, SPEED, TURN_RATE, CONTACTS, IN_CONTACT, CLEARANCE, BUMPER, RECEIVED, TOUCHES = range(12)
 STATE_SIZE = 12
 # The base is touched, or has itself moved towards whom it touches.
@@ -169,7 +169,7 @@ def _step(
     gap = _deepest(walls, pose[0], pose[1], reach)[0] - radius
     after[CLEARANCE] = min(state[CLEARANCE], max(0.0, gap) if blocked else gap)
     if blocked and state[IN_CONTACT] == 0.0:
-        after[CONTACTS] = state[CONTACTS] + 1.0
+        after[RECEIVED if moved.any() else CONTACTS] += 1.0
     after[IN_CONTACT] = 1.0 if blocked or (state[IN_CONTACT] > 0.0 and gap <= _RELEASE) else 0.0
     after[BUMPER] = float(_bumper_bits(walls, pose, radius + _RELEASE)) if after[IN_CONTACT] > 0.0 else 0.0
     return after
@@ -190,7 +190,8 @@ def step(
     base meanwhile, see tfg_drake.simulation.disturbance.displacement.
 
     The disc does not pass a wall: it is pushed back along the wall's normal, so it slides, and keeps the part of its
-    speed that the wall leaves it. A contact is counted when it begins and lasts until the outline is 1 cm clear.
+    speed that the wall leaves it. A contact is counted when it begins and lasts until the outline is 1 cm clear: in
+    RECEIVED where something else moves the base as it begins, in CONTACTS otherwise.
     """
     after: FloatArray = _step(
         state,

@@ -9,6 +9,7 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from tests.diagrams.rooms import lasting, room
+from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams import mission_diagram
 from tfg_drake.diagrams.methods import FindMethod, Method
 from tfg_drake.diagrams.missions import mission_runner, run
@@ -290,6 +291,26 @@ def test_what_a_run_looked_like_is_in_its_folder(finished):
     assert records[-1].told["landmarks_mapped"] == finished.summary["landmarks_mapped"]
     page = (finished.folder / "mission.html").read_text()
     assert "room, seed 3" in page
+    # A tour's first stop is the goal, and each is done with later than the one before it.
+    tours = [record.arrays for record in records if record.layer == "goal" and len(record.arrays["tour"])]
+    assert max(len(one["tour"]) for one in tours) > 1
+    for one in tours:
+        np.testing.assert_allclose(one["tour"][0], one["points"][0])
+        assert np.all(np.diff(one["done"], prepend=0.0) > 0.0)
+
+
+def test_who_pushes_the_robot_into_a_wall_has_made_the_contact(tmp_path):
+    """The scenario's push and somebody's, in the first look; both are in what the page shows."""
+    scenario, page = room(), Restless()
+    scenario.disturbances = [DisturbanceConfig(time=1.0, duration=0.5, ahead=6.0)]
+    asked = iter([[]] * 40 + [["push"]])
+    page.requests = lambda: next(asked, [])
+    summary = run.explore(scenario, max_time=5.0, out_dir=tmp_path, cockpit=page).summary
+    assert (summary["contacts"], summary["contacts_received"]) == (0, 1)
+    told = {record.layer: record.told for record in read_timeline(tmp_path)}
+    assert [push["ahead"] for push in told["world"]["pushes"]] == [6.0]
+    assert [push["left"] for push in told["pushes"]["pushes"]] == [0.5]
+    assert told["end"]["contacts_received"] == 1
 
 
 @pytest.mark.parametrize("name", ["grid-nearest", "scripted"])

@@ -28,8 +28,8 @@ async function readState() {
       /* readServed tells it */
     }
     if (ended()) {
-      for (const part of element("controls").children) part.disabled = true;
-      element("stop").disabled = element("send").hidden = element("drive").hidden = true;
+      element("controls").replaceChildren(made("span", { id: "over" }, "The mission is over."));
+      for (const what of ["stop", "send", "drive"]) element(what).hidden = true;
       if (armed) arm("");
       notice("");
       return;

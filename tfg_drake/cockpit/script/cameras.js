@@ -112,6 +112,16 @@ function resize() {
 }
 viewer.set_3d_pane_size = () => resize();
 
+/** A bar of a round length, from above. */
+function showScale() {
+  const metres = metresPerPixel(),
+    ten = 10 ** Math.floor(Math.log10(120 * metres)),
+    length = [5, 2, 1].map((k) => k * ten).find((one) => one <= 120 * metres);
+  element("scale").hidden = !flat;
+  element("scale").style.width = `${length / metres}px`;
+  element("scale").textContent = `${length} m`;
+}
+
 function metresPerPixel() {
   const [, h] = size();
   if (flat) return (above.top - above.bottom) / above.zoom / h;

@@ -5,11 +5,14 @@ let sliding = false,
 const slider = element("slider");
 slider.addEventListener("input", () => {
   sliding = true;
+  slideTo(Number(slider.value));
+});
+function slideTo(t) {
   setLive(false);
   setPlaying(false);
-  time = Number(slider.value);
+  time = t;
   render();
-});
+}
 slider.addEventListener("change", () => {
   sliding = false;
 });
@@ -80,6 +83,7 @@ for (const [name, words, swatch, shown, hint] of LAYERS) {
   label.title = hint;
   Object.assign(box, { type: "checkbox", checked: shown, id: `layer-${name}` });
   mark.dataset.colour = swatch;
+  mark.dataset.layer = name;
   label.append(box, mark, words);
   groups[name].visible = shown;
   box.onchange = () => {
@@ -88,6 +92,7 @@ for (const [name, words, swatch, shown, hint] of LAYERS) {
     dirty = true;
   };
   element("layers").append(label);
+  if (name === "gains") element("layers").append(made("div", { id: "most" }, "0", made("i"), made("span")));
 }
 
 let painted = null;
@@ -97,7 +102,11 @@ function paint() {
   redraw(Object.keys(drawn));
   for (const [name, look] of Object.entries(lookCache)) look.color.set(colour(name));
   scanLook.color.set(colour("scan"));
-  for (const mark of document.querySelectorAll("i[data-colour]")) mark.style.background = colour(mark.dataset.colour);
+  for (const mark of document.querySelectorAll("i[data-colour]"))
+    mark.style.setProperty("--colour", colour(mark.dataset.colour));
+  const root = document.documentElement.style;
+  for (const [name, of] of [...Object.entries(BADGES), ["free", "free"]]) root.setProperty(`--${name}`, colour(of));
+  root.setProperty("--shades", shadesOfGain().join());
   dirty = true;
 }
 

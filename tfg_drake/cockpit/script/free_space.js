@@ -5,8 +5,24 @@ const CELL = 0.25;
 const seen = new Set(),
   area = { times: [0], values: [0] };
 
+const glimpses = { times: [], points: [] }; // what the scans of the first look saw, before there is a map
+
+function addGlimpse(record) {
+  const { rays = [] } = arrays(record),
+    before = seen.size,
+    mine = [...rays.slice(0, 2), ...rays]; // Where the scanner is, is a corner of what it sees.
+  fill(mine);
+  if (seen.size > before) {
+    glimpses.times.push(record.time);
+    glimpses.points.push(mine);
+  }
+  area.times.push(record.time);
+  area.values.push(seen.size * CELL * CELL);
+}
+
 function addStars(record) {
   const { index, count, points } = arrays(record);
+  if (!stars.length) seen.clear(); // The map knows it better.
   let start = 0;
   for (let i = 0; i < index.length; i++) {
     const star = (stars[index[i]] ??= { times: [], points: [] }),
@@ -24,7 +40,7 @@ function addStars(record) {
   area.values.push(seen.size * CELL * CELL);
 }
 
-/** Takes note of the cells whose middle is in a polygon; its first point is not a corner. */
+/** Takes note of the cells whose middle is in a polygon round its first point. */
 function fill(points) {
   const corners = points.length / 2 - 1;
   let low = Infinity,
@@ -48,20 +64,29 @@ function fill(points) {
   }
 }
 
-function freeMesh(t) {
+/** The newest star polygons of all views at a time. */
+function starsAt(t) {
   const shown = [];
-  let vertices = 0,
-    triangles = 0;
   for (const star of stars) {
     const row = star ? before(star.times, t) : -1;
-    if (row < 0) continue;
-    const points = star.points[row],
-      corners = points.length / 2 - 1;
-    if (corners < 3) continue;
-    shown.push(points);
-    vertices += corners + 1;
-    triangles += corners;
+    if (row >= 0) shown.push(star.points[row]);
   }
+  return shown;
+}
+
+let glimpsed = 0;
+function showFirstLook(t) {
+  const count = firstLook(t) ? before(glimpses.times, t) + 1 : 0;
+  if (count === glimpsed) return;
+  glimpsed = count;
+  put(groups.free, "first look", fans(glimpses.points.slice(0, count), Z.free, material("free", { once: true })));
+}
+
+/** Polygons (1 + corners, 2), each round its first point, as one mesh. */
+function fans(polygons, z, look) {
+  const shown = polygons.filter((points) => points.length >= 8),
+    vertices = shown.reduce((sum, points) => sum + points.length / 2, 0),
+    triangles = vertices - shown.length;
   if (!triangles) return null;
   const place = new Float32Array(3 * vertices),
     faces = new Uint32Array(3 * triangles);
@@ -73,7 +98,7 @@ function freeMesh(t) {
     for (let i = 0; i <= corners; i++, v++) {
       place[3 * v] = points[2 * i];
       place[3 * v + 1] = points[2 * i + 1];
-      place[3 * v + 2] = Z.free;
+      place[3 * v + 2] = z;
     }
     for (let i = 1; i <= corners; i++) {
       faces[f++] = first;
@@ -84,7 +109,7 @@ function freeMesh(t) {
   const geometry = new T.BufferGeometry();
   geometry.setAttribute("position", new T.BufferAttribute(place, 3));
   geometry.setIndex(new T.BufferAttribute(faces, 1));
-  const mesh = new T.Mesh(geometry, material("free", { once: true }));
+  const mesh = new T.Mesh(geometry, look);
   mesh.frustumCulled = false;
   return mesh;
 }

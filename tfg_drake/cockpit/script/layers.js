@@ -89,8 +89,7 @@ const draw = {
       const size = mesh.geometry.attributes.position.count / share.length,
         shade = new T.Color();
       const shades = new Float32Array(3 * size * share.length),
-        scale = COLOURS.gains.map((name) => new T.Color(name));
-      if (dark.matches) scale.reverse(); // What promises the most stands out.
+        scale = shadesOfGain().map((name) => new T.Color(name));
       for (let i = 0; i < share.length; i++) {
         const place = (share[i] / 255) * (scale.length - 1),
           k = Math.min(Math.floor(place), scale.length - 2);
@@ -100,6 +99,8 @@ const draw = {
       mesh.geometry.setAttribute("color", new T.BufferAttribute(shades, 3));
     }
     put(groups.gains, "gains", mesh);
+    const others = record.told.explained.filter((row) => !row.chosen && row.at);
+    put(groups.tour, "instead", badges(others.flatMap((row) => row.at), "instead", 3.6 * unit));
   },
 
   roadmap(record, t) {
@@ -125,6 +126,12 @@ const draw = {
   },
 
   goal(record) {
+    const { tour = [] } = arrays(record),
+      legs = [];
+    for (let i = 0; i + 3 < tour.length; i += 2) legs.push(...tour.slice(i, i + 4));
+    const look = material("path", { above: true, opacity: 0.55 });
+    put(groups.tour, "legs", boxes(legs, null, 0.6 * unit, 0.004, Z.tour, look, 5));
+    put(groups.tour, "stops", badges(tour, "stop", 4.4 * unit));
     put(
       groups.path,
       "goal",
@@ -133,7 +140,7 @@ const draw = {
   },
 
   scan(record) {
-    const { points } = arrays(record),
+    const points = metPoints(record),
       vertices = new Float32Array((3 * points.length) / 2);
     for (let i = 0; 2 * i < points.length; i++) vertices.set([points[2 * i], points[2 * i + 1], Z.scan], 3 * i);
     const geometry = new T.BufferGeometry();
@@ -142,6 +149,11 @@ const draw = {
     object.frustumCulled = false;
     object.renderOrder = 4;
     put(groups.scan, "scan", object);
+  },
+
+  sighted(_, t) {
+    const look = material("landmark", { above: true, opacity: 0.6 });
+    put(groups.map, "sighted", discs(sightedTags(t), null, 1.6 * unit, MAP_HEIGHT, look, 5, DISC));
   },
 
   people(record) {
@@ -170,10 +182,33 @@ const draw = {
   },
 
   free(_, t) {
-    put(groups.free, "free", freeMesh(t));
+    put(groups.free, "free", fans(starsAt(t), Z.free, material("free", { once: true })));
   },
 };
-const NEEDS_UNIT = ["world", "map", "tfg", "frontiers", "gains", "path", "goal"];
+const NEEDS_UNIT = ["world", "map", "tfg", "frontiers", "gains", "path", "goal", "sighted"];
+
+/** Where the rays of a scan met something. */
+function metPoints(record) {
+  const { rays = [], met = [] } = arrays(record),
+    points = [];
+  met.forEach((is, i) => is && points.push(rays[2 * i + 2], rays[2 * i + 3]));
+  return points;
+}
+
+/** Tags that were seen and are not in the map yet: all of them in the first look, else those of the way since the last. */
+function sightedTags(t) {
+  const { times = [], records } = timeline.layers.get("sighted") ?? {},
+    last = before(times, t),
+    places = new Map();
+  for (let row = firstLook(t) ? 0 : Math.max(last, 0); row <= last; row++) {
+    const { ids, points } = arrays(records[row]);
+    ids.forEach((id, i) => places.set(id, [points[2 * i], points[2 * i + 1]]));
+  }
+  return [...places.values()].flat();
+}
+
+/** Of no gain to the most: what promises the most stands out. */
+const shadesOfGain = () => (dark.matches ? [...COLOURS.gains].reverse() : COLOURS.gains);
 
 const lookCache = {};
 function lineLook(name) {

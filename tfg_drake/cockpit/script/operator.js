@@ -57,17 +57,17 @@ function buildControls(world) {
     const rate = document.createElement("select");
     Object.assign(rate, { id: "clock-rate", title: "Speed of the simulation, times real time" });
     for (const [value, words] of [
-      [1, "1 × real time"],
+      [1, "1 ×"],
       [2, "2 ×"],
       [4, "4 ×"],
       [8, "8 ×"],
       [16, "16 ×"],
-      [0, "as fast as it can"],
+      [0, "no limit"],
     ])
       rate.append(new Option(words, value, false, value === SOURCE.rate));
     if (![...rate.options].some((option) => Number(option.value) === SOURCE.rate))
       rate.append(new Option(`${SOURCE.rate} ×`, SOURCE.rate, false, true));
     rate.onchange = () => request("rate", { rate: Number(rate.value) });
-    element("controls").append(rate);
+    element("controls").append(made("label", {}, "speed ", rate));
   }
 }

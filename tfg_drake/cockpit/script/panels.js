@@ -1,15 +1,16 @@
 // Panels: numbers, why this goal, and how it ended.
 
 const ended = () => timeline.at("end", Infinity);
+// What the mission's phases are, as the terminal names them, too.
 const PHASES = {
-  observe: "looks round",
-  glance: "glances ahead",
-  map: "maps",
-  choose: "chooses a goal",
-  plan: "plans a path",
-  follow: "drives",
-  paused: "paused",
-  done: "done",
+  observe: "It looks round where it stands",
+  glance: "It looks ahead for a moment while it drives",
+  map: "What it has seen is put into the map",
+  choose: "It chooses its next goal",
+  plan: "It plans a path to its goal",
+  follow: "It drives along its path",
+  paused: "It waits",
+  done: "The mission is over",
 };
 
 function value(s, t) {
@@ -17,14 +18,20 @@ function value(s, t) {
   return row < 0 ? null : s.values[row];
 }
 
-function clock(t) {
-  const minutes = Math.floor(t / 60),
-    seconds = Math.floor(t % 60);
-  return `${minutes}:${String(seconds).padStart(2, "0")}`;
+const roundings = {}; // as Python rounds: what lies in the middle to the even digit
+function number(value, digits, unit) {
+  if (!Number.isFinite(value)) return "–";
+  const [minimumFractionDigits, maximumFractionDigits] = [digits, digits],
+    options = { minimumFractionDigits, maximumFractionDigits, roundingMode: "halfEven", useGrouping: false };
+  roundings[digits] ??= new Intl.NumberFormat("en", options);
+  return roundings[digits].format(value) + (unit ? ` ${unit}` : "");
 }
 
-const number = (value, digits, unit) =>
-  Number.isFinite(value) ? `${value.toFixed(digits)}${unit ? " " + unit : ""}` : "–";
+/** A time as it is told: a mission has ended when its summary says so, its recording a moment later. */
+function asTold(t) {
+  const ends = [timeline, forks.timeline].map((run) => run?.at("end", Infinity)?.told.sim_time_s);
+  return ends.find((end) => t > end && t < end + 0.5) ?? t;
+}
 
 // Panels are written anew so often at most, ms, while time goes on by itself.
 const TOLD_EVERY = 150;
@@ -36,7 +43,7 @@ function tell() {
   toldAt = performance.now();
   element("slider").max = timeline.end || 1;
   if (!sliding) element("slider").value = time;
-  element("time").textContent = `${clock(time)} of ${clock(timeline.end)}`;
+  element("time").textContent = `${number(asTold(time), 1)} of ${number(asTold(timeline.end), 1, "s")}`;
   const mission = timeline.at("mission", time),
     mapped = timeline.at("map", time),
     enabled = timeline.at("enabled", time);
@@ -44,22 +51,28 @@ function tell() {
     over = timeline.at("end", time + 0.2);
   const outcome = over ? over.told.outcome : mission ? mission.told.outcome : "";
   const waits = mission && mission.told.phase === "paused" && enabled && !enabled.told.enabled;
+  const looks = firstLook(time),
+    phase = mission ? mission.told.phase : "",
+    hint = over ? over.told.reason : looks && phase === "observe" ? FIRST_LOOK : (PHASES[phase] ?? "");
   element("phase").textContent =
     waits && !outcome
       ? "waits for the wheels to be enabled"
-      : mission
-        ? outcome.replace("_", " ") || PHASES[mission.told.phase] || mission.told.phase
-        : "";
+      : outcome.replace("_", " ") || (looks && phase === "observe" ? "observe: first look" : phase);
+  element("phase").title = `${element("phase").textContent}. ${hint}`;
   element("phase").className = `chip ${outcome === "complete" ? "good" : outcome ? "bad" : ""}`;
-  element("clock").textContent = `${time.toFixed(1)} s` + (element("clock").dataset.held === "true" ? ", held" : "");
+  element("clock").textContent = number(asTold(time), 1, "s") + (element("clock").dataset.held === "true" ? ", held" : "");
   element("wheels").textContent = enabled ? (enabled.told.enabled ? "wheels enabled" : "wheels stopped") : "";
   element("wheels").className = `chip ${enabled ? (enabled.told.enabled ? "good" : "bad") : ""}`;
-  const way = before(driven.times, time);
+  const sighted = looks ? sightedTags(time).length / 2 : 0;
   const figures = [
     ["stage", stage, "One look in the map and the choice after it"],
-    ["tags mapped", value(series.tags, time) ?? 0, "Landmarks in the map"],
+    [
+      "tags mapped",
+      `${value(series.tags, time) ?? 0}${looks ? `, ${sighted} seen` : ""}`,
+      "Landmarks in the map; what is seen in the first look is mapped when that ends",
+    ],
     ["floor seen", number(value(area, time), 0, "m²"), "Floor known to be free"],
-    ["driven", number(way < 0 ? 0 : driven.length[way], 1, "m"), "As the robot believes"],
+    ["driven", number(over ? over.told.distance_m : (value(series.driven, time) ?? 0), 1, "m"), "As the robot believes"],
     [
       "stated uncertainty",
       number(value(series.sigma, time), 1, "cm"),
@@ -89,23 +102,43 @@ function tell() {
   drawPlots();
 }
 
+const FIRST_LOOK =
+  "The robot's first look: it stands, then turns round. What it sees is placed by its wheels and gyro alone; the map " +
+  "begins when the look ends.";
 const RULES = {
-  tour: "The goal comes first in the tour that sees all frontiers nearby in the least time.",
   argmax: "The goal is where most is to be gained.",
-  nearest: "The goal is the nearest.",
+  gain_per_time: "The goal is where most is to be gained a second.",
+  nearest_frontier: "The goal is the place before the nearest frontier.",
+  random: "The goal is drawn at random.",
 };
+
+/** Why the goal was chosen, given its record. */
+function whyGoal(record) {
+  const { sent, reason } = record.told,
+    { done = [] } = arrays(record);
+  if (sent) return "Somebody has sent the robot there.";
+  if (!done.length) return RULES[timeline.at("world", Infinity)?.told.rule] ?? reason;
+  const spent = number(done.at(-1), 0, "s");
+  return done.length === 1
+    ? `A tour of one stop, ${spent}: from the goal all frontiers nearby are seen.`
+    : `A tour of ${done.length} stops, ${spent} in all: from them all frontiers nearby are seen in the least time. The ` +
+        "goal is its first stop, whatever is to be gained at others.";
+}
+
 let choiceShown = null,
   stageTold = -1;
 function tellChoice() {
   const record = timeline.at("gains", time);
-  if (record === choiceShown) return;
-  choiceShown = record;
-  const table = record ? record.told.explained : [];
-  element("choice").hidden = !table.length;
-  if (!table.length) return;
-  const world = timeline.at("world", Infinity),
-    goal = timeline.at("goal", time),
-    rule = goal && goal.told.sent ? "Somebody has sent the robot there." : (RULES[world && world.told.rule] ?? "");
+  const shown = firstLook(time) ? FIRST_LOOK : record;
+  if (shown === choiceShown) return;
+  choiceShown = shown;
+  const table = record ? record.told.explained : [],
+    goal = timeline.at("goal", time);
+  element("most").lastChild.textContent = `${table.length ? number(goal?.told.most, 0) : "–"} nats`;
+  element("choice").hidden = !table.length && shown !== FIRST_LOOK;
+  if (shown === FIRST_LOOK) element("choice").replaceChildren(made("h2", {}, "First look"), made("p", {}, FIRST_LOOK));
+  if (!table.length || shown === FIRST_LOOK) return;
+  const toured = goal && (arrays(goal).done ?? []).length > 0;
   const cell = (v) => made("td", {}, number(v, Math.abs(v) < 9.95 ? 1 : 0));
   const head = [
     ["goal", ""],
@@ -118,7 +151,8 @@ function tellChoice() {
   ];
   const rows = table.map((row, i) => {
     const numbers = [row.exploitation, row.exploration, row.pose_price, row.gain, row.time, row.rate],
-      name = made("td", {}, row.chosen ? "chosen" : `next ${i}`),
+      badge = made("i", { className: row.chosen ? "badge" : "badge instead" }, row.chosen ? "1" : `${i}`),
+      name = row.chosen ? made("td", {}, "chosen ", toured ? badge : "") : made("td", {}, "instead ", badge),
       line = made("tr", { className: row.chosen ? "chosen" : "" }, name, ...numbers.map(cell));
     if (!row.chosen && forks.possible) line.dataset.row = i;
     return line;
@@ -127,7 +161,7 @@ function tellChoice() {
   element("choice").replaceChildren(
     made("h2", {}, "Why this goal"),
     made("table", {}, names, ...rows),
-    made("p", {}, rule),
+    made("p", {}, goal ? whyGoal(goal) : ""),
   );
 }
 
@@ -146,22 +180,25 @@ function tellEnd() {
   const end = record.told,
     list = [
       ["why", end.reason],
-      ["time", `${number(end.sim_time_s, 0)} s, ${end.stages} stages`],
+      ["time", `${number(end.sim_time_s, 1, "s")}, ${end.stages} stages`],
       ["driven", number(end.distance_m, 1, "m")],
     ];
   if (end.landmarks_mapped !== null)
     list.push([
       "tags",
       `${end.landmarks_mapped}` +
-        (end.landmarks_reachable !== null ? ` of ${end.landmarks_reachable} within reach` : " mapped"),
+        (end.landmarks_reachable !== null ? ` mapped of ${end.landmarks_reachable} reachable` : " mapped"),
     ]);
-  if (end.landmark_rmse_aligned_m !== null)
-    list.push(["map error", `${number(end.landmark_rmse_aligned_m, 3, "m")} (root mean square)`]);
+  if (end.landmark_rmse_m !== null)
+    list.push([
+      "map error",
+      `${number(end.landmark_rmse_m, 3, "m")} RMSE (${number(end.landmark_rmse_aligned_m, 3, "m")} aligned)`,
+    ]);
   if (end.position_error_m && end.position_error_m.mean !== null && end.position_error_m.mean !== undefined)
-    list.push(["pose error", `${number(end.position_error_m.mean, 3, "m")} on average`]);
-  if (end.area_coverage !== null)
-    list.push(["floor", `${number(100 * end.area_coverage, 1)} % of what can be reached`]);
-  if (end.contacts !== null) list.push(["contacts", `${end.contacts}`]);
+    list.push(["pose error", `${number(end.position_error_m.mean, 3, "m")} mean`]);
+  if (end.area_coverage !== null) list.push(["coverage", `${number(100 * end.area_coverage, 1)} % of the area`]);
+  if (end.contacts !== null)
+    list.push(["contacts", `${end.contacts} by the robot, ${end.contacts_received} by others`]);
   list.push(["folder", end.folder]);
   const title = made("h2", {}, `Mission ${end.outcome.replace("_", " ")}`),
     names = made("dl", {}, ...list.flatMap(([name, text]) => [made("dt", {}, name), made("dd", {}, `${text}`)])),

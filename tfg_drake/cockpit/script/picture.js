@@ -48,6 +48,7 @@ function show(t) {
     robot.rotation.z = pose[2];
     groups.camera.position.set(pose[0], pose[1], 0);
     groups.camera.rotation.z = pose[2];
+    showCamera(pose, timeline.at("scan", t));
     const covariance = [pose[3], pose[4], pose[5]];
     put(
       mine,
@@ -67,6 +68,7 @@ function show(t) {
     ghost.position.set(truth[0], truth[1], Z.trail);
     ghost.rotation.z = truth[2];
   }
+  showFirstLook(t);
   driven.show(t);
   trueWay.show(t);
   showFork(t);
@@ -75,7 +77,8 @@ function show(t) {
   const drives = mission ? mission.told.drives : false;
   for (const child of groups.path.children) child.visible = drives;
   const over = Boolean(mission && mission.told.outcome);
-  for (const child of groups.gains.children) child.visible = !over; // There is nowhere left to go.
+  // There is nowhere left to go.
+  for (const child of [...groups.gains.children, ...groups.tour.children]) child.visible = !over;
 }
 
 const DRAWS_INTO = {
@@ -96,7 +99,16 @@ const DRAWS_INTO = {
     ["uncertainty", "landmark outline"],
     ["uncertainty", "doubtful outline"],
   ],
-  goal: [["path", "goal"]],
+  goal: [
+    ["path", "goal"],
+    ["tour", "legs"],
+    ["tour", "stops"],
+  ],
+  gains: [
+    ["gains", "gains"],
+    ["tour", "instead"],
+  ],
+  sighted: [["map", "sighted"]],
   grid: [
     ["free", "grid"],
     ["map", "grid"],
@@ -148,6 +160,7 @@ function render() {
   viewer.scene.background = null;
   viewer.renderer.setClearColor(new T.Color(colour("ground")), 1);
   kept.draw();
+  showScale();
   dirty = false;
   untold = true;
   if (!live && !playing) tell();

@@ -100,4 +100,24 @@ function drawTicks() {
   context.globalAlpha = 0.55;
   for (const t of stageTimes)
     context.fillRect(inset + (t / (timeline.end || 1)) * (w - 2 * inset), h - 5 * ratio, ratio, 5 * ratio);
+  drawMarks();
+}
+
+let marked = "";
+/** Marks where something else than its wheels has moved the robot. */
+function drawMarks() {
+  const told = (name, who) =>
+      (timeline.at(name, Infinity)?.told.pushes ?? []).map((push) => ({ ...push, who })),
+    pushes = [...told("world", "Slip or push of the scenario"), ...told("pushes", "Somebody has pushed the robot")];
+  const marks = pushes.filter((push) => push.time <= timeline.end);
+  if (marked === (marked = JSON.stringify([marks, marks.length && timeline.end]))) return;
+  element("marks").replaceChildren(
+    ...marks.map(({ time: t, ahead, left, turn, who }) => {
+      const turned = `${number((180 * turn) / Math.PI, 0)}°`,
+        moved = `${number(ahead, 2, "m")} ahead, ${number(left, 2, "m")} to its left, turned by ${turned}`;
+      const mark = made("i", { title: `${number(t, 1, "s")}: ${who}: ${moved}`, onclick: () => slideTo(t) });
+      mark.style.left = `${(100 * t) / (timeline.end || 1)}%`;
+      return mark;
+    }),
+  );
 }

@@ -29,6 +29,7 @@ const Z = {
   gains: 0.03,
   frontiers: 0.04,
   uncertainty: 0.05,
+  tour: 0.055,
   path: 0.06,
   scan: 0.2,
   tags: 0.3,
@@ -74,6 +75,13 @@ const LAYERS = [
     "Places that the robot could go to: the darker (on a dark page the brighter), the more information is to be gained",
   ],
   ["roadmap", "roadmap", "roadmap", false, "The ways that the robot knows it can drive"],
+  [
+    "tour",
+    "tour, instead",
+    "path",
+    true,
+    "Numbered, its goal first: the tour that it has planned. Grey squares: where it could have gone instead",
+  ],
   ["path", "path", "path", true, "The path that it drives, and its goal"],
   ["trail", "trail", "trail", true, "The way that it has driven, as it believes; beside it, grey, the true one"],
   ["scan", "scan", "scan", true, "What its laser scanner meets"],
@@ -83,7 +91,7 @@ const LAYERS = [
 const groups = {};
 for (const [name] of LAYERS) groups[name] = new T.Group();
 for (const name of ["walls"]) world.add(groups[name]);
-for (const name of ["map", "uncertainty", "frontiers", "gains", "roadmap", "path", "free"]) map.add(groups[name]);
+for (const name of ["map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "free"]) map.add(groups[name]);
 const trails = { pose: new T.Group(), truth: new T.Group() };
 map.add(trails.pose, groups.scan, groups.camera);
 world.add(trails.truth, groups.trail);

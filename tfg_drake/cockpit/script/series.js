@@ -5,10 +5,18 @@ const series = {
   error: { times: [], values: [] },
   tags: { times: [], values: [] },
   entropy: { times: [], values: [] },
+  driven: { times: [], values: [] },
 };
 const forkSeries = { tags: { times: [], values: [] }, entropy: { times: [], values: [] } };
 const stageTimes = [];
-let wallBounds = null;
+let wallBounds = null,
+  lastPlace = null;
+
+/** Whether the robot has not mapped anything yet. */
+function firstLook(t) {
+  const mission = timeline.at("mission", t);
+  return Boolean(mission) && mission.told.stage === 0 && !mission.told.outcome;
+}
 
 function widen(box, points) {
   for (let i = 0; i + 1 < points.length; i += 2) {
@@ -36,6 +44,10 @@ timeline.listeners.push((layer, record) => {
   if (layer === "pose") {
     const p = arrays(record).pose;
     driven.add(record.time, p[0], p[1]);
+    const { times, values } = series.driven;
+    values.push(times.length ? values.at(-1) + Math.hypot(p[0] - lastPlace[0], p[1] - lastPlace[1]) : 0);
+    times.push(record.time);
+    lastPlace = p;
     series.sigma.times.push(record.time);
     series.sigma.values.push(100 * Math.sqrt(Math.max((p[3] + p[5]) / 2, 0)));
   } else if (layer === "truth") {
@@ -56,6 +68,8 @@ timeline.listeners.push((layer, record) => {
     if (record.told.stage > stageTimes.length) stageTimes.push(record.time);
   } else if (layer === "free") {
     addStars(record);
+  } else if (layer === "scan") {
+    if (firstLook(record.time)) addGlimpse(record);
   } else if (layer === "world") {
     const { segments } = arrays(record);
     if (segments && segments.length) wallBounds = widen(emptyBox(), segments);
@@ -79,30 +93,48 @@ function boundsAt(t) {
     ["map", "points"],
     ["tfg", "segments"],
     ["grid", "occupied"],
-    ["scan", "points"],
   ]) {
     const record = timeline.at(name, t);
     if (record) add(arrays(record)[array]);
   }
+  const scan = timeline.at("scan", t);
+  if (scan) add(metPoints(scan));
   const pose = timeline.at("pose", t);
   const [x, y] = inWorld(frame, ...(pose ? arrays(pose).pose.slice(0, 2) : [0, 0]));
   return widen(box, [x - 3, y - 3, x + 3, y + 3]);
 }
 
-function buildCamera({ camera, radius }) {
-  robot.scale.setScalar(radius);
-  ghost.scale.setScalar(radius);
-  robotRadius = radius;
-  if (!camera) return;
-  const steps = 32,
-    half = camera.field_of_view / 2,
-    corners = [new T.Vector2(0, 0)];
-  for (let i = 0; i <= steps; i++) {
-    const angle = -half + (2 * half * i) / steps;
-    corners.push(new T.Vector2(camera.range * Math.cos(angle), camera.range * Math.sin(angle)));
-  }
-  const cone = new T.Mesh(new T.ShapeGeometry(new T.Shape(corners)), material("camera", { opacity: 0.1 }));
-  cone.position.z = Z.camera;
-  put(groups.camera, "cone", cone);
+let camera = null,
+  robotRadius = 0.18;
+function buildCamera(told) {
+  ({ camera, radius: robotRadius } = told);
+  robot.scale.setScalar(robotRadius);
+  ghost.scale.setScalar(robotRadius);
 }
-let robotRadius = 0.18;
+
+// Between rays farther apart than this, rad, nothing is known of what is in the way.
+const RAYS_APART = 0.1;
+
+/** Draws what the camera sees from a pose: as far as its range, or as the scan knows that something is in the way. */
+function showCamera([x, y, turn], scan) {
+  if (!camera) return;
+  const half = camera.field_of_view / 2,
+    { rays = [], met = [] } = scan ? arrays(scan) : {},
+    ends = [];
+  met.forEach((is, i) => {
+    const dx = rays[2 * i + 2] - x,
+      dy = rays[2 * i + 3] - y,
+      bearing = Math.atan2(dy, dx) - turn,
+      ahead = Math.atan2(Math.sin(bearing), Math.cos(bearing));
+    if (Math.abs(ahead) <= half) ends.push([ahead, is ? Math.min(Math.hypot(dx, dy), camera.range) : camera.range]);
+  });
+  ends.sort((a, b) => a[0] - b[0]);
+  const corners = [0, 0, 0, 0];
+  let at = -half;
+  for (const [angle, reach] of [...ends, [half, null]]) {
+    for (; angle - at > RAYS_APART; at += RAYS_APART / 2) corners.push(camera.range * Math.cos(at), camera.range * Math.sin(at));
+    if (reach !== null) corners.push(reach * Math.cos(angle), reach * Math.sin(angle));
+    at = angle;
+  }
+  put(groups.camera, "cone", fans([corners], Z.camera, material("camera", { opacity: 0.16 })));
+}

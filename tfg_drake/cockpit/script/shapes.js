@@ -174,6 +174,39 @@ function ellipses(points, covariance, rows, z, look, order, geometry = OVAL) {
   );
 }
 
+/** Numbers 1, 2, ... at points, a disc round each, or a square: as large whatever is far away. */
+function badges(points, name, radius) {
+  const group = new T.Group();
+  for (let i = 0; 2 * i < points.length; i++) {
+    const badge = new T.Sprite(badgeLook(name, i + 1));
+    badge.position.set(points[2 * i], points[2 * i + 1], Z.path);
+    badge.scale.setScalar(2 * radius);
+    badge.renderOrder = name === "stop" ? 7 : 6;
+    group.add(badge);
+  }
+  return group;
+}
+
+const BADGES = { stop: "path", instead: "truth" }, // their colours
+  badgeLooks = new Map();
+function badgeLook(name, number) {
+  const key = [name, number, dark.matches].join();
+  if (!badgeLooks.has(key)) {
+    const canvas = made("canvas", { width: 64, height: 64 }),
+      context = canvas.getContext("2d");
+    context.fillStyle = colour(BADGES[name]);
+    context.beginPath();
+    if (name === "stop") context.arc(32, 32, 31, 0, 2 * Math.PI);
+    else context.roundRect(5, 5, 54, 54, 8);
+    context.fill();
+    Object.assign(context, { fillStyle: colour("free"), font: "bold 42px sans-serif", textAlign: "center" });
+    context.fillText(number, 32, 47);
+    const map = new T.CanvasTexture(canvas);
+    badgeLooks.set(key, new T.SpriteMaterial({ map, depthTest: false }));
+  }
+  return badgeLooks.get(key);
+}
+
 function rows(count, which) {
   const found = [];
   for (let i = 0; i < count; i++) if (which(i)) found.push(i);

@@ -3,18 +3,13 @@
 /** The way driven, as a ribbon that grows; shown up to a time. */
 class Trail {
   constructor(group, name, z) {
-    Object.assign(this, { group, z, points: [], times: [], width: 0, mesh: null, length: [0] });
+    Object.assign(this, { group, z, points: [], times: [], width: 0, mesh: null });
     this.look = material(name);
   }
 
   add(t, x, y) {
-    const n = this.points.length;
-    if (n) {
-      const [a, b] = this.points[n - 1],
-        step = Math.hypot(x - a, y - b);
-      if (step < 0.03) return;
-      this.length.push(this.length[n - 1] + step);
-    }
+    const [a, b] = this.points.at(-1) ?? [Infinity, 0];
+    if (Math.hypot(x - a, y - b) < 0.03) return;
     this.points.push([x, y]);
     this.times.push(t);
   }
