@@ -20,7 +20,7 @@ from tfg_drake.messages import LaserScan, TagDetections
 from tfg_drake.simulation.differential_drive import CONTACTS
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
-from tfg_drake.world.world import World
+from tfg_drake.world.world import World, bare_world
 
 # Commands remembered, some twenty seconds of a driver's.
 _REMEMBERED = 1000
@@ -30,7 +30,7 @@ DELAY = 0.2
 
 def empty_plane() -> World:
     """A world without walls and tags; the robot starts at the origin."""
-    return World(np.zeros((0, 4)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0), np.zeros(3))
+    return bare_world(np.zeros((0, 4)), np.zeros(3))
 
 
 class Emulator(EmulatedDevice):

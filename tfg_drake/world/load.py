@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import FloatArray, replace
 from tfg_drake.world.map_server import load_map_server
 from tfg_drake.world.start import draw_start
 from tfg_drake.world.tag_placement import place_tags
 from tfg_drake.world.vectormap import FENCE_DISTANCE, load_vectormap
-from tfg_drake.world.world import World, WorldError, check_extent, check_world
+from tfg_drake.world.world import World, WorldError, bare_world, check_extent, check_world
 
 _log = logging.getLogger(__name__)
 
@@ -44,10 +44,7 @@ def load_map(
     try:
         check_extent(walls)
         X_WS = draw_start(walls, robot_radius, seed, is_free, p_WY) if start is None else np.array(start, dtype=float)
-        world = World(
-            walls=walls, tag_ids=np.zeros(0, dtype=np.int64), p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=X_WS
-        )
-        furnished = furnish(world, robot_radius, tag_spacing, None)
+        furnished = furnish(bare_world(walls, X_WS), robot_radius, tag_spacing, None)
         if is_free is not None and not is_free(X_WS[None, :2])[0]:
             raise WorldError(
                 f"world.start: ({X_WS[0]:g}, {X_WS[1]:g}) is not in a free cell of the map; start elsewhere"
@@ -67,12 +64,9 @@ def furnish(
     X_WS = world.start if start is None else np.array(start, dtype=float)
     if X_WS.shape != (3,):
         raise WorldError(f"world.start: expected x, y, yaw, found {X_WS.size} numbers")
-    ids, p_WT, facing = world.tag_ids, world.p_WT, world.tag_facing
-    if tag_spacing is not None:
-        ids, p_WT, facing = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0)
-    moved = World(walls=world.walls, tag_ids=ids, p_WT=p_WT, tag_facing=facing, start=X_WS)
+    moved = replace(world, start=X_WS) if tag_spacing is None else bare_world(world.walls, X_WS)
     check_world(moved, robot_radius)
     if tag_spacing is None:
         return moved
     ids, p_WT, facing = place_tags(world.walls, X_WS, tag_spacing, robot_radius)
-    return World(walls=world.walls, tag_ids=ids, p_WT=p_WT, tag_facing=facing, start=X_WS)
+    return replace(moved, tag_ids=ids, p_WT=p_WT, tag_facing=facing)

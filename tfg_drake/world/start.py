@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.world.reachability import CELL, MARGIN, cut_walls, free_cells, make_grid
-from tfg_drake.world.world import World, WorldError
+from tfg_drake.world.world import WorldError, bare_world
 
 
 def draw_start(
@@ -31,8 +31,7 @@ def draw_start(
     if not len(walls):
         return np.zeros(3)
     corner = np.array([walls[:, [0, 2]].min(), walls[:, [1, 3]].min(), 0.0])
-    none = np.zeros(0, dtype=np.int64)
-    grid = make_grid(World(walls=walls, tag_ids=none, p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=corner))
+    grid = make_grid(bare_world(walls, corner))
     labels, count = ndimage.label(free_cells(grid, walls, robot_radius + MARGIN))
     outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     labels[np.isin(labels, outside)] = 0

@@ -9,7 +9,7 @@ from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.world.reachability import CELL, MARGIN, make_grid, reachable_cells
-from tfg_drake.world.world import World, WorldError
+from tfg_drake.world.world import WorldError, bare_world
 
 # A tag's centre is this far off its wall, m, so that the wall itself does not hide it.
 TAG_OFFSET = 0.01
@@ -31,12 +31,11 @@ def place_tags(
     """
     if not (np.isfinite(spacing) and spacing > 0.0):
         raise WorldError(f"tag spacing: must be a positive number of metres, is {spacing:g}")
-    no_tags = np.zeros(0, dtype=np.int64)
-    world = World(walls=walls, tag_ids=no_tags, p_WT=np.zeros((0, 2)), tag_facing=np.zeros(0), start=start)
+    world = bare_world(walls, start)
     grid = make_grid(world)
     reachable = grid.centers(reachable_cells(grid, world, robot_radius))
     if not len(walls) or not len(reachable):
-        return no_tags, np.zeros((0, 2)), np.zeros(0)
+        return world.tag_ids, world.p_WT, world.tag_facing
     tree = cKDTree(reachable)
     length = np.hypot(walls[:, 2] - walls[:, 0], walls[:, 3] - walls[:, 1])
     is_short = length < 0.5 * spacing

@@ -27,6 +27,11 @@ class World:
     start: FloatArray
 
 
+def bare_world(walls: FloatArray, start: FloatArray) -> World:
+    """A world without tags."""
+    return World(walls, np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0), start)
+
+
 # No building is longer than this, m, or covers more, m^2: ten times the largest map that we know of. Its cells take a
 # gigabyte while tags are placed.
 LONGEST = 1000.0
