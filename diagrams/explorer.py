@@ -29,8 +29,7 @@ SENSED = {
     "scan.ranges": "scan",
 }
 COMMANDED = "base.velocity_commanded"
-# What a run keeps besides map and tfg, of the systems that say it.
-KEPT = ("estimator_state", "tfg_graph", "pressed")
+HEARD_AS = {name: port for port, name in SENSED.items()}
 
 
 def of_station(port: str) -> bool:
@@ -129,22 +128,7 @@ def MakeTfgExplorer(
     )
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, explorer.glance_period))
 
-    wiring.Sense("base.odometry", slam)
-    wiring.Sense("tags.detections", slam)
-    wiring.Sense("scan.ranges", slam, tfg_builder, prm)
-    wiring.Sense("base.hazards", sequencer)
-    wiring.Feed(slam, "pose", tfg_builder, selector, prm, pursuit)
-    wiring.Feed(slam, "map", tfg_builder, selector, prm, sequencer)
-    wiring.Feed(tfg_builder, "tfg", selector, prm, sequencer)
-    wiring.Feed(tfg_builder, "working_map", selector, prm)
-    for name in ("roadmap", "working_roadmap"):
-        if prm.HasOutputPort(name):
-            wiring.Feed(prm, name, selector)
-    wiring.Feed(selector, "goal", slam, prm, pursuit, sequencer)
-    wiring.Feed(prm, "path", selector, pursuit, sequencer)
-    wiring.Feed(prm, "path_status", selector, sequencer)
-    wiring.Feed(pursuit, "follower_status", sequencer)
-    wiring.Feed(sequencer, "mission", slam, tfg_builder, selector, prm, pursuit)
+    wiring.FeedAll(slam, tfg_builder, selector, prm, pursuit, sequencer)
     return wiring.Build(pursuit, sequencer, selector)
 
 
@@ -160,12 +144,6 @@ class Wiring:
     def Add(self, name: str, system: System) -> System:
         """Adds a system; the order in which they are added is that of their events."""
         return self._builder.AddNamedSystem(name, system)
-
-    def Sense(self, port: str, *listeners: System) -> None:
-        """Makes a port of the station, one of SENSED, an input of the explorer, for those systems that have it."""
-        for system in listeners:
-            if system.HasInputPort(SENSED[port]):
-                self._Export(system.GetInputPort(SENSED[port]), port)
 
     def _Export(self, port: InputPort, name: str) -> None:
         """Makes an input one of the explorer's, or of those that have this name already."""
@@ -187,21 +165,26 @@ class Wiring:
                 self._builder.Connect(output, system.GetInputPort(name))
         self._builder.ExportOutput(output, name)
 
+    def FeedAll(self, *systems: System) -> None:
+        """Feeds each output of these systems to the inputs of its name among them, but for the command."""
+        for source in systems:
+            for name in (source.get_output_port(i).get_name() for i in range(source.num_output_ports())):
+                if name != "velocity_commanded":
+                    self.Feed(source, name, *systems)
+
     def Join(self, output: OutputPort, port: InputPort) -> None:
         """Connects two ports of different names, between systems alone."""
         self._builder.Connect(output, port)
 
     def Build(self, follower: System, sequencer: System, selector: System) -> Diagram:
-        """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector."""
+        """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector. What
+        the station senses goes to the inputs of its names that nothing feeds."""
         for system in self._builder.GetSystems():
-            for name in KEPT:
-                if system.HasOutputPort(name):
-                    self._builder.ExportOutput(system.GetOutputPort(name), name)
             for port in (system.get_input_port(i) for i in range(system.num_input_ports())):
-                if of_station(port.get_name()) and not self._builder.IsConnectedOrExported(port):
-                    self._Export(port, port.get_name())
+                name = HEARD_AS.get(port.get_name(), port.get_name())
+                if of_station(name) and not self._builder.IsConnectedOrExported(port):
+                    self._Export(port, name)
         self._builder.ExportOutput(follower.GetOutputPort("velocity_commanded"), COMMANDED)
-        self._builder.ExportInput(sequencer.GetInputPort("enable"), "base.enabled")
         for name in ("pause", "stop"):
             self._builder.ExportInput(sequencer.GetInputPort(name), name)
         for name in ("recall", "requested_goal"):
