@@ -93,9 +93,9 @@ def explore(
         DeviceError: the robot cannot be used.
         OSError: the folder cannot be written.
     """
-    for what, least in (("until", until), ("realtime_rate", realtime_rate)):
-        if not least >= 0.0:
-            raise ValueError(f"{what} {least:g}: must be 0 or more")
+    for what, value in (("until", until), ("realtime_rate", realtime_rate)):
+        if not value >= 0.0:
+            raise ValueError(f"{what} {value:g}: must be 0 or more")
     parts = {"goal_selector": goal_selector, "estimator": estimator, "planner": planner, "follower": follower}
     own: dict[str, Any] = {role: factory for role, factory in parts.items() if factory is not None}
     for role, factory in {**own, "plant": plant, "station": station}.items():
@@ -103,8 +103,8 @@ def explore(
     if plant is not None and station is not None:
         raise TypeError("plant: is for the usual station; put it into the one that station= makes")
     named = "" if isinstance(scenario, Scenario) else str(scenario)
-    place = [world, tag_spacing, start]
-    make_kernels_ready(kernels_needed(named, method, "sim", [own, plant, station, settings, *place]))
+    changed = [one is not None for one in (plant, station, world, tag_spacing, start)]
+    make_kernels_ready(kernels_needed(named, method, "sim", [own, settings, *changed]))
     loaded = PrepareScenario(scenario, settings, seed, world, tag_spacing, start)
     name = run_name(named or "mission", None if world is None else Path(world))
     explorer = FindMethod(method)

@@ -21,7 +21,7 @@ from tfg_drake.diagrams.commands import command_line
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.methods import MethodError
 from tfg_drake.diagrams.mission_diagram import ConnectStation
-from tfg_drake.diagrams.scenario import LoadScenario, Scenario, ScenarioError
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario, ScenarioError
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.mapfile.saved_map import load_map, restored_estimate
 from tfg_drake.messages import replace
@@ -183,8 +183,6 @@ def test_planner_selector_follower_and_plant_of_ones_own():
         return noted("follower", PurePursuitFollower(slow, scenario.explorer, None))
 
     def MakePlant(scenario):
-        from tfg_drake.diagrams.scenario import MakeWorld
-
         return noted("plant", DifferentialDrivePlant(MakeWorld(scenario.world), scenario.robot))
 
     parts = {"planner": MakePlanner, "goal_selector": MakeSelector, "follower": MakeFollower, "plant": MakePlant}
