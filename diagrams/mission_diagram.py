@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 
-from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
+from tfg_drake.diagrams.explorer import COMMANDED, MakeTfgExplorer, of_station
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mission.operation import Request
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -> None:
-    """Connects what a station senses to the explorer's inputs of the same names, as far as it has them, and the
-    explorer's command to the station."""
-    for name in SENSED:
-        if explorer.HasInputPort(name):
+    """Connects what a station senses to the explorer's inputs of the same names, and the explorer's command to the
+    station."""
+    for name in (explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())):
+        if of_station(name):
             builder.Connect(station.GetOutputPort(name), explorer.GetInputPort(name))
     builder.Connect(explorer.GetOutputPort(COMMANDED), station.GetInputPort(COMMANDED))
 
@@ -104,7 +104,8 @@ def _AddOperator(
 ) -> Operator:
     """Base and mission under an operator, as far as they have ports for that, but for requested_goal."""
     recalls, sources = explorer.HasInputPort("recall"), [*robot.operated, *operated]
-    operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=not robot.real))
+    enabled = robot.enabled or not robot.real
+    operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=enabled))
     for name, port in (("enable", "base.enable"), ("pushes", "truth.pushes")):
         if station.HasInputPort(port):
             builder.Connect(operator.GetOutputPort(name), station.GetInputPort(port))

@@ -25,7 +25,7 @@ def MakeLaggingPlant(scenario):
 
 def MakeStation(scenario):
     """The station with that plant."""
-    return MakeTurtlebotStation(scenario, plant=MakeLaggingPlant(scenario))
+    return MakeTurtlebotStation(scenario, plant=MakeLaggingPlant)
 
 
 for name, station in (("as it is", None), (f"{LAG} s of lag", MakeStation)):

@@ -85,6 +85,12 @@ class ManualDriver(LeafSystem):
         - path
         - path_status
         - follower_status
+        - pressed
+
+    map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, pose: PoseEstimate, mission: MissionStatus, planned_path and path:
+    Path, planned_status and path_status: PathStatus, goal and planned_goal: GoalChoice, following_status and
+    follower_status: FollowerStatus. velocity_commanded and following_commanded: forward speed, m/s, and turn rate,
+    rad/s. pressed: a tuple of Pressed, all keys so far.
 
     following_commanded, following_status: the follower's velocity_commanded and follower_status. While the robot moves
     the mission glances ahead as it does on any way. The key "look" ends the way, so that the robot turns round; so does
@@ -117,13 +123,10 @@ class ManualDriver(LeafSystem):
         declare_message_output(self, "goal", lambda context: self._State(context).goal, ticket)
         declare_message_output(self, "planned_goal", self._PlannedGoal, ticket)
         declare_message_output(self, "path", lambda context: self._State(context).path, ticket)
+        declare_message_output(self, "pressed", lambda context: self._State(context).pressed, ticket)
         declare_message_output(self, "path_status", self._PathStatus, {self.all_sources_ticket()})
         declare_message_output(self, "follower_status", self._Status, {self.all_sources_ticket()})
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
-
-    def pressed(self, context: Context) -> tuple[Pressed, ...]:
-        """All keys so far; context: the system's own."""
-        return self._State(context).pressed
 
     def _State(self, context: Context) -> _Driving:
         return state_message(context, self._state, _Driving)

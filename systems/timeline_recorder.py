@@ -82,6 +82,10 @@ class TimelineRecorder(LeafSystem):
         - enabled
         - truth
 
+    map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice, path: Path, grid: GridMap, mission:
+    MissionStatus, pose: PoseEstimate, working_map: WorkingMap, working_roadmap: Roadmap, all in M. scan: LaserScan.
+    people: People, in W.
+
     Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
     whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a map so large that planning works on a
     part of it, only that part is asked for and written at every stage, and all of it now and then.

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from tfg_drake import kernels
 from tfg_drake.diagrams.commands.command_line import bad_input
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording", "slam.sensors", "world")
+REMARKING = ("hardware", "operator", "pace", "picture", "run_folder", "port_recording", "slam.sensors", "world")
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
@@ -161,11 +161,11 @@ def keys_of_driver(method: Method, robot: str, cockpit: Cockpit | None) -> Itera
 
 
 @contextlib.contextmanager
-def remarks_on_screen() -> Iterator[None]:
-    """What base, operator, picture and the run's files remark is shown, too."""
+def remarks_on_screen(screen: TextIO | None = None) -> Iterator[None]:
+    """What base, operator, picture and the run's files remark is shown, too; screen: by default standard output."""
     import logging
 
-    handler = logging.StreamHandler(sys.stdout)
+    handler = logging.StreamHandler(screen or sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
     loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING]
     for logger in loggers:

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from pydrake.common import FindResourceOrThrow
 from pydrake.common.yaml import yaml_dump_typed
-from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
@@ -76,16 +75,18 @@ _log, _of_world = logging.getLogger("tfg_drake.run"), logging.getLogger("tfg_dra
 @dataclasses.dataclass(frozen=True)
 class RunResult:
     """A finished mission: the contents of summary.json and stages.jsonl, the folder they are in, the files there that
-    could not be written, with the reason, and the CPU seconds of the explorer's components by what they did."""
+    could not be written, with the reason, the CPU seconds of the explorer's components by what they did, and the
+    mission itself."""
 
     summary: dict[str, Any]
     stages: list[dict[str, Any]]
     folder: Path
     unwritten: dict[str, str]
     spent: dict[str, float]
+    mission: Mission
 
 
-def explore(
+def run_mission(
     scenario: Scenario,
     *,
     method: Method = METHODS["tfg"],
@@ -130,12 +131,7 @@ def explore(
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
             later is told in the log and in the result.
     """
-    # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with (
-        threadpool_limits(limits=1),
-        open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder,
-        folder.logging(),
-    ):
+    with open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder, folder.logging():
         write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         if record and robot.world_known:
@@ -177,7 +173,7 @@ def explore(
             folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
-    return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent)
+    return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent, mission)
 
 
 def viewer_script() -> str:

@@ -43,12 +43,12 @@ def MakeTruthlessStation(scenario):
 
 
 def explore(folder, robot, **arguments):
-    return run.explore(room(), name="room", max_time=30.0, out_dir=folder, robot=robot, **arguments)
+    return run.run_mission(room(), name="room", max_time=30.0, out_dir=folder, robot=robot, **arguments)
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
-    return run.explore(room(), name="room", max_time=30.0, out_dir=tmp_path_factory.mktemp("simulated"))
+    return run.run_mission(room(), name="room", max_time=30.0, out_dir=tmp_path_factory.mktemp("simulated"))
 
 
 @pytest.fixture(scope="module")

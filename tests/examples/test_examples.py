@@ -13,6 +13,11 @@ from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.fixture(autouse=True)
+def _compiled(compiled):
+    """No example says that kernels are compiled."""
+
+
 @pytest.fixture
 def run_example(tmp_path, monkeypatch, capsys):
     """Runs an example in an empty folder, its times and numbers of seeds replaced, and gives what it prints."""
@@ -49,7 +54,7 @@ def test_another_plant(run_example):
 
 def test_a_run_analysed(run_example, tmp_path):
     short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
-    run.explore(short, out_dir=tmp_path / "run", max_time=15.0)
+    run.run_mission(short, out_dir=tmp_path / "run", max_time=15.0)
     said = run_example("analyse.py", tmp_path / "run")
     assert said.startswith("time_limit after 15.0 s")
     assert said.count("position error") == 4
