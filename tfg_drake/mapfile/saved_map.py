@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.slam.camera_model import CameraModel
 from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
@@ -63,6 +63,11 @@ class SavedMap:
     def ids(self) -> IntArray:
         """(n,) ids of the landmarks, ascending."""
         return self.graph.ids
+
+    @property
+    def is_doubtful(self) -> BoolArray:
+        """Which landmarks (n,) are."""
+        return np.isin(self.ids, self.doubtful)
 
     @property
     def p_ML(self) -> FloatArray:
