@@ -152,6 +152,7 @@ def explore(
     ] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No page that shows it.")] = False,
+    meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw it in Drake's Meshcat, too.")] = False,
     host: Host = "localhost",
     page_port: Annotated[
         int | None, typer.Option(metavar="N", help="The page's port [default: 7000 or the next that is free].")
@@ -223,6 +224,7 @@ def explore(
                 robot=driven,
                 name=explore_command.run_name(scenario, world, robot),
                 world_name=str(world or scenario) if driven.world_known else "unknown",
+                meshcat=explore_command.open_meshcat() if meshcat else None,
                 cockpit=cockpit,
                 realtime_rate=realtime_rate,
                 max_time=max_time,

@@ -25,7 +25,7 @@ from tfg_drake.world.world import World
 COVARIANCE_PERIOD = 1.0
 
 if TYPE_CHECKING:
-    from tfg_drake.systems.visualizer import TfgVisualizer
+    from pydrake.geometry import Meshcat
 
 
 def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -> None:
@@ -40,14 +40,14 @@ def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -
 def MakeMissionDiagram(
     scenario: Scenario,
     world: World | None,
-    visualizer: TfgVisualizer | None = None,
+    meshcat: Meshcat | None = None,
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
     robot: Robot = SIMULATED,
     writer: PortWriter | None = None,
     timeline: TimelineWriter | None = None,
     operated: Sequence[Callable[[], Sequence[Request]]] = (),
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink, VectorLogSink]:
-    """Station and explorer, with the picture if there is one, recorded if there are writers, and under an operator if
+    """Station and explorer, drawn in a Meshcat if there is one, recorded if there are writers, and under an operator if
     the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. A recorded
     robot goes to the places that it was sent to then.
 
@@ -87,8 +87,11 @@ def MakeMissionDiagram(
         PortRecorder.AddToBuilder(builder, station, explorer, writer, requested)
     if timeline is not None:
         TimelineRecorder.AddToBuilder(builder, station, explorer, timeline, *filter(None, [operator]))
-    if visualizer is not None:
-        visualizer.Connect(builder, station, explorer)
+    if meshcat is not None:
+        # Only a picture needs what this imports.
+        from tfg_drake.systems.visualizer import TfgVisualizer
+
+        TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius)
 
     diagram = builder.Build()
     diagram.set_name("mission")

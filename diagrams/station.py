@@ -36,8 +36,8 @@ def MakeTurtlebotStation(
     plant: makes for the scenario what moves instead of a DifferentialDrivePlant, a system with that one's ports;
     without the inputs people and world it can do where the scenario has neither.
 
-    A meshcat shows a simulated robot in its world, for a station without an explorer; a mission's picture is
-    TfgVisualizer's.
+    A meshcat shows a simulated robot in its world, for a station without an explorer; TfgVisualizer.AddToBuilder draws
+    a mission.
 
     .. pydrake_system::
 
@@ -194,7 +194,7 @@ def _AddPicture(
     # Only a picture needs what this imports.
     from tfg_drake.systems.visualizer import TfgVisualizer
 
-    picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, "station")
+    picture = TfgVisualizer(meshcat, world, radius=scenario.robot.radius)
     builder.AddNamedSystem("visualizer", picture)
     builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))
     if walking is not None:

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.cockpit.server import Cockpit
-    from tfg_drake.systems.picture import Picture
     from tfg_drake.systems.visualizer import TfgVisualizer
 
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
@@ -99,7 +98,7 @@ class Mission:
         self,
         scenario: Scenario,
         method: Method,
-        meshcat: Meshcat | Picture | None,
+        meshcat: Meshcat | None,
         title: str,
         robot: Robot = SIMULATED,
         writer: PortWriter | None = None,
@@ -118,13 +117,8 @@ class Mission:
         self.scenario, self._writer, self._timeline, self._cockpit = scenario, writer, timeline, cockpit
         if timeline is not None:
             self._begin_timeline(timeline, title)
+        self._meshcat = meshcat
         self._visualizer: TfgVisualizer | None = None
-        if meshcat is not None:
-            # Only a picture needs what this imports.
-            from tfg_drake.systems.visualizer import TfgVisualizer
-
-            X_WM = np.zeros(3) if self._X_WS is None else self._X_WS
-            self._visualizer = TfgVisualizer(meshcat, self.world, X_WM, scenario.robot.radius, title)
         self.word = ""
         self._recorder: System | None = None  # of the timeline
         self._context: Context | None = None  # until the diagram is built
@@ -180,22 +174,17 @@ class Mission:
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
 
     def say(self, word: str) -> None:
-        """From now on picture and progress say what else is done, "" for nothing."""
+        """From now on page and progress say what else is done, "" for nothing."""
         self.word = word
         if self._cockpit is not None:
             self._cockpit.word = word
-        if self._visualizer is not None:
-            self._visualizer.word = word
 
     def show(self) -> None:
-        """Draws the picture as everything is now, what is said included."""
-        if self.outcome != "fault":
-            self.record_now()
-        if self._visualizer is None:
+        """Draws everything as it is now."""
+        if self.outcome == "fault":
             return
-        if self._context is None or self.outcome == "fault":
-            self._visualizer.ShowBeginning()
-        else:
+        self.record_now()
+        if self._visualizer is not None and self._context is not None:
             self._visualizer.ForcedPublish(self._visualizer.GetMyContextFromRoot(self._context))
 
     @property
@@ -324,7 +313,7 @@ class Mission:
         diagram, truth_log, self._pose_log, self._covariance_log = MakeMissionDiagram(
             self.scenario,
             self.world,
-            self._visualizer,
+            self._meshcat,
             self.method.MakeExplorer,
             self.robot,
             self._writer,
@@ -337,6 +326,8 @@ class Mission:
         if truth_log is not None:
             self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
         self._explorer = diagram.GetSubsystemByName("explorer")
+        if self._meshcat is not None:
+            self._visualizer = diagram.GetSubsystemByName("visualizer")
         if self._timeline is not None:
             self._recorder = diagram.GetSubsystemByName("timeline_recorder")
         if self._cockpit is not None:
@@ -391,7 +382,7 @@ class Mission:
         if record is not None:
             self.stages.append(record)
             if self._visualizer is not None:
-                self._visualizer.PlaceMap(self.X_WM)
+                self._visualizer.PlaceMap(self.X_WM, self.time)
             if self._timeline is not None:
                 self._timeline.write("frame", self.time, {"pose": self.X_WM.astype(np.float32)})
             self._write(json.dumps(record) + "\n")

@@ -18,12 +18,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydrake.common import FindResourceOrThrow
 from pydrake.common.yaml import yaml_dump_typed
 
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
-from tfg_drake.cockpit.page import export_page
+from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
@@ -46,7 +45,6 @@ if TYPE_CHECKING:
 
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.missions.fork import Fork
-    from tfg_drake.systems.picture import Picture
 
 # A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
 QUICKLY_KEPT = 0.02
@@ -93,7 +91,7 @@ def run_mission(
     robot: Robot = SIMULATED,
     name: str = "scenario",
     world_name: str | None = None,
-    meshcat: Meshcat | Picture | None = None,
+    meshcat: Meshcat | None = None,
     cockpit: Cockpit | None = None,
     realtime_rate: float = 0.0,
     max_time: float = 3600.0,
@@ -174,11 +172,6 @@ def run_mission(
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent, mission)
-
-
-def viewer_script() -> str:
-    """Meshcat's viewer, as Drake ships it."""
-    return Path(FindResourceOrThrow("drake/geometry/meshcat.js")).read_text(encoding="utf-8")
 
 
 class _Keeper:

@@ -119,7 +119,7 @@ def test_the_station_alone_in_meshcat():
     meshcat = Meshcat(MeshcatParams(host="localhost"))
     station = MakeTurtlebotStation(LoadScenario("house"), meshcat)
     Simulator(station).AdvanceTo(0.5)
-    assert meshcat.HasPath("/tfg/walls")
+    assert meshcat.HasPath("/tfg/world/walls")
     assert meshcat.HasPath("/tfg/truth")
 
 

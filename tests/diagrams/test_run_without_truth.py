@@ -135,4 +135,4 @@ def test_it_is_shown_in_the_map_frame(method, tmp_path):
     explore(tmp_path, robot, meshcat=meshcat, method=FindMethod(method))
     # The ghost of the true pose is there, unseen.
     assert meshcat.HasPath("/tfg/truth")
-    assert not meshcat.HasPath("/tfg/walls/<object>")
+    assert not meshcat.HasPath("/tfg/world")

@@ -15,7 +15,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, TfgMap, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, TfgMap, message, replace
 from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state, known_camera
 from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_graph, empty_map
@@ -66,6 +66,11 @@ class SavedMap:
     def ids(self) -> IntArray:
         """(n,) ids of the landmarks, ascending."""
         return self.graph.ids
+
+    @property
+    def is_doubtful(self) -> BoolArray:
+        """Which landmarks (n,) are."""
+        return np.isin(self.ids, self.doubtful)
 
     @property
     def p_ML(self) -> FloatArray:
