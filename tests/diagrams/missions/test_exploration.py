@@ -14,7 +14,7 @@ from pydrake.systems.framework import DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantVectorSource
 
 import tfg_drake
-from tests.diagrams.own_parts import TruthEstimator
+from examples.estimator import TruthEstimator
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, ROOM, lasting, tagged
 from tfg_drake import kernels
 from tfg_drake.diagrams.commands import command_line
