@@ -26,7 +26,7 @@ from monte_carlo import collisions
 from scipy.stats import binomtest
 
 from tfg_drake.config import RISKS, OdometryConfig, PlannerConfig, TagSensorConfig
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
 from tfg_drake.messages import MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner
@@ -48,7 +48,7 @@ def stages_of(scenario: Scenario, max_time: float) -> list[Stage]:
         return state
 
     with mock.patch.object(planner, "grow", noted):
-        explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="chance-")), max_time=max_time)
+        run_mission(scenario, out_dir=Path(tempfile.mkdtemp(prefix="chance-")), max_time=max_time)
     return stages
 
 

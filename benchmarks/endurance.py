@@ -18,7 +18,7 @@ from unittest import mock
 
 import numpy as np
 
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.slam import estimator
 from tfg_drake.slam.estimator_state import EstimatorState
@@ -64,7 +64,7 @@ def main() -> None:
     print("   min   views  landmarks  jointly   ms mean   ms most")
     with mock.patch.object(slam_estimator, "end_turn", timed):
         folder = Path(tempfile.mkdtemp(prefix="endurance-"))
-        summary = explore(scenario, max_time=3600.0 * options.hours, out_dir=folder).summary
+        summary = run_mission(scenario, max_time=3600.0 * options.hours, out_dir=folder).summary
     report((rows[-1][0] // BIN + 1) * BIN)
     print(f"{summary['outcome']}: {summary['reason']}")
     large = [mean for whole_bin_large, mean in bins if whole_bin_large]

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.messages import LaserScan, replace
 from tfg_drake.safety.scan_watch import ScanWatch
@@ -64,7 +64,7 @@ def mission(world: str, kind: str, seed: int) -> dict[str, Any]:
     safety_filter.filter_command = compared
     try:
         with tempfile.TemporaryDirectory() as folder:
-            summary = explore(scenario, out_dir=Path(folder), record=False).summary
+            summary = run_mission(scenario, out_dir=Path(folder), record=False).summary
     finally:
         laser_scanner.scan, safety_filter.filter_command = scan, filter_command
     kept = ("outcome", "sim_time_s", "contacts", "min_clearance_m", "landmarks_mapped", "landmarks_reachable")

@@ -13,7 +13,7 @@ import numpy as np
 
 import tfg_drake
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import MissionStatus
@@ -34,8 +34,9 @@ def fork_is_same(folder: Path, stage: int, scratch: Path) -> bool:
     while status().phase != "done":
         simulator.AdvanceTo(np.floor(root.get_time()) + 1.0)
     state = finished_map(StateOfExplorer(explorer, context))
-    X_WS = np.array(LoadScenario(folder / "scenario.yaml").world.start)
-    save_map(scratch, MapOfExplorer(explorer, context, X_WS, state)[0])
+    scenario = LoadScenario(folder / "scenario.yaml")
+    X_WS = np.array(scenario.world.start)
+    save_map(scratch, MapOfExplorer(explorer, context, X_WS, state, scenario)[0])
     pose = station.GetOutputPort("truth.pose").Eval(station.GetMyContextFromRoot(root))[:3]
     return (
         scratch.read_bytes() == (folder / "map.npz").read_bytes()
@@ -54,7 +55,7 @@ def main() -> None:
     scenario = LoadScenario(options.scenario)
     scenario.seed = options.seed
     with tempfile.TemporaryDirectory() as scratch:
-        original = explore(scenario, out_dir=Path(scratch) / "run", record=False)
+        original = run_mission(scenario, out_dir=Path(scratch) / "run", record=False)
         last = original.summary["stages"]
         print(f"{options.scenario}: {original.summary['outcome']} after {last} stages", flush=True)
         same = 0

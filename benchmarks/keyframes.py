@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tfg_drake.comparison.metrics import landmark_rmse
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.slam import estimator
@@ -56,7 +56,7 @@ def run_seed(name: str, seed: int, period: float) -> tuple[int, list[float]]:
     world = MakeWorld(scenario.world)
     steps: list[tuple[str, object]] = []
     with mock.patch.multiple(slam_estimator, **{name: recorded(steps, name) for name in STEPS}):
-        explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="keyframes-")))
+        run_mission(scenario, out_dir=Path(tempfile.mkdtemp(prefix="keyframes-")))
 
     maps = []
     with threadpool_limits(limits=1):

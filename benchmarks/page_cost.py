@@ -22,7 +22,7 @@ from unittest import mock
 from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake.cockpit.server import Cockpit
-from tfg_drake.diagrams.missions.run import explore, viewer_script
+from tfg_drake.diagrams.missions.run import run_mission, viewer_script
 from tfg_drake.diagrams.scenario import ApplyWorldFile, FindScenario, LoadScenario, Scenario
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 
@@ -50,7 +50,7 @@ def measured(scenario: Scenario, watched: bool, max_time: float, rate: float) ->
             stack.callback(reader.terminate)
         before, own = time.process_time(), time.thread_time()
         given = {"max_time": max_time, "realtime_rate": rate, "out_dir": folder / "run", "cockpit": cockpit}
-        summary = explore(scenario, **given).summary
+        summary = run_mission(scenario, **given).summary
         spent, own = time.process_time() - before, time.thread_time() - own
     each = 1e3 / summary["sim_time_s"]
     return each * spent, each * timeline, each * (spent - own)

@@ -29,7 +29,7 @@ from unittest import mock
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, replace
 from tfg_drake.planning import planner
@@ -164,7 +164,7 @@ def recorded(name: str) -> list[dict[str, tuple[Any, ...]]]:
         mock.patch.object(info_gain_goal_selector, "choose", noted("choose", choose)),
     ):
         folder = Path(tempfile.mkdtemp(prefix="planning-"))
-        done = explore(LoadScenario(FindScenario(name)), max_time=3600.0, out_dir=folder)
+        done = run_mission(LoadScenario(FindScenario(name)), max_time=3600.0, out_dir=folder)
     if done.summary["outcome"] == "fault":
         sys.exit(done.summary["reason"])
     return stages

@@ -21,7 +21,7 @@ from unittest import mock
 
 import numpy as np
 
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 from tfg_drake.planning import goal_choice, planner, revisit
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
@@ -76,7 +76,7 @@ def main() -> None:
         for seed in range(-1, options.seeds):
             scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
             scenario.seed = max(seed, 0)
-            done = explore(scenario, max_time=options.max_time, out_dir=Path(tempfile.mkdtemp(prefix="planning-")))
+            done = run_mission(scenario, max_time=options.max_time, out_dir=Path(tempfile.mkdtemp(prefix="planning-")))
             if done.summary["outcome"] == "fault":
                 sys.exit(done.summary["reason"])
             if seed < 0:  # It compiled the kernels.

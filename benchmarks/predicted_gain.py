@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tfg_drake.config import ExplorerConfig
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate
 from tfg_drake.planning import goal_choice
@@ -123,7 +123,7 @@ def one_mission(scenario: Scenario, full_turn: bool) -> tuple[list[list[float]],
         mock.patch.object(slam_estimator, "end_turn", noted_turn),
         mock.patch.object(info_gain_goal_selector, "choose", noted_choice),
     ):
-        done = explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="gain-")))
+        done = run_mission(scenario, out_dir=Path(tempfile.mkdtemp(prefix="gain-")))
     if done.summary["outcome"] == "fault":
         sys.exit(done.summary["reason"])
     return gains, numbers

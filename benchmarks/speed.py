@@ -17,7 +17,7 @@ from pathlib import Path
 
 from pydrake.systems.framework import Diagram
 
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.robots import SIMULATED
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, Scenario
 from tfg_drake.systems.cpu_meter import CpuMeter
@@ -44,10 +44,10 @@ def main() -> None:
     robot = dataclasses.replace(SIMULATED, MakeStation=MakeMeteredStation) if options.details else SIMULATED
 
     # Compiled code is read from its cache on first use: the short mission before the measured one pays for that.
-    explore(scenario, robot=robot, max_time=60.0, out_dir=Path(tempfile.mkdtemp(prefix="speed-")))
+    run_mission(scenario, robot=robot, max_time=60.0, out_dir=Path(tempfile.mkdtemp(prefix="speed-")))
     station.spent.clear()
     out = Path(tempfile.mkdtemp(prefix="speed-"))
-    result = explore(scenario, robot=robot, max_time=options.max_time, out_dir=out)
+    result = run_mission(scenario, robot=robot, max_time=options.max_time, out_dir=out)
     summary, spent = result.summary, result.spent | station.spent
     spent["Drake and the rest"] = summary["cpu_time_s"] - sum(spent.values())
 

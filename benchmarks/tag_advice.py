@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from tfg_drake.diagrams.methods import METHODS
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario, MakeWorld, MakeWorldConfig, Scenario
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.messages import FloatArray, replace
@@ -107,7 +107,7 @@ def errors(scenario: Scenario, world: World, seed: int) -> FloatArray:
     """Position errors (PLACES,), m, of one drive, as known at the end of each look round."""
     scenario.world, scenario.seed = MakeWorldConfig(world), seed
     with tempfile.TemporaryDirectory() as folder:
-        done = explore(scenario, method=METHODS["scripted"], out_dir=Path(folder) / "run", record=False)
+        done = run_mission(scenario, method=METHODS["scripted"], out_dir=Path(folder) / "run", record=False)
         if len(done.stages) <= PLACES or done.summary["outcome"] == "fault":
             sys.exit(f"seed {seed}: {len(done.stages)} places: {done.summary['reason']}")
         run = load_run(done.folder)

@@ -19,7 +19,7 @@ import numpy as np
 import shapely
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.messages import FloatArray
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
@@ -52,7 +52,7 @@ def main() -> None:
         for seed in range(options.seeds):
             scenario = LoadScenario(FindScenario(options.scenario))
             scenario.seed = seed
-            done = explore(scenario, out_dir=Path(tempfile.mkdtemp(prefix="tracking-")))
+            done = run_mission(scenario, out_dir=Path(tempfile.mkdtemp(prefix="tracking-")))
             if done.summary["outcome"] == "fault":
                 sys.exit(done.summary["reason"])
     away, speed, progress = np.array(rows).T

@@ -152,6 +152,7 @@ def explore(
     ] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No page that shows it.")] = False,
+    meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw it in Drake's Meshcat, too.")] = False,
     host: Host = "localhost",
     page_port: Annotated[
         int | None, typer.Option(metavar="N", help="The page's port [default: 7000 or the next that is free].")
@@ -187,7 +188,9 @@ def explore(
             compilation = stack.enter_context(compiling_beside(need))
         elif need == kernels.MISSION or _places_tags(world, tag_spacing, start):
             wait_for_kernels(show, need)
-        loaded = _load(scenario, world, tag_spacing, start, seed, settings or [])
+        from tfg_drake.diagrams.scenario import PrepareScenario
+
+        loaded = PrepareScenario(scenario, settings or [], seed, world, tag_spacing, _start(start))
         if robot != "sim" and replayed is None:
             explore_command.link(loaded.hardware, robot, links)
         _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
@@ -215,12 +218,13 @@ def explore(
         opened = explore_command.open_robot(robot, loaded, explorer, interruption)
         driven, loaded = stack.enter_context(opened)
         with complaining(out):
-            result = run.explore(
+            result = run.run_mission(
                 loaded,
                 method=explorer,
                 robot=driven,
                 name=explore_command.run_name(scenario, world, robot),
                 world_name=str(world or scenario) if driven.world_known else "unknown",
+                meshcat=explore_command.open_meshcat() if meshcat else None,
                 cockpit=cockpit,
                 realtime_rate=realtime_rate,
                 max_time=max_time,
@@ -318,10 +322,14 @@ def compare(
         from tfg_drake.diagrams.commands import compare as compare_command
         from tfg_drake.diagrams.missions import comparison_report
         from tfg_drake.diagrams.missions.sweep import Task, parse_methods
+        from tfg_drake.diagrams.scenario import PrepareScenario
 
         name = explore_command.run_name(scenario, world)
         with complaining(out):
-            of_seed = [_load(scenario, world, tag_spacing, start, seed, settings or []) for seed in range(seeds)]
+            place = _start(start)
+            of_seed = [
+                PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)
+            ]
             sources = parse_methods(methods, of_seed[0])
             names = list(sources)
             # All methods of a seed before the next seed, so that a partial report compares like with like.
@@ -382,7 +390,7 @@ def fork(
         from tfg_drake.diagrams.commands import fork as fork_command
         from tfg_drake.diagrams.methods import METHODS
         from tfg_drake.diagrams.missions import fork as forks
-        from tfg_drake.diagrams.missions.run import explore as explore_mission
+        from tfg_drake.diagrams.missions.run import run_mission
 
         with complaining(out):
             before, loaded = forks.forkable(run, stage)
@@ -391,7 +399,7 @@ def fork(
             change, summary = forks.Fork(stage, place, candidate), before.summary
             # A run that somebody or a limit of time ended ends there again.
             limited = summary["outcome"] in ("time_limit", "interrupted")
-            result = explore_mission(
+            result = run_mission(
                 loaded,
                 method=METHODS[summary["method"]],
                 name=f"{summary['scenario']}-fork",
@@ -640,23 +648,8 @@ def _make_writable(folder: Path) -> None:
         _bad_input(f"--out {folder}: {error.strerror}")
 
 
-def _load(
-    name: str,
-    world: Path | None,
-    tag_spacing: float | None,
-    start: str | None,
-    seed: int | None,
-    settings: list[str],
-) -> Scenario:
-    from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario
-
-    scenario = ApplySettings(LoadScenario(name), settings)
-    if seed is not None:
-        scenario.seed = seed
-    if world is not None or tag_spacing is not None or start is not None:
-        place = None if start is None else parse_place("--start", start)
-        scenario = ApplyWorldFile(scenario, world, tag_spacing, place)
-    return scenario
+def _start(text: str | None) -> list[float] | None:
+    return None if text is None else parse_place("--start", text)
 
 
 def _find_method(name: str, scenario: Scenario) -> Method:

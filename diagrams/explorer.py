@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, LeafSystem, OutputPort
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
 
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.parts import Factory, MakePart
+from tfg_drake.diagrams.scenario import CheckScenario, Scenario
 from tfg_drake.geometry.se2 import compose
-from tfg_drake.mapfile.saved_map import SavedMap, saved_map
+from tfg_drake.mapfile.saved_map import SavedMap, saved_map, state_of_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
@@ -17,6 +18,7 @@ from tfg_drake.systems.prm_planner import PrmPlanner
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 from tfg_drake.systems.slam_estimator import SlamEstimator
 from tfg_drake.systems.tfg_builder import TfgBuilder
+from tfg_drake.tfg.graph import resolve
 
 # The station's ports, and what the explorer's systems call what comes from there.
 SENSED = {
@@ -27,52 +29,107 @@ SENSED = {
     "scan.ranges": "scan",
 }
 COMMANDED = "base.velocity_commanded"
+HEARD_AS = {name: port for port, name in SENSED.items()}
 
 
-def MakeTfgExplorer(scenario: Scenario, goal_selector: LeafSystem | None = None) -> Diagram:
+def of_station(port: str) -> bool:
+    """Whether a port has a name as the station's have: device.signal."""
+    return "." in port
+
+
+def MakeTfgExplorer(
+    scenario: Scenario,
+    goal_selector: Factory | None = None,
+    *,
+    estimator: Factory | None = None,
+    planner: Factory | None = None,
+    follower: Factory | None = None,
+) -> Diagram:
     """The explorer for a scenario's robot, sensors and method; of the scenario's world it reads nothing.
 
-    Input ports: base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause, stop, recall
-    (vectors of size 1, optional), requested_goal (a RequestedGoal message, optional).
-    Output ports: base.velocity_commanded (v in m/s, w in rad/s), and for whoever wants to look: pose, map, tfg,
-    roadmap, goal, path, mission and the status of path and follower; working_map and working_roadmap are as much of
-    map, tfg and roadmap as planning needs at a stage.
+    .. pydrake_system::
 
-    goal_selector: chooses where to go instead of the information gain; a system with any of pose, map, tfg, roadmap,
-    working_map, working_roadmap, path, path_status, mission, recall and requested_goal as its inputs, and the
-    output goal: a GoalChoice, see InfoGainGoalSelector.
+        name: explorer
+        input_ports:
+        - base.odometry
+        - base.hazards
+        - base.enabled
+        - tags.detections
+        - scan.ranges
+        - pause
+        - stop
+        - recall
+        - requested_goal
+        output_ports:
+        - base.velocity_commanded
+        - pose
+        - map
+        - tfg
+        - roadmap
+        - working_map
+        - working_roadmap
+        - goal
+        - path
+        - path_status
+        - follower_status
+        - mission
+        - estimator_state
+        - tfg_graph
+
+    base.odometry, base.hazards, tags.detections, scan.ranges: Odometry, Hazards, TagDetections and LaserScan messages.
+    base.enabled, pause, stop, recall: vectors of size 1, true above 0.5, and requested_goal: a RequestedGoal message;
+    these five may stay unconnected. base.velocity_commanded: forward speed (m/s) and turn rate (rad/s).
+
+    For whoever wants to look: pose: PoseEstimate, map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
+    path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M. working_map:
+    WorkingMap and working_roadmap: Roadmap, as much of map, tfg and roadmap as planning needs at a stage.
+    estimator_state: EstimatorState and tfg_graph: TfgGraph, what a map's file keeps besides; of an estimator of one's
+    own that has no estimator_state the file keeps its map.
+
+    Each of the others is a function of the scenario that makes a part in place of the usual one, a System. It has any
+    of that one's inputs, and its outputs. One more input may have the name of any port of the station, such as
+    truth.pose of a simulated one: it becomes the explorer's.
+
+    Args:
+        scenario: see Scenario.
+        goal_selector: chooses where to go, in place of an InfoGainGoalSelector.
+        estimator: in place of a SlamEstimator.
+        planner: in place of a PrmPlanner; without roadmap and working_roadmap where its goal_selector needs none.
+        follower: in place of a PurePursuitFollower.
+
+    Raises:
+        ScenarioError: the scenario has a value that it cannot have.
+        TypeError: a part is given that is no such function.
     """
+    CheckScenario(scenario)
     robot, tags, explorer = scenario.robot, scenario.tags, scenario.explorer
     wiring = Wiring(scenario.reality.planning_time)
-    estimator = wiring.Add("slam_estimator", SlamEstimator(scenario.odometry, tags, explorer.path_keyframe_period))
-    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
-    if goal_selector is None:
-        goal_selector = InfoGainGoalSelector(robot, scenario.odometry, tags, explorer, scenario.seed)
-    selector = wiring.Add("goal_selector", goal_selector)
-    least_range = scenario.scan.least_range
-    planner = wiring.Add(
-        "prm_planner",
-        PrmPlanner(robot, scenario.odometry, tags, explorer, scenario.planner, scenario.seed, least_range),
+
+    def add(name: str, role: str, factory: Factory | None, usual: Factory) -> System:
+        return wiring.Add(name, MakePart(role, factory, usual, scenario))
+
+    slam = add(
+        "slam_estimator",
+        "estimator",
+        estimator,
+        lambda _: SlamEstimator(scenario.odometry, tags, explorer.path_keyframe_period),
     )
-    follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, scenario.field_of_view))
+    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
+    selector = add(
+        "goal_selector",
+        "goal_selector",
+        goal_selector,
+        lambda _: InfoGainGoalSelector(robot, scenario.odometry, tags, explorer, scenario.seed),
+    )
+    parameters = robot, scenario.odometry, tags, explorer, scenario.planner, scenario.seed, scenario.scan.least_range
+    prm = add("prm_planner", "planner", planner, lambda _: PrmPlanner(*parameters))
+    pursuit = add(
+        "follower", "follower", follower, lambda _: PurePursuitFollower(robot, explorer, scenario.field_of_view)
+    )
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, explorer.glance_period))
 
-    wiring.Sense("base.odometry", estimator)
-    wiring.Sense("tags.detections", estimator)
-    wiring.Sense("scan.ranges", estimator, tfg_builder, planner)
-    wiring.Sense("base.hazards", sequencer)
-    wiring.Feed(estimator, "pose", tfg_builder, selector, planner, follower)
-    wiring.Feed(estimator, "map", tfg_builder, selector, planner, sequencer)
-    wiring.Feed(tfg_builder, "tfg", selector, planner, sequencer)
-    wiring.Feed(tfg_builder, "working_map", selector, planner)
-    wiring.Feed(planner, "roadmap", selector)
-    wiring.Feed(planner, "working_roadmap", selector)
-    wiring.Feed(selector, "goal", estimator, planner, follower, sequencer)
-    wiring.Feed(planner, "path", selector, follower, sequencer)
-    wiring.Feed(planner, "path_status", selector, sequencer)
-    wiring.Feed(follower, "follower_status", sequencer)
-    wiring.Feed(sequencer, "mission", estimator, tfg_builder, selector, planner, follower)
-    return wiring.Build(follower, sequencer, selector)
+    wiring.FeedAll(slam, tfg_builder, selector, prm, pursuit, sequencer)
+    return wiring.Build(pursuit, sequencer, selector)
 
 
 class Wiring:
@@ -82,18 +139,21 @@ class Wiring:
         """planning_time: s, so much later come goal and path out, see RealityConfig."""
         self._builder = DiagramBuilder()
         self._delays = {"goal": planning_time, "path": planning_time}
+        self._inputs: set[str] = set()
 
-    def Add(self, name: str, system: LeafSystem) -> LeafSystem:
+    def Add(self, name: str, system: System) -> System:
         """Adds a system; the order in which they are added is that of their events."""
         return self._builder.AddNamedSystem(name, system)
 
-    def Sense(self, port: str, *listeners: LeafSystem) -> None:
-        """Makes a port of the station, one of SENSED, an input of the explorer, for some systems."""
-        self._builder.ExportInput(listeners[0].GetInputPort(SENSED[port]), port)
-        for system in listeners[1:]:
-            self._builder.ConnectInput(port, system.GetInputPort(SENSED[port]))
+    def _Export(self, port: InputPort, name: str) -> None:
+        """Makes an input one of the explorer's, or of those that have this name already."""
+        if name in self._inputs:
+            self._builder.ConnectInput(name, port)
+        else:
+            self._builder.ExportInput(port, name)
+        self._inputs.add(name)
 
-    def Feed(self, source: LeafSystem, name: str, *listeners: LeafSystem) -> None:
+    def Feed(self, source: System, name: str, *listeners: System) -> None:
         """Connects an output to the inputs of its name, as far as there are such, and makes it one of the explorer."""
         output = source.GetOutputPort(name)
         if self._delays.get(name, 0.0) > 0.0:
@@ -105,14 +165,26 @@ class Wiring:
                 self._builder.Connect(output, system.GetInputPort(name))
         self._builder.ExportOutput(output, name)
 
+    def FeedAll(self, *systems: System) -> None:
+        """Feeds each output of these systems to the inputs of its name among them, but for the command."""
+        for source in systems:
+            for name in (source.get_output_port(i).get_name() for i in range(source.num_output_ports())):
+                if name != "velocity_commanded":
+                    self.Feed(source, name, *systems)
+
     def Join(self, output: OutputPort, port: InputPort) -> None:
         """Connects two ports of different names, between systems alone."""
         self._builder.Connect(output, port)
 
-    def Build(self, follower: LeafSystem, sequencer: LeafSystem, selector: LeafSystem) -> Diagram:
-        """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector."""
+    def Build(self, follower: System, sequencer: System, selector: System) -> Diagram:
+        """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector. What
+        the station senses goes to the inputs of its names that nothing feeds."""
+        for system in self._builder.GetSystems():
+            for port in (system.get_input_port(i) for i in range(system.num_input_ports())):
+                name = HEARD_AS.get(port.get_name(), port.get_name())
+                if of_station(name) and not self._builder.IsConnectedOrExported(port):
+                    self._Export(port, name)
         self._builder.ExportOutput(follower.GetOutputPort("velocity_commanded"), COMMANDED)
-        self._builder.ExportInput(sequencer.GetInputPort("enable"), "base.enabled")
         for name in ("pause", "stop"):
             self._builder.ExportInput(sequencer.GetInputPort(name), name)
         for name in ("recall", "requested_goal"):
@@ -124,30 +196,37 @@ class Wiring:
 
 
 def StateOfExplorer(explorer: Diagram, context: Context) -> EstimatorState:
-    """All that the slam_estimator of a running explorer knows; context: the explorer's own."""
-    estimator = explorer.GetSubsystemByName("slam_estimator")
-    state: EstimatorState = estimator.estimator(explorer.GetSubsystemContext(estimator, context))
-    return state
+    """All that the estimator of a running explorer knows, or has said with its map; context: the explorer's own."""
+    known = explorer.HasOutputPort("estimator_state")
+    state = explorer.GetOutputPort("estimator_state" if known else "map").Eval(context)
+    return state if known else state_of_map(state)
 
 
 def MapOfExplorer(
-    explorer: Diagram, context: Context, X_WS: FloatArray | None, final: EstimatorState | None = None
-) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
+    explorer: Diagram,
+    context: Context,
+    X_WS: FloatArray | None,
+    final: EstimatorState | None = None,
+    scenario: Scenario | None = None,
+) -> tuple[SavedMap | None, MapEstimate, TfgMap] | None:
     """The map of a running explorer, to be kept with `tfg_drake.mapfile.saved_map.save_map`, its estimate and TFG.
 
     Args:
-        explorer: with a slam_estimator and a tfg_builder, context: its own.
+        explorer: with the ports map and tfg; without tfg_graph nothing can be kept. context: its own.
         X_WS: (3,) the true start pose, m and rad, None where it is not known: then the world is the map frame.
         final: what the estimator knows, `finished_map`; else the map is taken as it is.
+        scenario: with `final`, whose explorer it is.
 
     Returns None before the first view is in the map and its surfaces are.
     """
-    builder = explorer.GetSubsystemByName("tfg_builder")
-    builder_context = explorer.GetSubsystemContext(builder, context)
-    state, tfg_graph = final or StateOfExplorer(explorer, context), builder.graph(builder_context)
-    if state.map is None or tfg_graph.stage == 0:
+    state, tfg = final or StateOfExplorer(explorer, context), explorer.GetOutputPort("tfg").Eval(context)
+    if state.map is None or state.map.stage == 0 or tfg.stage == 0:
         return None
-    tfg = builder.tfg(builder_context, state.map) if final else explorer.GetOutputPort("tfg").Eval(context)
+    if not explorer.HasOutputPort("tfg_graph"):
+        return None, state.map, tfg
+    tfg_graph = explorer.GetOutputPort("tfg_graph").Eval(context)
+    if final is not None and scenario is not None and tfg_graph.stage == state.map.stage:
+        tfg = resolve(tfg_graph, state.map, scenario.robot, scenario.explorer)
     return saved_map(map_frame(X_WS, state), state, tfg_graph, tfg), state.map, tfg
 
 

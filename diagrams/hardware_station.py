@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.scenario import Scenario
@@ -14,11 +16,11 @@ from tfg_drake.systems.safety_filter import SafetyFilter
 
 
 def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
-    """The station of a robot's open devices, see MakeTurtlebotStation for the ports.
+    """The station of a robot's open devices, within their limits; see MakeTurtlebotStation for the ports.
 
     Whoever opened them closes them, when the simulation is over.
     """
-    builder, clock = DiagramBuilder(), devices.clock
+    scenario, builder, clock = Bounded(scenario, devices), DiagramBuilder(), devices.clock
     # The robot's own watchdog locks the base, and knows when it is enabled.
     filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan, locks=False)
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
@@ -48,3 +50,17 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     station = builder.Build()
     station.set_name("station")
     return station
+
+
+def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
+    """The scenario within the limits of the robot, and of what its scanner and camera see."""
+    bounded = copy.deepcopy(scenario)
+    bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
+    bounded.robot.max_acceleration = devices.limits.acceleration
+    bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
+    bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
+    if devices.view is not None:
+        bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)
+        bounded.tags.range = min(scenario.tags.range, devices.view.range)
+        bounded.tags.max_incidence = min(scenario.tags.max_incidence, devices.view.max_incidence)
+    return bounded

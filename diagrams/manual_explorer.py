@@ -43,16 +43,14 @@ def MakeManualExplorer(
     patient = dataclasses.replace(robot, max_speed=NO_HURRY)
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(patient, explorer.glance_period))
 
-    wiring.Sense("base.odometry", estimator)
-    wiring.Sense("tags.detections", estimator)
-    wiring.Sense("scan.ranges", estimator, tfg_builder, planner)
-    wiring.Sense("base.hazards", sequencer)
     wiring.Feed(estimator, "pose", tfg_builder, driver, planner, follower)
     wiring.Feed(estimator, "map", tfg_builder, driver, planner, sequencer)
     wiring.Feed(tfg_builder, "tfg", driver, planner, sequencer)
     wiring.Feed(tfg_builder, "working_map", planner)
     wiring.Feed(planner, "roadmap", driver)
     wiring.Feed(planner, "working_roadmap")
+    for source, name in ((estimator, "estimator_state"), (tfg_builder, "tfg_graph"), (driver, "pressed")):
+        wiring.Feed(source, name)
     wiring.Feed(driver, "goal", follower, sequencer)
     wiring.Feed(driver, "path", follower, sequencer)
     wiring.Feed(driver, "path_status", sequencer)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 
-from tfg_drake.diagrams.explorer import COMMANDED, SENSED, MakeTfgExplorer
+from tfg_drake.diagrams.explorer import COMMANDED, MakeTfgExplorer, of_station
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mission.operation import Request
@@ -25,14 +25,14 @@ from tfg_drake.world.world import World
 COVARIANCE_PERIOD = 1.0
 
 if TYPE_CHECKING:
-    from tfg_drake.systems.visualizer import TfgVisualizer
+    from pydrake.geometry import Meshcat
 
 
 def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -> None:
-    """Connects what a station senses to the explorer's inputs of the same names, as far as it has them, and the
-    explorer's command to the station."""
-    for name in SENSED:
-        if explorer.HasInputPort(name):
+    """Connects what a station senses to the explorer's inputs of the same names, and the explorer's command to the
+    station."""
+    for name in (explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())):
+        if of_station(name):
             builder.Connect(station.GetOutputPort(name), explorer.GetInputPort(name))
     builder.Connect(explorer.GetOutputPort(COMMANDED), station.GetInputPort(COMMANDED))
 
@@ -40,14 +40,14 @@ def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -
 def MakeMissionDiagram(
     scenario: Scenario,
     world: World | None,
-    visualizer: TfgVisualizer | None = None,
+    meshcat: Meshcat | None = None,
     MakeExplorer: Callable[[Scenario], Diagram] = MakeTfgExplorer,
     robot: Robot = SIMULATED,
     writer: PortWriter | None = None,
     timeline: TimelineWriter | None = None,
     operated: Sequence[Callable[[], Sequence[Request]]] = (),
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink, VectorLogSink]:
-    """Station and explorer, with the picture if there is one, recorded if there are writers, and under an operator if
+    """Station and explorer, drawn in a Meshcat if there is one, recorded if there are writers, and under an operator if
     the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. A recorded
     robot goes to the places that it was sent to then.
 
@@ -87,8 +87,11 @@ def MakeMissionDiagram(
         PortRecorder.AddToBuilder(builder, station, explorer, writer, requested)
     if timeline is not None:
         TimelineRecorder.AddToBuilder(builder, station, explorer, timeline, *filter(None, [operator]))
-    if visualizer is not None:
-        visualizer.Connect(builder, station, explorer)
+    if meshcat is not None:
+        # Only a picture needs what this imports.
+        from tfg_drake.systems.visualizer import TfgVisualizer
+
+        TfgVisualizer.AddToBuilder(builder, station, explorer, meshcat, world, scenario.robot.radius)
 
     diagram = builder.Build()
     diagram.set_name("mission")
@@ -104,7 +107,8 @@ def _AddOperator(
 ) -> Operator:
     """Base and mission under an operator, as far as they have ports for that, but for requested_goal."""
     recalls, sources = explorer.HasInputPort("recall"), [*robot.operated, *operated]
-    operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=not robot.real))
+    enabled = robot.enabled or not robot.real
+    operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=enabled))
     for name, port in (("enable", "base.enable"), ("pushes", "truth.pushes")):
         if station.HasInputPort(port):
             builder.Connect(operator.GetOutputPort(name), station.GetInputPort(port))

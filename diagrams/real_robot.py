@@ -5,21 +5,23 @@ from __future__ import annotations
 import contextlib
 import copy
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
-from tfg_drake.diagrams.hardware_station import MakeHardwareStation
+from tfg_drake.diagrams.hardware_station import Bounded, MakeHardwareStation
 from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
+from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.battery_watch import BatteryWatch
 from tfg_drake.hardware.keyboard import KEYS, Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
+from tfg_drake.mission.operation import Request
 
 # Of the simulated mission that is run before a real one, s: some stages, as it does not look round for long first.
 REHEARSAL = 30.0
@@ -34,33 +36,39 @@ def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
     """
     devices = open_devices(scenario.hardware, scenario.robot)
     with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
-        watch = BatteryWatch(devices.base)
-        operated = [keyboard.requests, RobotButtons(devices.base).requests, watch.requests]
-        robot = Robot(
-            scenario.hardware.robot,
-            lambda scenario: MakeHardwareStation(scenario, devices),
-            world_known=False,
-            real=True,
-            operated=operated,
-            empty=watch.empty,
-            Announce=_Announcer(devices),
-            close=devices.close,
-        )
-        yield robot, Bounded(scenario, devices)
+        yield RobotOf(scenario, devices, [keyboard.requests]), Bounded(scenario, devices)
 
 
-def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
-    """The scenario within the limits of the robot, and of what its scanner and camera see."""
-    bounded = copy.deepcopy(scenario)
-    bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
-    bounded.robot.max_acceleration = devices.limits.acceleration
-    bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
-    bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
-    if devices.view is not None:
-        bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)
-        bounded.tags.range = min(scenario.tags.range, devices.view.range)
-        bounded.tags.max_incidence = min(scenario.tags.max_incidence, devices.view.max_incidence)
-    return bounded
+def RobotOf(
+    scenario: Scenario,
+    devices: RobotDevices,
+    operated: Sequence[Callable[[], Sequence[Request]]] = (),
+    MakeStation: Callable[[Scenario], Diagram] | None = None,
+    *,
+    enabled: bool = False,
+) -> Robot:
+    """The robot of open devices, operated by its own buttons, too. MakeStation: makes its station, where that is not
+    MakeHardwareStation's. enabled: its base may move from the beginning."""
+    watch = BatteryWatch(devices.base)
+    return Robot(
+        scenario.hardware.robot,
+        MakeStation or (lambda scenario: MakeHardwareStation(scenario, devices)),
+        world_known=False,
+        real=True,
+        enabled=enabled,
+        operated=[*operated, RobotButtons(devices.base).requests, watch.requests],
+        empty=watch.empty,
+        Announce=_Announcer(devices),
+        close=devices.close,
+    )
+
+
+def DevicesOf(station: System) -> RobotDevices | None:
+    """The devices of a real robot's station, None of another one."""
+    if isinstance(station, HardwareBase):
+        return station.devices
+    parts = station.GetSystems() if isinstance(station, Diagram) else ()
+    return next((found for found in map(DevicesOf, parts) if found is not None), None)
 
 
 def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diagram], object] | None:

@@ -18,15 +18,17 @@ class Robot:
     """name. MakeStation: the station for a scenario, with the ports of MakeTurtlebotStation; those of the truth only
     where it is known. world_known: the scenario's world is the one that the robot is in and its start the true one.
     end_time: s, when the station has nothing more to say; a mission that gets there ends. real: its time is real time,
-    and an operator enables its base. operated: what the operator asks for, see Operator. empty(recalls): why its
-    battery ends the mission, "" as long as it does not; recalls: the mission ends by itself when it is recalled.
-    Announce(builder, station, explorer): adds what tells others of the map. close: stops it for good."""
+    and an operator enables its base. enabled: it is from the beginning. operated: what the operator asks for, see
+    Operator. empty(recalls): why its battery ends the mission, "" as long as it does not; recalls: the mission ends by
+    itself when it is recalled. Announce(builder, station, explorer): adds what tells others of the map. close: stops it
+    for good."""
 
     name: str
     MakeStation: Callable[[Scenario], Diagram]
     world_known: bool
     end_time: float = math.inf
     real: bool = False
+    enabled: bool = False
     operated: Sequence[Callable[[], Sequence[Request]]] = ()
     empty: Callable[[bool], str] = lambda _recalls: ""
     Announce: Callable[[DiagramBuilder, Diagram, Diagram], object] | None = None

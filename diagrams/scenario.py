@@ -217,15 +217,20 @@ def LoadScenario(
 ) -> Scenario:
     """The scenario in a YAML file or string, merged into `defaults` (Drake's convention for stations).
 
-    filename is a path or a shipped name; scenario_name chooses a child of the document. A document may name another
+    filename is a path or a shipped name; data, where both are given, is merged into what the file says. scenario_name
+    chooses a child of the document, of both documents. A document may name another
     scenario as its `base:` (a shipped name, or a path relative to the document): it is loaded first and this one is
     merged into it, lists replaced, sections key by key. Of a list of bases each is merged into the ones before it; only
     the first may have a base of its own. Raises ScenarioError.
     """
-    if (filename is None) == (data is None):
-        raise ScenarioError("LoadScenario: give either filename or data")
-    path = None if filename is None else FindScenario(str(filename))
-    return _Load(path, data, scenario_name, defaults, above=())
+    if filename is None and data is None:
+        raise ScenarioError("LoadScenario: give filename or data, or both")
+    scenario = defaults
+    if filename is not None:
+        scenario = _Load(FindScenario(str(filename)), None, scenario_name, scenario, above=())
+    if data is not None:
+        scenario = _Load(None, data, scenario_name, scenario, above=())
+    return typing.cast(Scenario, scenario)
 
 
 def _Load(
@@ -271,8 +276,16 @@ def _LoadBase(
     return _Load(base_path, None, None, defaults, above if path is None else (*above, path.resolve()))
 
 
+def CheckScenario(scenario: Scenario, source: str = "scenario") -> None:
+    """Raises ScenarioError where a scenario has a value that a file could not give it; source: what it is called."""
+    _CheckTree(dataclasses.asdict(scenario), Scenario, "", source)
+    _CheckWorld(scenario, source)
+
+
 def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenario:
-    """A copy of the scenario with settings such as "explorer.stop_gain=5" applied in order; raises ScenarioError."""
+    """A copy of the scenario with settings such as "explorer.stop_gain=5" applied in order; raises ScenarioError, also
+    where the scenario has a value that no file could give it."""
+    CheckScenario(scenario)
     result = copy.deepcopy(scenario)
     for setting in settings:
         key, equals, text = setting.partition("=")
@@ -298,6 +311,24 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
             result = _WithCamera(result, {})
     _CheckWorld(result, "--set")
     return result
+
+
+def PrepareScenario(
+    scenario: str | Path | Scenario,
+    settings: typing.Sequence[str] = (),
+    seed: int | None = None,
+    world: str | Path | None = None,
+    tag_spacing: float | None = None,
+    start: typing.Sequence[float] | None = None,
+) -> Scenario:
+    """A copy of a scenario, which is loaded if it is named, with settings, a seed and a world of its own; None: as it
+    is. See ApplySettings and ApplyWorldFile. Raises ScenarioError."""
+    own = [] if seed is None else [f"seed={seed}"]
+    loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
+    loaded = ApplySettings(loaded, [*settings, *own])
+    if world is not None or tag_spacing is not None or start is not None:
+        loaded = ApplyWorldFile(loaded, world, tag_spacing, start)
+    return loaded
 
 
 def _WithCamera(scenario: Scenario, camera: dict[str, typing.Any]) -> Scenario:

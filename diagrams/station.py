@@ -9,6 +9,7 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import RandomSource
 
+from tfg_drake.diagrams.parts import Factory, MakePart
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.systems import odometry, people
 from tfg_drake.systems.changing_world import ChangingWorld
@@ -28,15 +29,15 @@ _ONCE = 2.0**30
 
 
 def MakeTurtlebotStation(
-    scenario: Scenario, meshcat: Meshcat | None = None, *, hardware: bool = False, plant: System | None = None
+    scenario: Scenario, meshcat: Meshcat | None = None, *, hardware: bool = False, plant: Factory | None = None
 ) -> Diagram:
     """The station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
 
-    plant: what moves instead of a DifferentialDrivePlant, a system with that one's ports; without the inputs people and
-    world it can do where the scenario has neither.
+    plant: makes for the scenario what moves instead of a DifferentialDrivePlant, a system with that one's ports;
+    without the inputs people and world it can do where the scenario has neither.
 
-    A meshcat shows a simulated robot in its world, for a station without an explorer; a mission's picture is
-    TfgVisualizer's.
+    A meshcat shows a simulated robot in its world, for a station without an explorer; TfgVisualizer.AddToBuilder draws
+    a mission.
 
     .. pydrake_system::
 
@@ -61,8 +62,8 @@ def MakeTurtlebotStation(
     base.velocity_commanded: forward speed (m/s) and turn rate (rad/s); left unconnected, the base stands. base.enable:
     0: the base stands; another number enables it, once: it may stop by itself until there is yet another number. Left
     unconnected, a simulated base is enabled and a real one is not. base.enabled: 1 while the base may move, else 0.
-    base.odometry, base.hazards, tags.detections and scan.ranges are messages: Odometry, Hazards, TagDetections,
-    LaserScan. truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
+    base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections and scan.ranges: LaserScan, messages.
+    truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
     made, or walls while it was pushed. truth.clearance: least distance of the outline to any wall so far, m.
     truth.people: a People message, where there are some. truth.world: a WorldNow message, where something changes.
@@ -88,43 +89,43 @@ def MakeTurtlebotStation(
 
     filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan)
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
-    plant = plant or DifferentialDrivePlant(world, scenario.robot, disturbances)
-    builder.AddNamedSystem("differential_drive_plant", plant)
+    base = MakePart("plant", plant, lambda _: DifferentialDrivePlant(world, scenario.robot, disturbances), scenario)
+    builder.AddNamedSystem("differential_drive_plant", base)
     wheels = builder.AddNamedSystem(
         "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )
     tag_sensor, scanner = _AddEyes(builder, scenario, world)
     eyes = [tag_sensor] if scanner is tag_sensor else [tag_sensor, scanner]
 
-    builder.Connect(safety_filter.GetOutputPort("velocity"), plant.GetInputPort("velocity_commanded"))
-    builder.Connect(plant.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
+    builder.Connect(safety_filter.GetOutputPort("velocity"), base.GetInputPort("velocity_commanded"))
+    builder.Connect(base.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
     builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
     builder.Connect(wheels.GetOutputPort("odometry"), safety_filter.GetInputPort("odometry"))
     for sensor in (wheels, *eyes):
-        builder.Connect(plant.GetOutputPort("pose"), sensor.GetInputPort("pose"))
+        builder.Connect(base.GetOutputPort("pose"), sensor.GetInputPort("pose"))
 
     _AddNoise(builder, "odometry_noise", wheels.GetInputPort("noise"), odometry.PERIOD)
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
     _AddSensorNoise(builder, scenario, tag_sensor, scanner)
 
-    walking = _AddPeople(builder, scenario, world, plant, eyes) if reality.people else None
-    seeing = (plant, *eyes, *([walking] if walking is not None else []))
-    changing = _AddChanges(builder, scenario, world, plant, seeing) if reality.changes else None
+    walking = _AddPeople(builder, scenario, world, base, eyes) if reality.people else None
+    seeing = (base, *eyes, *([walking] if walking is not None else []))
+    changing = _AddChanges(builder, scenario, world, base, seeing) if reality.changes else None
     if meshcat is not None:
-        _AddPicture(builder, meshcat, scenario, world, plant, walking)
+        _AddPicture(builder, meshcat, scenario, world, base, walking)
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
-    if plant.HasInputPort("pushes"):
-        pushes = builder.ExportInput(plant.GetInputPort("pushes"), "truth.pushes")
+    if base.HasInputPort("pushes"):
+        pushes = builder.ExportInput(base.GetInputPort("pushes"), "truth.pushes")
         builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
     builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
-    builder.ExportOutput(plant.GetOutputPort("hazards"), "base.hazards")
+    builder.ExportOutput(base.GetOutputPort("hazards"), "base.hazards")
     builder.ExportOutput(safety_filter.GetOutputPort("enabled"), "base.enabled")
     builder.ExportOutput(tag_sensor.GetOutputPort("detections"), "tags.detections")
     builder.ExportOutput(scanner.GetOutputPort("ranges"), "scan.ranges")
 
-    _ExportTruth(builder, plant, walking, changing)
+    _ExportTruth(builder, base, walking, changing)
     station = builder.Build()
     station.set_name("station")
     return station
@@ -193,7 +194,7 @@ def _AddPicture(
     # Only a picture needs what this imports.
     from tfg_drake.systems.visualizer import TfgVisualizer
 
-    picture = TfgVisualizer(meshcat, world, world.start, scenario.robot.radius, "station")
+    picture = TfgVisualizer(meshcat, world, radius=scenario.robot.radius)
     builder.AddNamedSystem("visualizer", picture)
     builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))
     if walking is not None:

@@ -49,4 +49,4 @@ class FarthestFrontierSelector(LeafSystem):
 
 def MakeExplorer(scenario):
     """The TFG explorer with another goal selector."""
-    return MakeTfgExplorer(scenario, FarthestFrontierSelector())
+    return MakeTfgExplorer(scenario, goal_selector=lambda _scenario: FarthestFrontierSelector())

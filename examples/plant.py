@@ -5,7 +5,6 @@ from pydrake.systems.primitives import FirstOrderLowPassFilter
 
 import tfg_drake
 from tfg_drake.diagrams.scenario import MakeWorld
-from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 
 LAG = 0.3  # s
@@ -23,11 +22,6 @@ def MakeLaggingPlant(scenario):
     return builder.Build()
 
 
-def MakeStation(scenario):
-    """The station with that plant."""
-    return MakeTurtlebotStation(scenario, plant=MakeLaggingPlant(scenario))
-
-
-for name, station in (("as it is", None), (f"{LAG} s of lag", MakeStation)):
-    mission = tfg_drake.explore("corridor", station=station, until=120.0)
+for name, plant in (("as it is", None), (f"{LAG} s of lag", MakeLaggingPlant)):
+    mission = tfg_drake.explore("corridor", plant=plant, until=120.0)
     print(f"{name}: {mission}, clearance {mission.look('truth.clearance')[0]:.2f} m")

@@ -38,6 +38,9 @@ class FrontierGoalSelector(LeafSystem):
         - path_status
         output_ports:
         - goal
+
+    grid: GridMap, pose: PoseEstimate, mission: MissionStatus, path: Path, path_status: PathStatus, goal: GoalChoice,
+    all in M.
     """
 
     def __init__(

@@ -14,6 +14,7 @@ from tfg_drake.grid.gmapping import (
     process_scan,
 )
 from tfg_drake.messages import GridMap, LaserScan, MissionStatus, Odometry, message
+from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
 
@@ -50,6 +51,7 @@ class GridMapper(LeafSystem):
     def __init__(self, config: GridConfig, odometry: OdometryConfig, seed: int) -> None:
         """odometry: what the filter believes of it; seed: of the particles."""
         super().__init__()
+        keep_to_one_thread()
         self._odometry = declare_message_input(self, "odometry")
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")

@@ -57,6 +57,9 @@ class GridPlanner(LeafSystem):
         output_ports:
         - path
         - path_status
+
+    grid: GridMap, pose: PoseEstimate, goal: GoalChoice, mission: MissionStatus, path: Path, path_status: PathStatus,
+    all in M. scan: LaserScan.
     """
 
     def __init__(self, robot: RobotConfig):

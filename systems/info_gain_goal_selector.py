@@ -10,6 +10,7 @@ from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, 
 from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import choose, empty_choice, remember
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
+from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
 
@@ -44,9 +45,12 @@ class InfoGainGoalSelector(LeafSystem):
         output_ports:
         - goal
 
+    map: MapEstimate, tfg: TfgMap, working_map: WorkingMap, roadmap: Roadmap, working_roadmap: Roadmap, mission:
+    MissionStatus, goal: GoalChoice, all in M.
+
     The goal is looked for in the working map; in the whole one where nothing there is worth going to, or only by a way
-    that is longer than to what may lie outside, and as long as the robot is on such a way. recall is a vector of size
-    1, 0 where it is unconnected: above 0.5 the robot was called back, and no goal is worth going to any more.
+    that is longer than to what may lie outside, and as long as the robot is on such a way. recall: (1,), 0 where it
+    is unconnected: above 0.5 the robot was called back, and no goal is worth going to any more.
     requested_goal: a RequestedGoal message, optional: where somebody has sent the robot, see
     tfg_drake.planning.requested_goal.
     """
@@ -61,6 +65,7 @@ class InfoGainGoalSelector(LeafSystem):
     ):
         """seed: of the goals, where explorer.goal is random."""
         super().__init__()
+        keep_to_one_thread()
         self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")

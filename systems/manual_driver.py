@@ -83,6 +83,12 @@ class ManualDriver(LeafSystem):
         - path
         - path_status
         - follower_status
+        - pressed
+
+    map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, pose: PoseEstimate, mission: MissionStatus, planned_path and path:
+    Path, planned_status and path_status: PathStatus, goal and planned_goal: GoalChoice, following_status and
+    follower_status: FollowerStatus. velocity_commanded and following_commanded: forward speed, m/s, and turn rate,
+    rad/s. pressed: a tuple of Pressed, all keys so far.
 
     following_commanded, following_status: the follower's velocity_commanded and follower_status. While the robot moves
     the mission glances ahead as it does on any way. The key "look" ends the way, so that the robot turns round; so does
@@ -113,13 +119,10 @@ class ManualDriver(LeafSystem):
         self._state.declare_output(self, "goal", lambda now: now.goal)
         self._state.declare_output(self, "planned_goal", lambda now: now.goal if now.sent.node >= 0 else empty_choice())
         self._state.declare_output(self, "path", lambda now: now.path)
+        self._state.declare_output(self, "pressed", lambda now: now.pressed)
         declare_message_output(self, "path_status", self._PathStatus, {self.all_sources_ticket()})
         declare_message_output(self, "follower_status", self._Status, {self.all_sources_ticket()})
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
-
-    def pressed(self, context: Context) -> tuple[Pressed, ...]:
-        """All keys so far; context: the system's own."""
-        return self._state(context).pressed
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
         mission = eval_message(self._mission, context, MissionStatus)

@@ -30,6 +30,7 @@ class MessageDelay(LeafSystem):
         output_ports:
         - (name)
 
+    (name)_at_once and (name): any message.
     The message that is there at first is shown at once.
     """
 

@@ -45,8 +45,11 @@ class MissionSequencer(LeafSystem):
         output_ports:
         - mission
 
+    goal: GoalChoice, path: Path, path_status: PathStatus, follower_status: FollowerStatus, hazards: Hazards, map:
+    MapEstimate, tfg: TfgMap. mission: MissionStatus.
+
     Whatever maps, by default map and tfg, says with its message's stage that the newest view is in it. pause, enable
-    and stop are vectors of size 1, true above 0.5; unconnected they read 0, 1 and 0.
+    and stop: (1,), true above 0.5; unconnected they read 0, 1 and 0.
     """
 
     def __init__(self, robot: RobotConfig, glance_period: float = 0.0, maps: Mapping[str, type] = MAPS):

@@ -27,6 +27,10 @@ class PortPlayer(LeafSystem):
         - base.enabled
         - operator.goal
 
+    base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enable: (1,), as of the station.
+    base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges: LaserScan,
+    base.enabled: (1,), 1 while the base might move. operator.goal: RequestedGoal, in M.
+
     The inputs change nothing: what the robot did it has done. It has no state, the time says all.
     """
 

@@ -36,10 +36,14 @@ class PortRecorder(LeafSystem):
         - map
         - tfg
 
-    operator.goal: where the robot is sent, if somebody may do so. The last four are the explorer's, as far as it has
-    them: they are recorded to be shown, not to be played. It changes
-    nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it records at an
-    instant is what updates at that instant see, since both come before the instant's changes.
+    base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges: LaserScan,
+    base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enabled: (1,), 1 while the base may
+    move. pose: PoseEstimate, path: Path, map: MapEstimate, tfg: TfgMap, in M.
+
+    operator.goal: RequestedGoal, where the robot is sent, if somebody may do so. The last four are the explorer's, as
+    far as it has them: they are recorded to be shown, not to be played. It changes nothing in the Context; the file is
+    a side effect outside of it: one simulation to a file. What it records at an instant is what updates at that instant
+    see, since both come before the instant's changes.
     """
 
     def __init__(self, writer: PortWriter) -> None:

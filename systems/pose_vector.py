@@ -21,6 +21,8 @@ class PoseVector(LeafSystem):
         output_ports:
         - vector
         - with_covariance
+
+    pose: PoseEstimate. vector: (4,), with_covariance: (13,), as above.
     """
 
     def __init__(self) -> None:

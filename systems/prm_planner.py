@@ -21,6 +21,7 @@ from tfg_drake.messages import (
 from tfg_drake.planning.planner import PlannerState, initial_state, make_roadmap, obstacles_in_map, step
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState
 from tfg_drake.planning.roadmap_parts import whole_roadmap
+from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
 from tfg_drake.tfg.submaps import Submaps
@@ -48,6 +49,10 @@ class PrmPlanner(LeafSystem):
         - path
         - path_status
 
+    map: MapEstimate, tfg: TfgMap, working_map: WorkingMap, pose: PoseEstimate, goal: GoalChoice, mission:
+    MissionStatus, roadmap: Roadmap, working_roadmap: Roadmap, path: Path, path_status: PathStatus, all in M. scan:
+    LaserScan.
+
     working_roadmap is that of the working map. The whole of a large map, and with it roadmap, which is made for whoever
     looks at it, is made use of where a goal lies outside of that, or only a way longer than that reaches leads to it.
     seed: of the roadmap's samples; with it and the inputs the roadmap is determined. least_range: m, nearer the scanner
@@ -65,6 +70,7 @@ class PrmPlanner(LeafSystem):
         least_range: float = 0.0,
     ):
         super().__init__()
+        keep_to_one_thread()
         self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed, least_range)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")

@@ -47,6 +47,7 @@ class PurePursuitFollower(LeafSystem):
         - velocity_commanded
         - follower_status
 
+    pose: PoseEstimate, path: Path, goal: GoalChoice, mission: MissionStatus, all in M. follower_status: FollowerStatus.
     velocity_commanded: (2,) forward speed, m/s, and turn rate, rad/s.
     """
 

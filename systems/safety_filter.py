@@ -37,8 +37,11 @@ from tfg_drake.systems.ports import (
 PERIOD = 1.0 / 32.0
 # As often as odometry comes; scans are fewer.
 WATCH_PERIOD = 1.0 / 16.0
-# Scans in a row before it is said that the base stands because it has not seen its way: about two seconds.
+# Scans in a row before it is said why the base stands that is told to drive: about two seconds.
 _HELD_SCANS = 20
+# What stops the base is no farther from where it is to stop than this, m: noise, and its way while it brakes.
+_NEAR = 0.1
+_BLOCKED = "something stands in its way; it may turn on the spot, and goes on when its way is free"
 
 _log = logging.getLogger("tfg_drake.hardware")
 
@@ -79,12 +82,12 @@ class SafetyFilter(LeafSystem):
         # The filter's own state, what of it is told: the velocity, and whether the base may move; and the `enable` that
         # a cliff or a wheel drop has used up.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
-        self._state, velocity, enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
+        self._state, velocity, self._enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
         self._watch = self.DeclareAbstractState(AbstractValue.Make(no_watch(no_scan(scan))))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
         self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._Watch)
         self.DeclareStateOutputPort("velocity", velocity)
-        self.DeclareStateOutputPort("enabled", enabled)
+        self.DeclareStateOutputPort("enabled", self._enabled)
         declare_message_output(
             self,
             "scan_believed",
@@ -142,16 +145,26 @@ class SafetyFilter(LeafSystem):
             else:
                 _log.info("%.2f s: the scan is believed again", now)
         wanted = self._Wanted(context)
-        if abs(wanted) > 0.0 and held(after, X_OB, wanted, self._robot, self._safety):
+        if abs(wanted) > 0.0 and not after.doubt:
             after = replace(after, held=before.held + 1)
             if after.held == _HELD_SCANS:
-                _log.warning("%.2f s: the base stands: %s", context.get_time(), HELD)
+                unseen = held(after, X_OB, wanted, self._robot, self._safety) and not self._Meets(scan, wanted)
+                _log.warning("%.2f s: the base stands: %s", context.get_time(), HELD if unseen else _BLOCKED)
         set_state_message(state, self._watch, after)
         return EventStatus.Succeeded()
 
+    def _Meets(self, scan: LaserScan, speed: float) -> bool:
+        """Whether the scan shows what keeps a base that stands from driving straight on."""
+        ahead = scan.angles if speed > 0.0 else scan.angles - math.pi
+        x, y = scan.ranges * np.cos(ahead), scan.ranges * np.sin(ahead)
+        reach = self._robot.radius + self._safety.stop_distance + _NEAR
+        return bool(np.any((x > 0.0) & (x < reach) & (np.abs(y) < self._robot.radius + self._safety.side_margin)))
+
     def _Wanted(self, context: Context) -> float:
-        """The speed, m/s, at which the base is told to drive while it stands, else 0."""
-        stands = self._State(context)[SPEED] == 0.0
+        """The speed, m/s, at which the base is told to drive while it stands and no hazard keeps it, else 0."""
+        hazards, enabled = eval_message(self._hazards, context, Hazards), context.get_discrete_state(self._enabled)
+        kept = hazards.bumper or stopped_by(hazards) is not None or enabled.value()[0] == 0.0
+        stands = self._State(context)[SPEED] == 0.0 and not kept
         return float(self._command.Eval(context)[0]) if stands and self._command.HasValue(context) else 0.0
 
 

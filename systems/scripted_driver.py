@@ -35,6 +35,9 @@ class ScriptedDriver(LeafSystem):
         - goal
         - path
         - path_status
+
+    tfg: TfgMap, pose: PoseEstimate, mission: MissionStatus, goal: GoalChoice, path: Path, path_status: PathStatus, all
+    in M.
     """
 
     def __init__(self, p_MG: FloatArray):

@@ -25,8 +25,9 @@ from tfg_drake.slam.estimator import (
     process_odometry,
     process_scan,
 )
-from tfg_drake.slam.estimator_state import EstimatorState, initial_state
+from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
 
@@ -49,10 +50,12 @@ class SlamEstimator(LeafSystem):
         output_ports:
         - pose
         - map
+        - estimator_state
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, may be
     unconnected: once it says that all is explored, more of a large map is known jointly. pose: PoseEstimate at the
-    newest odometry. map: MapEstimate after the newest view, of stage 0 and empty before the first. A turn is open while
+    newest odometry. map: MapEstimate after the newest view, of stage 0 and empty before the first. estimator_state:
+    EstimatorState, all it knows, for whoever keeps the map. A turn is open while
     the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's
     stage plus one. Messages are taken once each, by their stamps.
     """
@@ -61,6 +64,7 @@ class SlamEstimator(LeafSystem):
         """odometry_config, sensor: what the estimator believes of odometry and camera. path_keyframe_period: s, see
         `tfg_drake.slam.estimator_state.initial_state`."""
         super().__init__()
+        keep_to_one_thread()
         self.set_name("slam_estimator")
         self._odometry = declare_message_input(self, "odometry")
         self._detections = declare_message_input(self, "detections")
@@ -71,11 +75,8 @@ class SlamEstimator(LeafSystem):
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         self._state.declare_output(self, "map", lambda now: map_estimate(now) or empty_map())
+        self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
-
-    def estimator(self, context: Context) -> EstimatorState:
-        """All it knows, in its own context; for whoever keeps the map."""
-        return self._state(context)
 
     @metered("slam_estimator")
     def _CalcPose(self, context: Context) -> PoseEstimate:

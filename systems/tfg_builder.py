@@ -47,6 +47,10 @@ class TfgBuilder(LeafSystem):
         output_ports:
         - tfg
         - working_map
+        - tfg_graph
+
+    scan: LaserScan, map: MapEstimate, pose: PoseEstimate, mission: MissionStatus. tfg: TfgMap, working_map: WorkingMap,
+    in M. tfg_graph: TfgGraph in the coordinates of its landmarks and views, for whoever keeps the map.
 
     tfg.stage follows map.stage one view at a time. A map that is more than one stage ahead raises ValueError: a view
     was missed. working_map is the map and tfg of the same stage, as much of them as planning needs; of a large map the
@@ -70,20 +74,10 @@ class TfgBuilder(LeafSystem):
         self._state = MessageState(self, initial)
         self._state.declare_output(self, "tfg", self._Whole)
         self._state.declare_output(self, "working_map", lambda now: now.working)
+        self._state.declare_output(self, "tfg_graph", lambda now: whole_graph(now.graphs))
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
-
-    def graph(self, context: Context) -> TfgGraph:
-        """The graph, in the builder's own context, in the coordinates of its landmarks and views."""
-        return whole_graph(self._state(context).graphs)
-
-    def tfg(self, context: Context, estimate: MapEstimate) -> TfgMap:
-        """The graph resolved with an estimate of its stage, or of the stage after: then as it was."""
-        now = self._state(context)
-        if estimate.stage != now.estimate.stage:
-            return self._Whole(now)
-        return self._Resolved(now.graphs, estimate)
 
     def _Whole(self, now: _BuilderState) -> TfgMap:
         return now.working.tfg if now.working.is_all else self._Resolved(now.graphs, now.estimate)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
 from tfg_drake.messages import (
@@ -59,6 +61,22 @@ _WHOLE_RATE = 40e3
 _LAYERS = {"goal": ("goal", "gains"), "tfg": ("tfg", "facing", "frontiers"), "roadmap": ("nodes", "roadmap")}
 
 
+class LayerWriter(Protocol):
+    """Where layers are written to: what a TimelineWriter offers of this."""
+
+    def is_due(self, layer: str, time: float) -> bool:
+        """Whether a layer may be written at a time, s."""
+
+    def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
+        """Takes a record."""
+
+    def write_rows(self, layer: str, time: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
+        """Takes how a table has changed."""
+
+    def flush(self, *, all_of_it: bool = True) -> None:
+        """Called after all records of an instant."""
+
+
 class TimelineRecorder(LeafSystem):
     """Writes what a mission looks like to a file, see tfg_drake.storage.timeline and tfg_drake.pictures.scene.
 
@@ -82,6 +100,10 @@ class TimelineRecorder(LeafSystem):
         - enabled
         - truth
 
+    map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice, path: Path, grid: GridMap, mission:
+    MissionStatus, pose: PoseEstimate, working_map: WorkingMap, working_roadmap: Roadmap, all in M. scan: LaserScan.
+    people: People, in W.
+
     Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
     whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a map so large that planning works on a
     part of it, only that part is asked for and written at every stage, and all of it now and then.
@@ -89,14 +111,11 @@ class TimelineRecorder(LeafSystem):
     It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file.
     """
 
-    def __init__(self, writer: TimelineWriter) -> None:
+    def __init__(self, writer: LayerWriter) -> None:
         """writer: where to; whoever opened it closes it."""
         super().__init__()
         self._writer = writer
-        self._newest: dict[str, object] = {}  # what stands in the file
-        self._stars: dict[int, FloatArray] = {}  # the same, of each view
-        self._whole_due: dict[str, float] = {}  # when all of a large map is asked for again
-        self._count = 0
+        self._Forget()
         self._inputs = {name: declare_message_input(self, name) for name in _MESSAGES}
         self._enabled = self.DeclareVectorInputPort("enabled", 1)
         self._truth = self.DeclareVectorInputPort("truth", 5)
@@ -111,9 +130,14 @@ class TimelineRecorder(LeafSystem):
         name."""
         recorder = TimelineRecorder(writer)
         builder.AddNamedSystem("timeline_recorder", recorder)
+        recorder.Connect(builder, station, explorer, *others)
+        return recorder
+
+    def Connect(self, builder: DiagramBuilder, station: System, explorer: System, *others: System) -> None:
+        """Connects it to a mission's station, explorer and others by port name."""
         for system in (explorer, *others):
             for name in filter(system.HasOutputPort, _MESSAGES):
-                builder.Connect(system.GetOutputPort(name), recorder.GetInputPort(name))
+                builder.Connect(system.GetOutputPort(name), self.GetInputPort(name))
         for name, port in (
             ("scan.ranges", "scan"),
             ("base.enabled", "enabled"),
@@ -121,8 +145,14 @@ class TimelineRecorder(LeafSystem):
             ("truth.people", "people"),
         ):
             if station.HasOutputPort(name):
-                builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(port))
-        return recorder
+                builder.Connect(station.GetOutputPort(name), self.GetInputPort(port))
+
+    def _Forget(self) -> None:
+        """Nothing has been written."""
+        self._newest: dict[str, object] = {}  # what stands in the file
+        self._stars: dict[int, FloatArray] = {}  # the same, of each view
+        self._whole_due: dict[str, float] = {}  # when all of a large map is asked for again
+        self._count = 0
 
     def _WriteAll(self, context: Context) -> EventStatus:
         self._Record(context, everything=True)

@@ -1,429 +1,326 @@
-"""The live picture of a mission in Drake's Meshcat, seen from above: what is true, faint, and what the robot knows."""
+"""A mission in Drake's Meshcat, in space: what is true, faint, and what the robot knows, live and in a recording."""
 
 from __future__ import annotations
 
+import functools
+import logging
 import math
-import time
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common import MemoryFile
-from pydrake.common.value import AbstractValue
 from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
+from pydrake.perception import PointCloud
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
 
-from tfg_drake.geometry.se2 import transform
-from tfg_drake.messages import (
-    FloatArray,
-    GoalChoice,
-    GridMap,
-    LaserScan,
-    MapEstimate,
-    MissionStatus,
-    Path,
-    PoseEstimate,
-    Roadmap,
-    TfgMap,
-)
-from tfg_drake.pictures import scene
-from tfg_drake.pictures.caption import HEIGHT as CAPTION_HEIGHT
-from tfg_drake.pictures.caption import WIDTH as CAPTION_WIDTH
-from tfg_drake.pictures.caption import Colour, caption_gltf, gain_colours, render_caption
-from tfg_drake.pictures.drawing import Mesh as Triangles
-from tfg_drake.pictures.drawing import discs, ellipses, outline_segments, ribbons
-from tfg_drake.pictures.palette import (
-    BARE_SURFACE,
-    DOUBTFUL,
-    EDGE,
-    FREE,
-    FRONTIER,
-    GHOST,
-    LANDMARK,
-    OCCUPIED,
-    PATH,
-    PERSON,
-    ROADMAP,
-    ROBOT,
-    SCAN,
-    WALL,
-    WALL_END,
-)
-from tfg_drake.simulation.people import RADIUS, People, places_at
-from tfg_drake.slam.pose_prediction import pose_at
-from tfg_drake.systems.picture import Picture, picture_of
-from tfg_drake.systems.ports import declare_message_input, eval_optional
+from tfg_drake.config import RobotConfig
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.pictures import palette, scene
+from tfg_drake.pictures.drawing import bands, circles
+from tfg_drake.pictures.solids import FLOOR, PERSON_HEIGHT, ROBOT_HEIGHT, SHEETS, WHITE, Solid, solids, wavefront
+from tfg_drake.simulation.people import RADIUS
+from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
+from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
-T = TypeVar("T")
+# Of scan points, m: above the surfaces.
+SCAN_HEIGHT = 0.43
+# What of a map has changed is drawn anew in squares of this side, m.
+CHUNK = 20.0
+# Where nothing is, for Meshcat to tell whether it records.
+PROBE = "/tfg/recorded"
+# Between two scans that a recording keeps, s.
+RECORDED_SCANS = 2.0
+# Of a layer a recording takes no more on average, bytes a simulated second: a grid changes all the time.
+RECORDED_RATE = 50e3
+# The camera: what it sees from top to bottom, rad, how steeply it looks down, rad, and the narrowest window, width over
+# height, that shows all of the building.
+VIEW_ANGLE, ELEVATION, ASPECT = math.radians(35.0), math.radians(58.0), 1.5
 
-# Pictures a simulated second.
-RATE = 8.0
-# Wall time between two captions, s, and how many of them the browser can still ask for.
-CAPTION_INTERVAL = 0.5
-CAPTIONS = 8
-# Width over height of the narrowest window that shows the whole first view.
-ASPECT = 1.5
-
-LEGEND = (
-    ("true wall", WALL, "line"),
-    ("edge", EDGE, "line"),
-    ("wall end", WALL_END, "line"),
-    ("surface without tag", BARE_SURFACE, "line"),
-    ("landmark, 3\u03c3", LANDMARK, "dot"),
-    ("doubtful landmark", DOUBTFUL, "dot"),
-    ("frontier", FRONTIER, "dot"),
-    ("information gain", FRONTIER, "ramp"),
-    ("path", PATH, "line"),
-    ("scan", SCAN, "dot"),
-)
-
-GRID_LEGEND = (
-    ("true wall", WALL, "line"),
-    ("occupied", OCCUPIED, "line"),
-    ("free", FREE, "dot"),
-    ("path", PATH, "line"),
-    ("scan", SCAN, "dot"),
-)
-
-# Heights, m, one a layer, so that nothing fights for the same pixel and the robot stays on top.
-_LAYERS = (
-    "free",
-    "walls",
-    "occupied",
-    "roadmap",
-    "scan",
-    "surfaces",
-    "candidates",
-    "frontiers",
-    "ellipses",
-    "landmarks",
-    "path",
-    "people",
-    "robot",
-    "heading",
-)
-_Z = {name: 0.02 * (1 + i) for i, name in enumerate(_LAYERS)}
-
-_SLOW_INPUTS = {
-    "map": MapEstimate,
-    "tfg": TfgMap,
-    "roadmap": Roadmap,
-    "goal": GoalChoice,
-    "path": Path,
-    "grid": GridMap,
-}
-_FAST_INPUTS = ("pose", "mission", "scan", "people")
+_log = logging.getLogger("tfg_drake.visualizer")
 
 
-class TfgVisualizer(LeafSystem):
-    """Draws a mission.
+# The layers that are tables, those of which there is one record at a time, and those seen while the robot drives.
+TABLES, RECORDS, DRIVING = ("map", "tfg", "frontiers", "gains"), ("path", "goal", "grid"), ("path", "goal")
 
-    .. pydrake_system::
 
-        name: TfgVisualizer
-        input_ports:
-        - pose
-        - map
-        - tfg
-        - roadmap
-        - goal
-        - path
-        - mission
-        - scan
-        - grid
-        - truth
-        - people
+class TfgVisualizer(TimelineRecorder):
+    """Draws a mission in Meshcat.
 
-    Every port is optional and draws its own part. `truth` is the true pose (x, y, theta, v, w) in W, `people` a People
-    message. Robot, scan, path and people are drawn at every picture, the rest when its message has changed: the state
-    holds the messages that the scene shows. Simulator publishes before it updates, so an unrestricted update at the
-    same instant sees exactly the inputs that the picture was made of. A forced publish draws everything.
+    It has the input ports of TimelineRecorder; every one is optional and draws its own part. Only what lies under /tfg
+    is touched, and the camera.
 
-    Where the picture fails, see `tfg_drake.systems.picture`, nothing is drawn, and everything when it is back.
+    While Meshcat records, all that is drawn has its time: play it with PublishRecording, keep it with StaticHtml. What
+    the map was like before then stays in the scene, unseen, until another recording or simulation begins.
+
+    A Meshcat that fails, as its server does after a malformed message, is told once in the log and not used again.
     """
 
     def __init__(
-        self, meshcat: Meshcat | Picture, world: World | None, X_WM: FloatArray, radius: float, title: str
+        self,
+        meshcat: Meshcat,
+        world: World | None = None,
+        X_WM: FloatArray | None = None,
+        radius: float = RobotConfig.radius,
     ) -> None:
         """
         Args:
-            meshcat: where to draw; only what lies under /tfg is touched, and the camera.
+            meshcat: where to draw.
             world: the true walls, None where they are not known.
-            X_WM: (3,) pose of the map frame in the world, m and rad.
+            X_WM: (3,) pose of the map frame in the world, m and rad; where the world has the robot start by default.
             radius: of the robot, m.
-            title: the first words of the caption.
         """
-        super().__init__()
-        self._picture = picture_of(meshcat)
-        self._opened = 0  # which Meshcat holds the scene
-        self._world = world
-        self._X_WM = np.array(X_WM, dtype=float)
-        self._radius = radius
-        self._title = title
-        self.word = ""  # in the caption instead of the mission's phase, if it is not ""
-        self._captions, self._next_caption, self._grid = 0, 0.0, False
-        self._inputs = {name: declare_message_input(self, name) for name in (*_SLOW_INPUTS, *_FAST_INPUTS)}
-        self._truth = self.DeclareVectorInputPort("truth", 5).get_index()
-        self._drawn = self.DeclareAbstractState(AbstractValue.Make(object()))
-        self.DeclareInitializationPublishEvent(self._DrawEverything)
-        self.DeclarePeriodicPublishEvent(1.0 / RATE, 1.0 / RATE, self._Draw)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / RATE, 0.0, self._Remember)
-        self.DeclareForcedPublishEvent(self._DrawEverything)
+        start = np.zeros(3) if world is None else world.start
+        self._scene = MeshcatScene(meshcat, world, start if X_WM is None else X_WM, radius)
+        super().__init__(self._scene)
+        self._scene.begin()
+        self.DeclareInitializationPublishEvent(self._Begin)
+
+    @staticmethod
+    def AddToBuilder(
+        builder: DiagramBuilder,
+        station: System,
+        explorer: System,
+        meshcat: Meshcat,
+        world: World | None = None,
+        radius: float = RobotConfig.radius,
+    ) -> TfgVisualizer:
+        """Adds a visualizer of a mission, connected to its station and explorer by port name."""
+        visualizer = TfgVisualizer(meshcat, world, radius=radius)
+        builder.AddNamedSystem("visualizer", visualizer)
+        visualizer.Connect(builder, station, explorer)
+        return visualizer
+
+    def PlaceMap(self, X_WM: FloatArray, time: float) -> None:
+        """Shows the map at another pose (3,) in the world from a time on, s, as it becomes known."""
+        self._scene.write("frame", time, {"pose": X_WM})
+
+    def _Begin(self, context: Context) -> EventStatus:
+        # What is drawn belongs to a simulation: another one begins anew.
+        self._Forget()
+        self._scene.begin(context.get_time())
+        return EventStatus.Succeeded()
+
+
+class MeshcatScene:
+    """Layers as they come, see TimelineWriter, drawn in Meshcat at their times."""
+
+    def __init__(self, meshcat: Meshcat, world: World | None, X_WM: FloatArray, radius: float) -> None:
+        """See TfgVisualizer."""
+        self._meshcat, self._world, self._X_WM, self._radius = meshcat, world, X_WM, radius
+        self._lost = False
+        self._view = _view(world, X_WM)
         # A symbol's size: visible when the whole building fills the window.
-        self._view = _view(world, self._X_WM)
         self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
-        self._picture.attempt(self._Begin, None)
 
-    def Connect(self, builder: DiagramBuilder, station: System, explorer: System) -> None:
-        """Adds it to a builder and connects it to a mission's station and explorer, by port name."""
-        builder.AddNamedSystem("visualizer", self)
-        for name in (*_SLOW_INPUTS, "pose", "mission"):
-            if not explorer.HasOutputPort(name):
-                continue
-            builder.Connect(explorer.GetOutputPort(name), self.GetInputPort(name))
-        builder.Connect(station.GetOutputPort("scan.ranges"), self.GetInputPort("scan"))
-        for name, port in (("truth.pose", "truth"), ("truth.people", "people")):
-            if station.HasOutputPort(name):
-                builder.Connect(station.GetOutputPort(name), self.GetInputPort(port))
+    def is_due(self, layer: str, time: float) -> bool:
+        """Whether a recording has not taken too much of the layer lately."""
+        return time >= self._due.get(layer, -math.inf)
 
-    def ShowBeginning(self) -> None:
-        """Shows what there is before there is a context: the caption with `word`, no more often than any other."""
-        if time.monotonic() >= self._next_caption:
-            self._picture.attempt(lambda: self._ShowCaption(f"{self._title}, {self.word}", []), None)
+    def flush(self, *, all_of_it: bool = True) -> None:
+        """Does nothing."""
 
-    # Events
+    def begin(self, time: float = 0.0) -> None:
+        """Show what there is before the mission begins, at a time, s."""
+        self._rows: dict[str, _Rows] = {}
+        # Of each thing its newest version, and whether a recording has that.
+        self._versions: dict[str, tuple[int, bool]] = {}
+        self._old: list[str] = []
+        self._recorded = False
+        self._shown: dict[str, tuple[bool, float]] = {}
+        self._due: dict[str, float] = {}
+        self._people, self._next_scan = 0, 0.0
+        self._attempt(functools.partial(self._Begin, time))
 
-    def _DrawEverything(self, context: Context) -> EventStatus:
-        self._picture.attempt(lambda: self._ShowEverything(context), None)
-        return EventStatus.Succeeded()
+    def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
+        """Draws a record."""
+        self._attempt(functools.partial(self._Write, layer, time, arrays, told))
 
-    def _Draw(self, context: Context) -> EventStatus:
-        self._picture.attempt(lambda: self._ShowChanges(context), None)
-        return EventStatus.Succeeded()
-
-    def _Remember(self, context: Context, state: State) -> None:
-        # A tuple of messages: copying the context costs nothing, since a message's deep copy is itself.
-        shown = tuple(self._Get(context, name, kind) for name, kind in _SLOW_INPUTS.items())
-        state.get_mutable_abstract_state(int(self._drawn)).set_value(shown)
-
-    def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
-        return eval_optional(self._inputs[name], context, kind)
-
-    @property
-    def _meshcat(self) -> Meshcat:
-        return self._picture.meshcat
-
-    def PlaceMap(self, X_WM: FloatArray) -> None:
-        """Shows the map at another pose (3,) in the world, as it becomes known."""
-        if np.array_equal(X_WM, self._X_WM):
+    def write_rows(self, layer: str, time: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
+        """Draws how a table has changed; near: where it is told, elsewhere it is as it was."""
+        if layer not in TABLES or self._lost:
             return
-        self._X_WM = np.array(X_WM, dtype=float)
-        self._meshcat.SetTransform("/tfg/map", _planar(self._X_WM))
+        rows = self._rows.setdefault(layer, _Rows())
+        for chunk, arrays in rows.change(table, near):
+            self._attempt(functools.partial(self._Show, f"{layer}/{chunk}", time, layer, arrays, told))
 
-    def _Begin(self) -> None:
-        """Shows what stays as it is."""
-        self._opened = self._picture.opened
-        self._meshcat.Delete("/tfg")
-        self._meshcat.SetTransform("/tfg/map", _planar(self._X_WM))
-        self._meshcat.SetTransform("/tfg/truth", _planar(self._X_WM))
-        self._meshcat.SetProperty("/tfg/truth", "visible", self._world is not None)
-        self._meshcat.SetProperty("/tfg/captions", "visible", False)
-        self._ShowWalls(self._world)
-        self._ShowRobots()
+    def _attempt(self, draw: Callable[[], None]) -> None:
+        if self._lost:
+            return
+        try:
+            draw()
+        except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
+            self._lost = True
+            reason = " ".join(str(error).split()) or type(error).__name__
+            _log.warning("the picture in Meshcat is lost: %s; the mission goes on", reason)
+
+    def _Begin(self, time: float) -> None:
+        meshcat, (x_min, y_min, x_max, y_max) = self._meshcat, self._view
+        meshcat.Delete("/tfg")
+        for path in ("/tfg/map", "/tfg/truth"):
+            meshcat.SetTransform(path, _planar(self._X_WM), time)
+        self._Toggle("/tfg/truth", self._world is not None, time, self._IsRecorded())
+        if self._world is not None:
+            floor = np.array([[(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]])
+            z = SHEETS["floor"]
+            self._ShowSolids("/tfg/world/floor", [Solid("floor", floor, z, z, FLOOR)])
+            self._ShowSolids("/tfg/world/walls", solids("world", scene.walls(self._world), {}, self._unit))
+        # At true size, or as large as a symbol where that could not be seen.
+        r, here = max(self._radius, 2.2 * self._unit), np.zeros((1, 2))
+        mark = bands(np.array([[0.25 * r, 0.0, 0.85 * r, 0.0]]), 0.25 * r)
+        body = Solid("body", circles(here, r, 32), 0.0, ROBOT_HEIGHT, palette.ROBOT)
+        self._ShowSolids("/tfg/map/robot", [body, Solid("heading", mark, ROBOT_HEIGHT, ROBOT_HEIGHT + 0.03, WHITE)])
+        truth = Solid("truth", circles(here, 1.2 * r, 32), 0.0, 0.5 * ROBOT_HEIGHT, palette.GHOST, 0.5)
+        self._ShowSolids("/tfg/truth", [truth])
         self._ShowCamera()
 
-    def _ShowEverything(self, context: Context) -> None:
-        if self._opened != self._picture.opened:
-            self._Begin()
-        self._meshcat.SetProperty("/tfg/truth", "visible", self._Truth(context) is not None)
-        self._DrawSlow(context, drawn=None)
-        self._DrawFast(context)
-        self._DrawCaption(context)
+    def _Write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]) -> None:
+        if layer == "frame":
+            self._meshcat.SetTransform("/tfg/map", _planar(arrays["pose"]), time)
+        elif layer == "pose":
+            self._meshcat.SetTransform("/tfg/map/robot", _planar(arrays["pose"]), time)
+        elif layer == "truth":
+            self._meshcat.SetTransform("/tfg/truth", _planar(arrays["pose"]), time)
+            if not self._shown["/tfg/truth"][0]:
+                self._Toggle("/tfg/truth", True, time, self._IsRecorded())
+        elif layer == "people":
+            self._ShowPeople(arrays["points"], time)
+        elif layer == "mission":
+            self._Toggle("/tfg/map/driving", told["drives"], time, self._IsRecorded())
+        elif layer == "scan":
+            self._ShowScan(arrays["rays"][1:][arrays["met"]], time)
+        elif layer == "free":
+            ends = np.cumsum(arrays["count"])
+            for view, count, end in zip(arrays["index"], arrays["count"], ends, strict=True):
+                star = {"points": arrays["points"][end - count : end], "count": np.array([count])}
+                self._Show(f"free/{view}", time, layer, star, told)
+        elif layer in RECORDS:
+            self._Show(f"driving/{layer}" if layer in DRIVING else layer, time, layer, arrays, told)
 
-    def _ShowChanges(self, context: Context) -> None:
-        if self._opened != self._picture.opened:
-            self._ShowEverything(context)
+    def _ShowPeople(self, points: FloatArray, time: float) -> None:
+        for k, place in enumerate(points):
+            if k >= self._people:
+                body = circles(np.zeros((1, 2)), RADIUS)
+                person = Solid("person", body, 0.0, PERSON_HEIGHT, palette.PERSON, 0.8)
+                self._ShowSolids(f"/tfg/people/{k}", [person])
+            self._meshcat.SetTransform(f"/tfg/people/{k}", _planar(np.append(place, 0.0)), time)
+        self._people = max(self._people, len(points))
+
+    def _ShowScan(self, points: FloatArray, time: float) -> None:
+        if self._IsRecorded() and time < self._next_scan:
             return
-        drawn = context.get_abstract_state(int(self._drawn)).get_value()
-        self._DrawSlow(context, drawn if isinstance(drawn, tuple) else None)
-        self._DrawFast(context)
-        if time.monotonic() >= self._next_caption:
-            self._DrawCaption(context)
+        self._next_scan = time + RECORDED_SCANS
+        cloud = PointCloud(len(points))
+        cloud.mutable_xyzs()[:] = np.column_stack([points, np.full(len(points), SCAN_HEIGHT)]).T
+        path = self._NextVersion("scan", time)
+        self._meshcat.SetObject(path, cloud, 1.2 * self._unit, Rgba(*palette.SCAN))
 
-    # What changes with the stage
+    # Meshcat: only transforms and properties have a time. So a thing that changes its shape has a path a version.
 
-    def _DrawSlow(self, context: Context, drawn: tuple[object, ...] | None) -> None:
-        now: dict[str, Any] = {name: self._Get(context, name, kind) for name, kind in _SLOW_INPUTS.items()}
-        before = dict(zip(_SLOW_INPUTS, drawn, strict=True)) if drawn is not None else {}
-        changed = {name for name, message in now.items() if message is not None and message is not before.get(name)}
-        if "map" in changed:
-            self._ShowLandmarks(now["map"])
-        if "tfg" in changed:
-            self._ShowSurfaces(now["tfg"])
-        if "roadmap" in changed:
-            self._ShowRoadmap(now["roadmap"])
-        if "goal" in changed and now["roadmap"] is not None:
-            self._ShowChoice(now["goal"], now["roadmap"])
-        if "goal" in changed:
-            self._ShowGoal(now["goal"])
-        if "grid" in changed:
-            self._ShowGrid(now["grid"])
-        if "path" in changed:
-            self._ShowRibbons("map/path/line", scene.path(now["path"])["segments"], 0.8 * self._unit, "path", PATH)
+    def _Show(
+        self, name: str, time: float, layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]
+    ) -> None:
+        size = self._ShowSolids(self._NextVersion(name, time), solids(layer, arrays, told, self._unit))
+        if self._recorded:
+            self._due[layer] = max(time, self._due.get(layer, time)) + size / RECORDED_RATE
 
-    def _ShowWalls(self, world: World | None) -> None:
-        walls = world.walls if world is not None else np.zeros((0, 4))
-        self._ShowRibbons("walls", walls, 1.2 * self._unit, "walls", WALL)
+    def _NextVersion(self, name: str, time: float) -> str:
+        """The path of what a thing is like from a time on, s: a new one where a recording has the last."""
+        recorded = self._IsRecorded()
+        if recorded and not self._recorded:
+            for path in self._old:  # of a recording that there was before
+                self._meshcat.Delete(path)
+            self._old.clear()
+        self._recorded = recorded
+        version, is_kept = self._versions.get(name, (0, False))
+        path, is_new = f"/tfg/map/{name}/{version}", recorded or is_kept or not version
+        if is_new and version:
+            self._Toggle(path, False, time, recorded)
+            self._old.append(path)
+        if is_new:
+            version += 1
+            path = f"/tfg/map/{name}/{version}"
+            self._Toggle(path, True, time, recorded)
+        self._versions[name] = version, recorded
+        return path
 
-    def _ShowLandmarks(self, estimate: MapEstimate) -> None:
-        layer = scene.landmarks(estimate)
-        doubtful = layer["doubtful"]
-        for some, name, colour in ((~doubtful, "landmarks", LANDMARK), (doubtful, "doubtful", DOUBTFUL)):
-            p_ML, covariance = layer["points"][some], layer["covariance"][some]
-            self._ShowTriangles(f"map/{name}", discs(p_ML, 1.3 * self._unit, _Z["landmarks"]), colour)
-            outlines = outline_segments(ellipses(p_ML, covariance[:, [0, 1, 1, 2]].reshape(-1, 2, 2)))
-            self._ShowLines(f"map/ellipses/{name}", outlines, "ellipses", colour)
+    def _IsRecorded(self) -> bool:
+        """Whether Meshcat records. It does not tell, but it takes no number into a recording's track of booleans."""
+        self._meshcat.get_mutable_recording().SetProperty(0, PROBE, "visible", True)
+        try:
+            self._meshcat.SetProperty(PROBE, "visible", 1.0, 0.0)
+        except RuntimeError:
+            return True
+        return False
 
-    def _ShowSurfaces(self, tfg: TfgMap) -> None:
-        layer = scene.surfaces(tfg)
-        for kind, (name, colour) in enumerate((("edge", EDGE), ("end", WALL_END), ("bare", BARE_SURFACE))):
-            pieces = layer["segments"][layer["kind"] == kind]
-            self._ShowRibbons(f"map/surfaces/{name}", pieces, self._unit, "surfaces", colour)
-        bars = scene.frontiers(tfg)["segments"]
-        self._ShowRibbons("map/frontiers", bars, 1.6 * self._unit, "frontiers", FRONTIER)
+    def _Toggle(self, path: str, visible: bool, time: float, recorded: bool) -> None:
+        """Shows or hides what lies there from a time on, s; a recording also learns what it was like before."""
+        before, since = self._shown.get(path, (False, -math.inf))
+        if recorded:
+            start = self._meshcat.get_mutable_recording().start_time()
+            self._meshcat.SetProperty(path, "visible", before, max(since, start))
+        self._meshcat.SetProperty(path, "visible", visible, time)
+        self._shown[path] = visible, time
 
-    def _ShowRoadmap(self, roadmap: Roadmap) -> None:
-        layer = scene.roadmap_lines(roadmap)
-        self._ShowLines("map/roadmap", layer["points"][layer["edges"]].reshape(-1, 4), "roadmap", ROADMAP)
-
-    def _ShowChoice(self, choice: GoalChoice, roadmap: Roadmap) -> None:
-        layer = scene.gains(choice, roadmap)
-        candidates = discs(layer["points"], 1.1 * self._unit, _Z["candidates"], corners=10)
-        self._ShowTriangles("map/candidates", candidates, np.repeat(gain_colours(layer["share"]), 10, axis=0))
-
-    def _ShowGoal(self, choice: GoalChoice) -> None:
-        ring = _circles(scene.goal(choice)["points"], 4.0 * self._unit)
-        self._ShowRibbons("map/path/goal", ring, 0.8 * self._unit, "path", PATH)
-
-    def _ShowGrid(self, grid: GridMap) -> None:
-        layer = scene.grid_cells(grid)
-        for name, colour in (("free", FREE), ("occupied", OCCUPIED)):
-            self._ShowRibbons(f"map/grid/{name}", layer[name], grid.resolution, name, colour)
-
-    # What changes all the time
-
-    def _DrawFast(self, context: Context) -> None:
-        pose, scan = self._Get(context, "pose", PoseEstimate), self._Get(context, "scan", LaserScan)
-        mission = self._Get(context, "mission", MissionStatus)
-        if pose is not None:
-            self._meshcat.SetTransform("/tfg/map/robot", _planar(pose_at(pose, context.get_time())))
-        if pose is not None and scan is not None and math.isfinite(scan.stamp):
-            layer = scene.scan_rays(scan, pose)
-            points = layer["rays"][1:][layer["met"]]
-            self._ShowTriangles("map/scan", discs(points, 0.6 * self._unit, _Z["scan"], corners=6), SCAN)
-        if mission is not None:
-            self._meshcat.SetProperty("/tfg/map/path", "visible", mission.drives)
-        truth = self._Truth(context)
-        if truth is not None:
-            self._meshcat.SetTransform("/tfg/truth", _planar(truth))
-        people = self._Get(context, "people", People)
-        if people is not None:
-            self._ShowTriangles("people", discs(places_at(people, context.get_time()), RADIUS, _Z["people"]), PERSON)
-
-    def _Truth(self, context: Context) -> FloatArray | None:
-        port = self.get_input_port(self._truth)
-        return np.asarray(port.Eval(context))[:3] if port.HasValue(context) else None
-
-    def _DrawCaption(self, context: Context) -> None:
-        estimate, mission = self._Get(context, "map", MapEstimate), self._Get(context, "mission", MissionStatus)
-        pose, truth = self._Get(context, "pose", PoseEstimate), self._Truth(context)
-        self._grid = self._inputs["grid"].HasValue(context)
-        title, figures = self._title, [("time", f"{context.get_time():.0f} s")]
-        if mission is not None:
-            title = f"{self._title}, {self.word or mission.outcome or mission.phase}"
-            figures.insert(0, ("stage", str(mission.stage)))
-        if estimate is not None:
-            figures.append(("landmarks", str(len(estimate.ids))))
-        if pose is not None:
-            figures.append(
-                ("1\u03c3", f"{100.0 * math.sqrt(max(np.trace(pose.covariance[:2, :2]) / 2.0, 0.0)):.1f} cm")
-            )
-        if pose is not None and truth is not None:
-            X_MB = pose_at(pose, context.get_time())
-            error = np.linalg.norm(transform(self._X_WM, X_MB[:2]) - truth[:2])
-            figures.append(("error", f"{100.0 * error:.1f} cm"))
-        self._ShowCaption(title, figures)
-
-    def _ShowCaption(self, title: str, figures: list[tuple[str, str]]) -> None:
-        entries = GRID_LEGEND if self._grid else LEGEND
-        legend = [entry for entry in entries if self._world is not None or entry[1] != WALL]
-        document = caption_gltf(render_caption(title, figures, legend), self._view[2] - self._view[0])
-        mesh = Mesh(mesh_data=InMemoryMesh(mesh_file=MemoryFile(document.encode(), ".gltf", "caption")))
-        self._meshcat.SetObject("/tfg/caption", mesh)
-        # A browser asks for the text as a file of its own, some time later. Meshcat keeps what any of these shows.
-        self._meshcat.SetObject(f"/tfg/captions/{self._captions % CAPTIONS}", mesh)
-        self._captions += 1
-        self._next_caption = time.monotonic() + CAPTION_INTERVAL
-
-    # Meshcat
+    def _ShowSolids(self, path: str, shown: Iterable[Solid]) -> int:
+        """Returns how many bytes they are."""
+        obj, materials = wavefront(shown)
+        if not obj:
+            self._meshcat.Delete(path)
+            return 0
+        files = {"materials.mtl": MemoryFile(materials.encode(), ".mtl", "materials")}
+        file = MemoryFile(f"mtllib materials.mtl\n{obj}\n".encode(), ".obj", "solids")
+        self._meshcat.SetObject(path, Mesh(InMemoryMesh(mesh_file=file, supporting_files=files)))
+        return len(obj)
 
     def _ShowCamera(self) -> None:
-        """Looks straight down; the whole building and the caption above it fill the window."""
+        """From the south and above; the whole building fills the window."""
         x_min, y_min, x_max, y_max = self._view
-        caption = (x_max - x_min) * CAPTION_HEIGHT / CAPTION_WIDTH
-        margin = 0.025 * (x_max - x_min)
-        height, width = y_max - y_min + caption + 3.0 * margin, x_max - x_min + 2.0 * margin
-        height = max(height, width / ASPECT)
-        center = np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max + caption + margin), 50.0])
-        camera = Meshcat.OrthographicCamera()
-        camera.left, camera.right = -0.5 * height * ASPECT, 0.5 * height * ASPECT
-        camera.bottom, camera.top = -0.5 * height, 0.5 * height
-        camera.near, camera.far, camera.zoom = 0.1, 200.0, 1.0
+        height = max((y_max - y_min) * math.sin(ELEVATION), (x_max - x_min) / ASPECT)
+        distance = 0.5 * 1.15 * height / math.tan(0.5 * VIEW_ANGLE) + 0.5 * (y_max - y_min) * math.cos(ELEVATION)
+        target = np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max), 0.0])
+        camera = Meshcat.PerspectiveCamera()
+        camera.fov, camera.near, camera.far = math.degrees(VIEW_ANGLE), 0.5, 1000.0
         self._meshcat.SetCamera(camera)
-        # A hair to the south of straight down: the orbit controls keep z up, and so north stays up in the picture.
-        self._meshcat.SetCameraPose(center - [0.0, 1e-3, 0.0], center * [1.0, 1.0, 0.0])
-        for path in ("/Background", "/Grid", "/Axes"):
-            self._meshcat.SetProperty(path, "visible", False)
-        # Flat colours: ambient light only, so that a surface has the colour it was given.
-        for path in ("/Lights/PointLightNegativeX", "/Lights/PointLightPositiveX", "/Lights/FillLight"):
-            self._meshcat.SetProperty(path, "visible", False)
-        self._meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", math.pi)
-        self._meshcat.SetTransform("/tfg/caption", RigidTransform([x_min, y_max + margin + caption, 0.0]))
+        towards = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
+        self._meshcat.SetCameraPose(target + distance * towards, target)
 
-    def _ShowRobots(self) -> None:
-        # At true size, or as large as a symbol where that could not be seen.
-        r, z = max(self._radius, 2.2 * self._unit), _Z["robot"]
-        tick = np.array([[0.0, 0.0, 0.8 * r, 0.0]])
-        self._ShowTriangles("map/robot/body", discs(np.zeros((1, 2)), r, z, corners=32), ROBOT)
-        self._ShowRibbons("map/robot/heading", tick, 0.25 * r, "heading", (1.0, 1.0, 1.0))
-        self._ShowRibbons("truth", np.vstack([_circles(np.zeros((1, 2)), 1.25 * r), tick]), 0.15 * r, "robot", GHOST)
 
-    def _ShowTriangles(self, path: str, mesh: Triangles, colour: Colour | FloatArray) -> None:
-        vertices, faces = mesh
-        if not len(faces):
-            self._meshcat.Delete(f"/tfg/{path}")
-            return
-        # Vertex colours are taken as linear light.
-        colours = np.broadcast_to(np.asarray(colour) ** 2.2, vertices.shape)
-        self._meshcat.SetTriangleColorMesh(f"/tfg/{path}", vertices.T, faces.T, colours.T)
+class _Rows:
+    """The rows of a table as they are now, by squares of the ground."""
 
-    def _ShowRibbons(self, path: str, segments: FloatArray, width: float, layer: str, colour: Colour) -> None:
-        self._ShowTriangles(path, ribbons(segments, width, _Z[layer]), colour)
+    def __init__(self) -> None:
+        self._standing = StandingRows()
+        self._count = 0
+        self._numbers: IntArray = np.zeros(0, dtype=np.int64)
+        self._chunks: IntArray = np.zeros((0, 2), dtype=np.int64)
+        self._arrays: dict[str, NDArray[Any]] = {}
 
-    def _ShowLines(self, path: str, segments: FloatArray, layer: str, colour: Colour) -> None:
-        z = np.full((1, len(segments)), _Z[layer])
-        start, end = np.vstack([segments[:, :2].T, z]), np.vstack([segments[:, 2:].T, z])
-        self._meshcat.SetLineSegments(f"/tfg/{path}", start, end, 1.0, Rgba(*colour))
+    def change(self, table: Table, near: Near) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+        """Takes a change down; yields name and rows of each square that has changed."""
+        added, gone = self._standing.change(table, near)
+        stays = ~np.isin(self._numbers, gone)
+        chunks = np.floor(table.places[added] / CHUNK).astype(np.int64)
+        changed = np.unique(np.vstack([self._chunks[~stays], chunks]), axis=0)
+        self._numbers = np.append(self._numbers[stays], self._count + np.arange(len(added)))
+        self._count += len(added)
+        self._chunks = np.vstack([self._chunks[stays], chunks])
+        before = self._arrays or {name: array[:0] for name, array in table.arrays.items()}
+        keep = stays if self._arrays else slice(0)
+        self._arrays = {
+            name: np.concatenate([before[name][keep], array[added]]) for name, array in table.arrays.items()
+        }
+        for x, y in changed.tolist():
+            here = (self._chunks == (x, y)).all(axis=1)
+            yield f"{x}_{y}", {name: array[here] for name, array in self._arrays.items()}
 
 
 def _planar(X_AB: FloatArray) -> RigidTransform:
-    return RigidTransform(RotationMatrix.MakeZRotation(float(X_AB[2])), [X_AB[0], X_AB[1], 0.0])
-
-
-def _circles(centers: FloatArray, radius: float) -> FloatArray:
-    """Circles round centers (n, 2) as segments (32 n, 4)."""
-    return outline_segments(ellipses(centers, np.tile(np.eye(2), (len(centers), 1, 1)), sigmas=radius))
+    x, y, theta = np.asarray(X_AB[:3], dtype=float)
+    return RigidTransform(RotationMatrix.MakeZRotation(theta), [x, y, 0.0])
 
 
 def _view(world: World | None, X_WM: FloatArray) -> tuple[float, float, float, float]:

@@ -41,8 +41,6 @@ REAL_TIME = (
     "tests/diagrams/test_robot_option.py",
     "tests/hardware/",
     "tests/integration/test_real_robot.py",
-    "tests/mapfile/test_viewer.py",
-    "tests/systems/test_picture.py",
     "tests/systems/test_visualizer.py",
 )
 

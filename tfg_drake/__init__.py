@@ -1,30 +1,50 @@
-"""Active SLAM on topological feature graphs. This layer never imports Drake."""
+"""Active SLAM on topological feature graphs, with Drake.
+
+    import tfg_drake
+    house = tfg_drake.explore("house", seed=3, until=300.0)
+
+What is public, and stays as it is but for what CHANGELOG.md tells:
+
+- here: `explore` builds a mission and drives it, `load_run` reads what it left, `fork` goes on from one of its stages.
+- in `tfg_drake.diagrams`: `scenario` (Scenario, LoadScenario, ApplySettings, ApplyWorldFile, MakeWorld), `station`
+  (MakeTurtlebotStation), `explorer` (MakeTfgExplorer), `mission_diagram` (ConnectStation), and the names, types and
+  meanings of their ports.
+- in `tfg_drake.systems`: the systems and their ports; `ports` declares and reads ports of messages.
+- `tfg_drake.messages` and `tfg_drake.config`: what the ports carry, what a scenario says.
+- `tfg_drake.storage.run` and `tfg_drake.mapfile.saved_map`: what is read of a run and of a map.
+
+All else may change without a word. Of this package only `systems`, `diagrams` and part of `hardware` import Drake.
+"""
 
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from tfg_drake.diagrams.missions.exploration import explore
+    from tfg_drake.diagrams.missions.fork import fork
+    from tfg_drake.storage.run import load_run
+else:
+    # Each is imported when it is asked for: without Drake the package is to be of use, too.
+    _WHERE = {
+        "explore": "tfg_drake.diagrams.missions.exploration",
+        "fork": "tfg_drake.diagrams.missions.fork",
+        "load_run": "tfg_drake.storage.run",
+    }
 
-    from tfg_drake.storage.run import Run
+    def __getattr__(name):
+        if name not in _WHERE:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        if name != "load_run":
+            # Before what imports numba, which looks where kernels are kept only once.
+            importlib.import_module("tfg_drake.kernels").choose_folder()
+        return getattr(importlib.import_module(_WHERE[name]), name)
+
 
 __version__ = "0.1.0"
+__all__ = ["__version__", "explore", "fork", "load_run"]
 
 
-def load_run(folder: str | Path) -> Run:
-    """A finished mission's folder as plain arrays, see `tfg_drake.storage.run.Run`."""
-    from tfg_drake.storage.run import load_run
-
-    return load_run(folder)
-
-
-# What needs Drake is imported when it is asked for: the package without it must not.
-_OF_DRAKE = {"explore": "tfg_drake.diagrams.missions.exploration", "fork": "tfg_drake.diagrams.missions.fork"}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _OF_DRAKE:
-        return getattr(importlib.import_module(_OF_DRAKE[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+def __dir__() -> list[str]:
+    return sorted({*__all__, *globals()} - {"TYPE_CHECKING", "annotations", "importlib", "_WHERE"})

@@ -410,9 +410,10 @@ class MissionStatus:
     seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: views in the map.
     since: s, when the phase began. resume_phase: where a pause goes back to, "" otherwise. outcome: "" until done, then
     complete, stuck, budget or interrupted; from outside a mission ends by time_limit, battery or fault. reason: one
-    sentence. replans: paths asked for after the first since the robot last stood and looked. path_id: the path being
-    followed. failures: goals in a row that could not be reached. moving: after a glance; the robot drives on along its
-    path until there is a new one. changes: goals left for others on the way since the robot last stood and looked.
+    sentence, where it is done or paused. replans: paths asked for after the first since the robot last stood and
+    looked. path_id: the path being followed. failures: goals in a row that could not be reached. moving: after a
+    glance; the robot drives on along its path until there is a new one. changes: goals left for others on the way since
+    the robot last stood and looked.
     """
 
     phase: str

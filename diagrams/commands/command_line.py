@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
 import signal
@@ -17,6 +18,7 @@ import typer.core
 
 from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput, not_radians
+from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.mission.interruption import Interruption
 
 # The signals that end a command.
@@ -115,6 +117,15 @@ def compiling_beside(need: int) -> Iterator[kernels.Compilation | None]:
     compilation = compile_kernels(need, kernels.BESIDE)
     with contextlib.closing(compilation) if compilation is not None else contextlib.nullcontext():
         yield compilation
+
+
+@functools.cache
+def make_kernels_ready(need: int = kernels.OTHER) -> None:
+    """For a program of somebody's own, which may wait for them: compiles what is missing, and tells so on standard
+    error; silent where nothing is. Raises BadInput as `compile_kernels` does."""
+    if not kernels.are_compiled(need):
+        with contextlib.redirect_stdout(sys.stderr), Screen() as show:
+            wait_for_kernels(show, need)
 
 
 def wait_for_kernels(show: Callable[[str], object], need: int = kernels.OTHER) -> None:

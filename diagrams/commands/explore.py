@@ -9,12 +9,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from tfg_drake import kernels
 from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.config import HardwareConfig
     from tfg_drake.diagrams.methods import Method
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = ("hardware", "operator", "picture", "run_folder", "port_recording", "slam.sensors", "world")
+REMARKING = ("hardware", "operator", "pace", "visualizer", "run_folder", "port_recording", "slam.sensors", "world")
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
@@ -161,11 +163,12 @@ def keys_of_driver(method: Method, robot: str, cockpit: Cockpit | None) -> Itera
 
 
 @contextlib.contextmanager
-def remarks_on_screen() -> Iterator[None]:
-    """What base, operator, picture and the run's files remark is shown, too."""
+def remarks_on_screen(screen: TextIO | None = None) -> Iterator[None]:
+    """What base, operator, Meshcat's picture and the run's files remark is shown, too; screen: by default standard
+    output."""
     import logging
 
-    handler = logging.StreamHandler(sys.stdout)
+    handler = logging.StreamHandler(screen or sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
     loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING]
     for logger in loggers:
@@ -175,6 +178,23 @@ def remarks_on_screen() -> Iterator[None]:
     finally:
         for logger in loggers:
             logger.removeHandler(handler)
+
+
+def open_meshcat() -> Meshcat:
+    """A Meshcat for this machine only, its address printed."""
+    import logging
+
+    from pydrake.common import use_native_cpp_logging
+    from pydrake.geometry import Meshcat, MeshcatParams
+
+    # Its server logs when it ends. By way of Python it would wait for Python's lock, which its destructor holds while
+    # it waits for the server. And what it says of its address is said here.
+    logging.getLogger("drake").setLevel(logging.ERROR)
+    with contextlib.suppress(RuntimeError):  # Somebody has set up Drake's log already.
+        use_native_cpp_logging()
+    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    print(f"Meshcat: {meshcat.web_url()}", flush=True)
+    return meshcat
 
 
 def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[str], None]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,11 +50,14 @@ def info(map_file: MapArgument) -> None:
 
 @map_app.command()
 def view(map_file: MapArgument) -> None:
-    """Show a map in the browser, in Meshcat."""
-    from tfg_drake.mapfile.viewer import serve
+    """Show a map in the browser."""
+    from tfg_drake.diagrams.commands.page import open_page
 
-    with serve(_page(_load(map_file), map_file)) as address:
-        print(f"Meshcat: {address}", flush=True)
+    saved = _load(map_file)
+    with (
+        _timeline(saved, map_file) as timeline,
+        open_page(map_file.name, "localhost", None, timeline=timeline, live=False, controls=False),
+    ):
         wait_for_enter()
 
 
@@ -61,6 +67,7 @@ def export(
     out: Annotated[Path, typer.Argument(metavar="OUT", help=f"The file to write: {', '.join(SUFFIXES)}.")],
 ) -> None:
     """Write a map in another format, by the suffix of OUT."""
+    from tfg_drake.cockpit.page import export_page, viewer_script
     from tfg_drake.mapfile.g2o import g2o_text
     from tfg_drake.mapfile.landmark_table import landmark_csv
     from tfg_drake.mapfile.summary import map_rows
@@ -77,7 +84,8 @@ def export(
         elif suffix == ".csv":
             write_atomic(out, landmark_csv(saved))
         elif suffix == ".html":
-            write_atomic(out, _page(saved, map_file))
+            with _timeline(saved, map_file) as timeline:
+                export_page(timeline, out, map_file.name, viewer_script())
         else:
             rows = dict(map_rows(saved, map_file.stat().st_size))
             draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{rows['deviation']}", saved)
@@ -96,11 +104,12 @@ def _load(path: Path) -> SavedMap:
         return load_map(path)
 
 
-def _page(saved: SavedMap, path: Path) -> str:
-    from tfg_drake.mapfile.summary import map_rows
-    from tfg_drake.mapfile.viewer import scene_page
+@contextlib.contextmanager
+def _timeline(saved: SavedMap, path: Path) -> Iterator[Path]:
+    """What the page of a mission shows of a map; there for a while."""
+    from tfg_drake.mapfile.viewer import write_map_timeline
+    from tfg_drake.storage.timeline import FILE_NAME
 
-    rows = dict(map_rows(saved, path.stat().st_size))
-    figures = [("turns and glances", str(saved.stage)), ("landmarks", str(len(saved.ids)))]
-    figures += [(name, rows[name]) for name in ("free space", "frontiers")]
-    return scene_page(saved, path.name, figures)
+    with tempfile.TemporaryDirectory() as folder:
+        write_map_timeline(saved, Path(folder) / FILE_NAME, path.name)
+        yield Path(folder) / FILE_NAME

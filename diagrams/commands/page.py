@@ -6,9 +6,9 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
+from tfg_drake.cockpit.page import viewer_script
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.commands.command_line import bad_input
-from tfg_drake.diagrams.missions.run import viewer_script
 
 MOST_PORT = 65535
 

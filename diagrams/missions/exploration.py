@@ -2,27 +2,42 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import functools
 import io
+import logging
 import math
-from collections.abc import Callable, Sequence
+import sys
+import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, LeafSystem
-from threadpoolctl import threadpool_limits
+from pydrake.systems.framework import Context, Diagram
 
+from tfg_drake.diagrams.commands.command_line import make_kernels_ready
+from tfg_drake.diagrams.commands.explore import check_kept, kernels_needed, remarks_on_screen, run_name
+from tfg_drake.diagrams.commands.page import open_page
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
-from tfg_drake.diagrams.methods import METHODS, FindMethod, Method
+from tfg_drake.diagrams.hardware_station import Bounded
+from tfg_drake.diagrams.methods import FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.run import RunResult, run_mission
+from tfg_drake.diagrams.parts import CheckFactory, Factory, MakePart
+from tfg_drake.diagrams.real_robot import DevicesOf, Rehearse, RobotOf
 from tfg_drake.diagrams.robots import SIMULATED, Robot
-from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario, Scenario
+from tfg_drake.diagrams.scenario import PrepareScenario, Scenario
+from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.messages import FloatArray, MapEstimate, MissionStatus, TfgMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pydrake.geometry import Meshcat
+
+_log = logging.getLogger("tfg_drake.operator")
 
 
 def explore(
@@ -30,62 +45,135 @@ def explore(
     *,
     seed: int | None = None,
     settings: Sequence[str] = (),
+    world: str | Path | None = None,
+    tag_spacing: float | None = None,
+    start: Sequence[float] | None = None,
     method: str = "tfg",
-    goal_selector: LeafSystem | None = None,
-    station: Callable[[Scenario], Diagram] | None = None,
+    goal_selector: Factory | None = None,
+    estimator: Factory | None = None,
+    planner: Factory | None = None,
+    follower: Factory | None = None,
+    plant: Factory | None = None,
+    station: Factory | None = None,
+    enable: bool = False,
     meshcat: Meshcat | None = None,
+    page: bool = False,
+    out: str | Path | None = None,
+    realtime_rate: float = 0.0,
     until: float = 3600.0,
 ) -> Exploration:
-    """Build a simulated mission and drive it.
+    """Build a mission and drive it.
+
+    A simulated mission can be driven on, step by step. One that is kept (out, page), and that of a real robot, ends
+    when explore returns, as by the command line: the same seed gives the same files.
 
     Args:
         scenario: a shipped scenario's name, a YAML file, or one in memory.
         seed: of every random number; None for the scenario's own.
         settings: such as "explorer.stop_gain=10".
+        world: other walls, as `tfg-drake explore --world`. tag_spacing: m, places tags. start: (x, y, yaw), m and rad.
         method: what explores, as `tfg-drake explore --method`.
-        goal_selector: of the method tfg, in place of its own; see MakeTfgExplorer.
-        station: makes the station for the scenario, in place of MakeTurtlebotStation; a Diagram with its ports.
+        goal_selector, estimator, planner, follower: each makes a part for the scenario, in place of the method tfg's
+            own, as MakeTfgExplorer has them: functions of a Scenario that return a System.
+        plant: makes likewise what moves in the simulated station, see MakeTurtlebotStation.
+        station: makes the station, in place of MakeTurtlebotStation; a System with its ports. That of a real robot,
+            as `functools.partial(MakeTurtlebotStation, hardware=True)` makes it, keeps real time; its mission is
+            rehearsed in simulation first and kept, and the robot is closed at the end.
+        enable: a real robot may move from the beginning; else when somebody enables it, by the page or its buttons.
         meshcat: where the mission is shown as it goes on; `pydrake.all.StartMeshcat()` makes one.
-        until: simulated s to drive, or less where the mission ends before; 0 to build it only.
+        page: serve the page that shows and operates it until explore returns; its address is printed.
+        out: the run's folder; with a page or a real robot runs/<time>-<name>-<seed> by default, else none is kept.
+        realtime_rate: simulated s per second at most, 0 for as fast as possible.
+        until: s to drive, or less where the mission ends before; 0 to build it only.
 
     Raises:
         ScenarioError, MethodError: the scenario or the method cannot be used.
-        ValueError: until is negative.
+        ValueError: until or realtime_rate is negative.
+        TypeError: a part is given that is no such function.
+        BadInput: the folder holds what is not to be lost, or the page cannot be served.
+        DeviceError: the robot cannot be used.
+        OSError: the folder cannot be written.
     """
-    loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
-    name = "mission" if isinstance(scenario, Scenario) else Path(scenario).stem
-    loaded = ApplySettings(loaded, settings)
-    if seed is not None:
-        loaded.seed = seed
+    for what, value in (("until", until), ("realtime_rate", realtime_rate)):
+        if not value >= 0.0:
+            raise ValueError(f"{what} {value:g}: must be 0 or more")
+    parts = {"goal_selector": goal_selector, "estimator": estimator, "planner": planner, "follower": follower}
+    own: dict[str, Any] = {role: factory for role, factory in parts.items() if factory is not None}
+    for role, factory in {**own, "plant": plant, "station": station}.items():
+        CheckFactory(role, factory)
+    if plant is not None and station is not None:
+        raise TypeError("plant: is for the usual station; put it into the one that station= makes")
+    named = "" if isinstance(scenario, Scenario) else str(scenario)
+    changed = [one is not None for one in (plant, station, world, tag_spacing, start)]
+    make_kernels_ready(kernels_needed(named, method, "sim", [own, settings, *changed]))
+    loaded = PrepareScenario(scenario, settings, seed, world, tag_spacing, start)
+    name = run_name(named or "mission", None if world is None else Path(world))
     explorer = FindMethod(method)
+    if own:
+        if method != "tfg":
+            raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
+        explorer = Method("own", f"tfg, another {', '.join(own)}", functools.partial(MakeTfgExplorer, **own))
     explorer.Check(loaded)
-    if goal_selector is not None:
-        explorer = Method("own", "a goal selector of one's own", lambda one: MakeTfgExplorer(one, goal_selector))
-    robot = SIMULATED if station is None else Robot("own", station, world_known=True)
-    exploration = Exploration(loaded, explorer, robot, name, meshcat)
-    exploration.advance(until)
-    return exploration
+    robot = SIMULATED
+    if plant is not None:
+        robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))
+    if station is not None:
+        robot, loaded = _robot_of(MakePart("station", station, station, loaded), loaded, enable)
+    if out is None and not page and not robot.real:
+        mission = Mission(loaded, explorer, meshcat, f"{name}, seed {loaded.seed}", robot)
+        mission.begin()
+        mission.simulator.set_target_realtime_rate(realtime_rate)
+        return Exploration(mission, name).advance(until)
+    with contextlib.ExitStack() as stack:
+        stack.callback(robot.close)
+        if out is not None:
+            check_kept(Path(out))
+        cockpit = None
+        if page:
+            rate = None if robot.real else realtime_rate
+            cockpit = stack.enter_context(open_page(f"{name}, seed {loaded.seed}", "localhost", None, rate=rate))
+        stack.enter_context(remarks_on_screen(sys.stderr))
+        if robot.real:
+            Rehearse(loaded, explorer, threading.Event())
+        result = run_mission(
+            loaded,
+            method=explorer,
+            robot=robot,
+            name=name,
+            world_name=str(world or named or name) if robot.world_known else "unknown",
+            meshcat=meshcat,
+            cockpit=cockpit,
+            realtime_rate=realtime_rate,
+            max_time=until,
+            out_dir=None if out is None else Path(out),
+        )
+    if result.mission.failure is not None:
+        raise result.mission.failure
+    return Exploration(result.mission, name, result)
+
+
+def _robot_of(station: Diagram, scenario: Scenario, enable: bool) -> tuple[Robot, Scenario]:
+    """The robot of a station of one's own, and the scenario within its limits."""
+    devices = DevicesOf(station)
+    if devices is None:
+        return dataclasses.replace(SIMULATED, MakeStation=lambda _: station), scenario
+    if not enable:
+        _log.warning("nothing moves before it is enabled: by enable=True, the page or the robot's buttons")
+    return RobotOf(scenario, devices, (), lambda _: station, enabled=enable), Bounded(scenario, devices)
 
 
 class Exploration:
     """A mission under way or ended. In a notebook it shows itself, as `figure` draws it.
 
     scenario: all that defines it. Its Drake objects: simulator, diagram, station, explorer, and context, the diagram's
-    root Context.
+    root Context. folder: where it was kept, summary: as its summary.json; None where it was not.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        method: Method = METHODS["tfg"],
-        robot: Robot = SIMULATED,
-        name: str = "mission",
-        meshcat: Meshcat | None = None,
-    ) -> None:
-        """See `explore`."""
-        self.scenario, self._name = scenario, name
-        self._mission = Mission(scenario, method, meshcat, f"{name}, seed {scenario.seed}", robot)
-        self._mission.begin()
+    def __init__(self, mission: Mission, name: str = "mission", kept: RunResult | None = None) -> None:
+        """mission: begun; kept: what has become of it."""
+        self.scenario, self._mission, self._name = mission.scenario, mission, name
+        self.folder: Path | None = None if kept is None else kept.folder
+        self.summary: dict[str, Any] | None = None if kept is None else kept.summary
 
     @property
     def simulator(self) -> Simulator:
@@ -99,7 +187,7 @@ class Exploration:
 
     @property
     def station(self) -> Diagram:
-        """The simulated robot."""
+        """The robot."""
         return self.diagram.GetSubsystemByName("station")
 
     @property
@@ -120,7 +208,7 @@ class Exploration:
     @property
     def outcome(self) -> str:
         """How the mission ended, "" while it has not."""
-        return self.status.outcome
+        return self._mission.outcome or self.status.outcome
 
     @property
     def status(self) -> MissionStatus:
@@ -158,12 +246,17 @@ class Exploration:
         return self._mission.true_poses() or (np.zeros(0), np.zeros((0, 3)))
 
     def advance(self, seconds: float = math.inf) -> Exploration:
-        """Simulate so many s more, or to the mission's end. Returns itself. Raises ValueError for less than 0."""
+        """Simulate so many s more, or to the mission's end. Returns itself.
+
+        Raises:
+            ValueError: seconds is negative.
+            RuntimeError: the mission was kept, or is that of a real robot, and is over.
+        """
+        if self.folder is not None:
+            raise RuntimeError(f"{self.folder}: the run is over; only one without out=, page= or a real robot goes on")
         if not seconds >= 0.0:
             raise ValueError(f"{seconds:g} s: must be 0 or more; time does not run backwards")
-        # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-        with threadpool_limits(limits=1):
-            self._mission.advance(self.time + seconds)
+        self._mission.advance(self.time + seconds)
         return self
 
     def look(self, port: str) -> Any:

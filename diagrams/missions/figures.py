@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
-from threadpoolctl import threadpool_limits
 
 from tfg_drake.comparison.paper_tables import METHODS, parameter_table, performance_table
 from tfg_drake.diagrams.commands.compare import run_sweep
@@ -67,8 +66,7 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
         OSError: a file cannot be written.
     """
     scenario = LoadScenario(FindScenario("paper"))
-    with threadpool_limits(limits=1):
-        stages, stamps, p_MB = stages_of(scenario, on_stage)
+    stages, stamps, p_MB = stages_of(scenario, on_stage)
     chosen = stages[min(GAIN_STAGE, len(stages)) - 1]
     parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
     growth = [stages[round(k * (len(stages) - 1) / (GROWTH - 1))] for k in range(GROWTH)]

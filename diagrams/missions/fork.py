@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
-from threadpoolctl import threadpool_limits
 
 from tfg_drake.bad_input import BadInput
+from tfg_drake.diagrams.commands.command_line import make_kernels_ready
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
@@ -25,6 +25,7 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, Roadmap
 from tfg_drake.planning.requested_goal import goal_there
 from tfg_drake.storage.run import Run, load_run
+from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
 # A goal asked for is the reachable place of the roadmap next to it, no farther away than this, m.
 NEXT_TO_GOAL = 0.5
@@ -114,7 +115,7 @@ class Fork:
             self._over = True
             return
         held = goal_there(choice, self._node, roadmap, f"It was asked for at stage {self.stage}.")
-        selector = explorer.GetSubsystemByName("goal_selector")
+        selector = next(one for one in explorer.GetSystems() if isinstance(one, InfoGainGoalSelector))
         selector.Choose(selector.GetMyMutableContextFromRoot(root), held)
 
     def _asked(self, roadmap: Roadmap, X_WM: FloatArray) -> int:
@@ -207,14 +208,13 @@ def fork(
 
     The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. Whatever
     was asked for is driven to while the simulator is advanced. Without a goal or candidate it ends as the run did, to
-    the bit: so BLAS keeps to one thread in this process from now on, as it did in the run.
+    the bit.
 
     Raises:
         ForkError: the run cannot be forked there; see `forkable` and `Fork`.
     """
+    make_kernels_ready()
     run, scenario = forkable(run, stage)
-    # Sums over several threads differ in their last bits, and whoever goes on does so without us.
-    threadpool_limits(limits=1)
     mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
     change = Fork(stage, goal, candidate)
     mission.begin(change.monitor(mission, stops=True))

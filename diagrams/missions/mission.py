@@ -33,6 +33,7 @@ from tfg_drake.slam.estimator_state import EstimatorState, known_camera
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.port_recording import GOAL, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter
+from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import CpuMeter
 from tfg_drake.world.changing import world_at
 from tfg_drake.world.world import World
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.cockpit.server import Cockpit
-    from tfg_drake.systems.picture import Picture
     from tfg_drake.systems.visualizer import TfgVisualizer
 
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
@@ -66,8 +66,11 @@ STAGE_FIELDS = (
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
 AT_GOAL = 0.3
+# A mission that is so far behind the clock does not keep real time, s.
+LATE = 1.0
 
 _log = logging.getLogger("tfg_drake.run")
+_pace_log = logging.getLogger("tfg_drake.pace")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,14 +91,14 @@ class Mission:
 
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
     robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
-    `say`.
+    `say`. failure: what ended it, of the outcome fault.
     """
 
     def __init__(
         self,
         scenario: Scenario,
         method: Method,
-        meshcat: Meshcat | Picture | None,
+        meshcat: Meshcat | None,
         title: str,
         robot: Robot = SIMULATED,
         writer: PortWriter | None = None,
@@ -104,6 +107,7 @@ class Mission:
     ) -> None:
         """writer: where the station's ports are recorded, timeline: where the picture is; see `explore` for the
         others."""
+        keep_to_one_thread()
         self._cpu_start, self.meter = time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._X_WS = self.world.start if self.world is not None else None
@@ -113,13 +117,8 @@ class Mission:
         self.scenario, self._writer, self._timeline, self._cockpit = scenario, writer, timeline, cockpit
         if timeline is not None:
             self._begin_timeline(timeline, title)
+        self._meshcat = meshcat
         self._visualizer: TfgVisualizer | None = None
-        if meshcat is not None:
-            # Only a picture needs what this imports.
-            from tfg_drake.systems.visualizer import TfgVisualizer
-
-            X_WM = np.zeros(3) if self._X_WS is None else self._X_WS
-            self._visualizer = TfgVisualizer(meshcat, self.world, X_WM, scenario.robot.radius, title)
         self.word = ""
         self._recorder: System | None = None  # of the timeline
         self._context: Context | None = None  # until the diagram is built
@@ -132,9 +131,11 @@ class Mission:
         self.departures: list[Departure] = []  # one a stage
         self.stages: list[dict[str, Any]] = []
         self.outcome, self.reason = "", ""
+        self.failure: BaseException | None = None
         self.stage_cpu: dict[int, float] = {}
         self.wall_time = self.cpu_time = self.estimator_cpu = self.planner_cpu = 0.0
         self._choice: GoalChoice | None = None
+        self._since, self._late = 0.0, False
 
     def begin(
         self,
@@ -150,6 +151,9 @@ class Mission:
 
     def advance(self, until: float) -> bool:
         """Simulate up to a time, s, or the mission's end; whether it got that far and its monitor did not end it."""
+        # What was done since the last time is not to be made up for.
+        self._simulator.ResetStatistics()
+        self._since = self.time
         while self.time < until and self.status.phase != "done":
             boundary = STEP * (math.floor(self.time / STEP) + 1.0)
             status = self._simulator.AdvanceTo(min(boundary, until))
@@ -170,22 +174,17 @@ class Mission:
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
 
     def say(self, word: str) -> None:
-        """From now on picture and progress say what else is done, "" for nothing."""
+        """From now on page and progress say what else is done, "" for nothing."""
         self.word = word
         if self._cockpit is not None:
             self._cockpit.word = word
-        if self._visualizer is not None:
-            self._visualizer.word = word
 
     def show(self) -> None:
-        """Draws the picture as everything is now, what is said included."""
-        if self.outcome != "fault":
-            self.record_now()
-        if self._visualizer is None:
+        """Draws everything as it is now."""
+        if self.outcome == "fault":
             return
-        if self._context is None or self.outcome == "fault":
-            self._visualizer.ShowBeginning()
-        else:
+        self.record_now()
+        if self._visualizer is not None and self._context is not None:
             self._visualizer.ForcedPublish(self._visualizer.GetMyContextFromRoot(self._context))
 
     @property
@@ -280,25 +279,31 @@ class Mission:
         lived = stamps <= self.end_time
         return stamps[lived], data[1:, first[lived]].T
 
-    def final_map(self) -> tuple[SavedMap, MapEstimate, TfgMap] | None:
+    def final_map(self) -> tuple[SavedMap | None, MapEstimate, TfgMap] | None:
         """The map as it is now, to be kept, its estimate and TFG; None before the first view."""
-        if self._context is None or not self._explorer.HasOutputPort("map"):
+        if self._context is None or not self._maps:
             return None
         context = self._explorer.GetMyContextFromRoot(self._context)
-        self._final = finished_map(StateOfExplorer(self._explorer, context))
-        return MapOfExplorer(self._explorer, context, self._X_WS, self._final)
+        state = StateOfExplorer(self._explorer, context)
+        # Of an estimator that says no more than its map, that is the final one.
+        self._final = finished_map(state) if self._explorer.HasOutputPort("estimator_state") else state
+        return MapOfExplorer(self._explorer, context, self._X_WS, self._final, self.scenario)
 
     def pressed(self) -> tuple[Pressed, ...] | None:
         """The keys that somebody has driven by, None where nobody has."""
-        if self._context is None or not self._explorer.HasSubsystemNamed("manual_driver"):
+        if self._context is None or not self._explorer.HasOutputPort("pressed"):
             return None
-        driver = self._explorer.GetSubsystemByName("manual_driver")
-        pressed: tuple[Pressed, ...] = driver.pressed(driver.GetMyContextFromRoot(self._context))
+        pressed: tuple[Pressed, ...] = self._eval(self._explorer, "pressed", tuple)
         return pressed
+
+    @property
+    def _maps(self) -> bool:
+        """Whether there is a map of landmarks and surfaces; there may be one without surfaces."""
+        return self._explorer.HasOutputPort("map") and self._explorer.HasOutputPort("tfg")
 
     def newest_map(self) -> SavedMap | None:
         """The map as it is while the mission runs, to be kept; None before the first view, and of a grid."""
-        if self._context is None or not self._explorer.HasOutputPort("map"):
+        if self._context is None or not self._maps:
             return None
         context = self._explorer.GetMyContextFromRoot(self._context)
         found = MapOfExplorer(self._explorer, context, self._X_WS)
@@ -308,7 +313,7 @@ class Mission:
         diagram, truth_log, self._pose_log, self._covariance_log = MakeMissionDiagram(
             self.scenario,
             self.world,
-            self._visualizer,
+            self._meshcat,
             self.method.MakeExplorer,
             self.robot,
             self._writer,
@@ -321,6 +326,8 @@ class Mission:
         if truth_log is not None:
             self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
         self._explorer = diagram.GetSubsystemByName("explorer")
+        if self._meshcat is not None:
+            self._visualizer = diagram.GetSubsystemByName("visualizer")
         if self._timeline is not None:
             self._recorder = diagram.GetSubsystemByName("timeline_recorder")
         if self._cockpit is not None:
@@ -352,7 +359,9 @@ class Mission:
         return sum(self.meter.spent.get(name, 0.0) for name in names)
 
     def observe(self) -> None:
-        """Take note of where the mission stands."""
+        """Take note of where the mission stands, and whether it keeps the pace that it is to keep."""
+        if self._cockpit is None or self.robot.real:  # Else somebody may hold the clock, and sees how fast it goes.
+            self._notice_delay()
         self.status = self._eval(self._explorer, "mission", MissionStatus)
         if self._cockpit is not None:
             self._cockpit.at_stage(self.status.stage)
@@ -373,7 +382,7 @@ class Mission:
         if record is not None:
             self.stages.append(record)
             if self._visualizer is not None:
-                self._visualizer.PlaceMap(self.X_WM)
+                self._visualizer.PlaceMap(self.X_WM, self.time)
             if self._timeline is not None:
                 self._timeline.write("frame", self.time, {"pose": self.X_WM.astype(np.float32)})
             self._write(json.dumps(record) + "\n")
@@ -385,6 +394,14 @@ class Mission:
         # belongs to the stage that the mission is in now.
         new = self._spent(STAGE) - sum(self.stage_cpu.values())
         self.stage_cpu[self.status.stage] = self.stage_cpu.get(self.status.stage, 0.0) + new
+
+    def _notice_delay(self) -> None:
+        """Says once that the mission is behind the clock on the wall."""
+        rate, now = self._simulator.get_target_realtime_rate(), self._simulator.get_actual_realtime_rate()
+        late = (self.time - self._since) * (1.0 / now - 1.0 / rate) if rate and now else 0.0
+        if late > LATE and not self._late:
+            self._late = True
+            _pace_log.warning("%.0f s: real time is missed, by %.1f s: this machine is too slow", self.time, late)
 
     def _stage_record(self, estimate: MapEstimate) -> dict[str, Any]:
         """A line of stages.jsonl; gains and entropies in nats, the goal (where the turn began) in W.

@@ -114,7 +114,7 @@ class MissionRunner:
             mission.show()
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             first_line = next(iter(str(error).strip().splitlines()), "no message")
-            mission.outcome = "fault"
+            mission.outcome, mission.failure = "fault", error
             mission.reason = f"{type(error).__name__} at {mission.time:.2f} s: {first_line}"
             _log.exception("the mission failed at %.3f s", mission.time)
         finally:

@@ -74,7 +74,8 @@ def _keep_map(mission: Mission, folder: RunFolder) -> tuple[MapEstimate | None, 
     final = mission.final_map()
     if final is not None:
         saved, estimate, tfg = final
-        folder.attempt("map.npz", lambda path: save_map(path, saved))
+        if saved is not None:
+            folder.attempt("map.npz", lambda path: save_map(path, saved))
         map_bytes = _size(folder.path / "map.npz")
     if grid is not None:
         folder.attempt("grid.npz", lambda path: save_grid(path, grid))

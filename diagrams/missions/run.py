@@ -18,13 +18,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydrake.common import FindResourceOrThrow
 from pydrake.common.yaml import yaml_dump_typed
-from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
-from tfg_drake.cockpit.page import export_page
+from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
@@ -47,7 +45,6 @@ if TYPE_CHECKING:
 
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.missions.fork import Fork
-    from tfg_drake.systems.picture import Picture
 
 # A map that takes longer than this to be kept, s of CPU, is kept no more often than takes this share of the time.
 QUICKLY_KEPT = 0.02
@@ -76,23 +73,25 @@ _log, _of_world = logging.getLogger("tfg_drake.run"), logging.getLogger("tfg_dra
 @dataclasses.dataclass(frozen=True)
 class RunResult:
     """A finished mission: the contents of summary.json and stages.jsonl, the folder they are in, the files there that
-    could not be written, with the reason, and the CPU seconds of the explorer's components by what they did."""
+    could not be written, with the reason, the CPU seconds of the explorer's components by what they did, and the
+    mission itself."""
 
     summary: dict[str, Any]
     stages: list[dict[str, Any]]
     folder: Path
     unwritten: dict[str, str]
     spent: dict[str, float]
+    mission: Mission
 
 
-def explore(
+def run_mission(
     scenario: Scenario,
     *,
     method: Method = METHODS["tfg"],
     robot: Robot = SIMULATED,
     name: str = "scenario",
     world_name: str | None = None,
-    meshcat: Meshcat | Picture | None = None,
+    meshcat: Meshcat | None = None,
     cockpit: Cockpit | None = None,
     realtime_rate: float = 0.0,
     max_time: float = 3600.0,
@@ -130,12 +129,7 @@ def explore(
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
             later is told in the log and in the result.
     """
-    # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with (
-        threadpool_limits(limits=1),
-        open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder,
-        folder.logging(),
-    ):
+    with open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder, folder.logging():
         write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         if record and robot.world_known:
@@ -177,12 +171,7 @@ def explore(
             folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
-    return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent)
-
-
-def viewer_script() -> str:
-    """Meshcat's viewer, as Drake ships it."""
-    return Path(FindResourceOrThrow("drake/geometry/meshcat.js")).read_text(encoding="utf-8")
+    return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent, mission)
 
 
 class _Keeper:

@@ -45,8 +45,8 @@ class SweepError(BadInput):
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """One mission: a method on a scenario, whose seed is the run's. name, world_name: as for `run.explore`. max_time:
-    simulated s. source: the path of the method's file, "" for one that comes with the project."""
+    """One mission: a method on a scenario, whose seed is the run's. name, world_name: as for `run.run_mission`.
+    max_time: simulated s. source: the path of the method's file, "" for one that comes with the project."""
 
     method: str
     scenario: Scenario
@@ -96,7 +96,7 @@ def run_one(task: Task, folder: Path) -> dict[str, Any]:
     """Run a mission in this process, leave its folder and its receipt, and return its summary."""
     (folder / "task.json").unlink(missing_ok=True)
     # Whoever started this process looks after signals.
-    result = run.explore(
+    result = run.run_mission(
         task.scenario,
         method=FindMethod(task.source or task.method),
         name=task.name,

@@ -18,19 +18,22 @@ class Truth:
 
     contacts: so far with walls, and with people whom the robot moved towards. contacts_received: those that people
     made, or walls while it was pushed. clearance: least distance of the outline to any wall so far, m. All as of the
-    last look.
+    last look; None and inf of a station that tells no more than its pose.
     """
 
     def __init__(self, station: System, log: VectorLogSink) -> None:
         """log: of the station's truth.pose."""
         self._station, self._log = station, log
-        self.contacts, self.contacts_received, self.clearance = 0, 0, math.inf
+        self.contacts: int | None = 0
+        self.contacts_received: int | None = 0
+        self.clearance = math.inf
 
     def look(self, root: Context) -> None:
         """Takes note of contacts and clearance, so that they are known when the diagram has failed."""
-        self.contacts = int(self._eval("truth.contacts", root)[0])
-        self.contacts_received = int(self._eval("truth.contacts_received", root)[0])
-        self.clearance = float(self._eval("truth.clearance", root)[0])
+        self.contacts = self._count("truth.contacts", root)
+        self.contacts_received = self._count("truth.contacts_received", root)
+        if self._station.HasOutputPort("truth.clearance"):
+            self.clearance = float(self._eval("truth.clearance", root)[0])
 
     def world(self, root: Context) -> World | None:
         """The world as it is, None where nothing changes in it."""
@@ -50,6 +53,9 @@ class Truth:
         stamps, data = log.sample_times(), log.data()
         lived = stamps <= end_time
         return stamps[lived], data[:3, lived].T
+
+    def _count(self, port: str, root: Context) -> int | None:
+        return int(self._eval(port, root)[0]) if self._station.HasOutputPort(port) else None
 
     def _eval(self, port: str, root: Context) -> FloatArray:
         return np.asarray(self._station.GetOutputPort(port).Eval(self._station.GetMyContextFromRoot(root)))

@@ -29,9 +29,8 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
 )
-from tfg_drake.pictures.caption import Colour, gain_colours
 from tfg_drake.pictures.drawing import ellipses, outline_segments
-from tfg_drake.pictures.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END
+from tfg_drake.pictures.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END, Colour, gain_colours
 from tfg_drake.slam.pose_prediction import pose_at
 
 Fields = dict[str, Any]

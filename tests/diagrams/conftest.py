@@ -23,4 +23,4 @@ def room(tmp_path):
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory, compiled):
     """A mission in the divided room, recorded and run to its end."""
-    return run.explore(divided_room(), name="room", out_dir=tmp_path_factory.mktemp("finished"))
+    return run.run_mission(divided_room(), name="room", out_dir=tmp_path_factory.mktemp("finished"))

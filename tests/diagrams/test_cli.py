@@ -158,6 +158,15 @@ def test_a_mission_has_a_page_and_prints_its_address_first(call, room, tmp_path)
     assert lines[-1] == f"page        {tmp_path / 'run' / 'mission.html'}"
 
 
+def test_a_mission_is_drawn_in_meshcat_too(room, tmp_path):
+    """In a process of its own: Drake's log is set up once."""
+    arguments = ["explore", room, "--headless", "--meshcat", "--max-time", "1", "--out", tmp_path / "run"]
+    command = [sys.executable, "-m", "tfg_drake.diagrams.cli", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.search(r"^Meshcat: http://localhost:\d+$", done.stdout, re.MULTILINE)
+
+
 def test_a_port_that_somebody_else_has(call, room, tmp_path):
     with socket.create_server(("127.0.0.1", 17433)):
         code, out, err = call("explore", room, "--page-port", "17433", "--out", str(tmp_path / "run"))

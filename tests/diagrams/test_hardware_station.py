@@ -1,14 +1,18 @@
 """The station of a real robot, without one: its ports, what it passes on and when it stands."""
 
+import functools
 import logging
+import time
 
 import numpy as np
 import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
+import tfg_drake
 from tests.hardware.fake_robot import FakeDevice, base_state
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
+from tfg_drake.diagrams.real_robot import DevicesOf
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.hardware.device import DeviceError
@@ -16,6 +20,7 @@ from tfg_drake.hardware.emulation.emulator import Emulator
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.mission.sequence import NOT_ENABLED
 from tfg_drake.safety.velocity_filter import PRESSED
 
 
@@ -87,11 +92,34 @@ def test_hardware_is_one_word_away():
         station.GetSubsystemByName("base").devices.close()
 
 
+@pytest.mark.parametrize("enable", [False, True])
+def test_a_real_robot_explores_from_python(enable, tmp_path, caplog):
+    """An emulated one: in real time, within its limits, moving only where that was asked for, closed at the end."""
+    with Emulator(MakeWorld(LoadScenario("house").world)) as emulator:
+        scenario = LoadScenario("house", data="explorer: {first_look: 0, first_turns: 1}")
+        scenario.robot.max_speed = 4.0
+        scenario.hardware.port = emulator.device
+        scenario.hardware.tags = scenario.hardware.scan = "socket:{}:{}".format(*emulator.sensors)
+        started, station = time.monotonic(), functools.partial(MakeTurtlebotStation, hardware=True)
+        run = tfg_drake.explore(scenario, station=station, enable=enable, until=4.0, out=tmp_path / "run")
+        assert time.monotonic() - started > 4.0
+    assert run.scenario.robot.max_speed < 1.0
+    assert run.outcome == "time_limit"
+    turned = np.ptp(run.X_WB[1][:, 2])
+    if enable:
+        assert turned > 0.5
+    else:
+        assert turned < 0.05
+        assert (run.status.phase, run.status.reason) == ("paused", NOT_ENABLED)
+        assert "nothing moves before it is enabled: by enable=True" in caplog.text
+    assert DevicesOf(run.station).base.locked
+
+
 def test_the_station_alone_in_meshcat():
     meshcat = Meshcat(MeshcatParams(host="localhost"))
     station = MakeTurtlebotStation(LoadScenario("house"), meshcat)
     Simulator(station).AdvanceTo(0.5)
-    assert meshcat.HasPath("/tfg/walls")
+    assert meshcat.HasPath("/tfg/world/walls")
     assert meshcat.HasPath("/tfg/truth")
 
 

@@ -42,7 +42,7 @@ def driven(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drive")
     (folder / "drive.csv").write_text(drive_csv(DRIVE))
     method = FindMethod(str(folder / "drive.csv"))
-    return run.explore(room(), method=method, out_dir=folder / "run", max_time=120.0)
+    return run.run_mission(room(), method=method, out_dir=folder / "run", max_time=120.0)
 
 
 def test_the_robot_goes_where_it_is_driven_and_the_map_grows(driven):
@@ -60,7 +60,7 @@ def test_the_robot_goes_where_it_is_driven_and_the_map_grows(driven):
 def test_the_keys_are_kept_and_drive_once_more_to_the_bit(driven, tmp_path):
     keys = driven.folder / "keys.csv"
     assert [one.key for one in read_drive(keys)] == [one.key for one in DRIVE]
-    again = run.explore(room(), method=FindMethod(str(keys)), out_dir=tmp_path / "again", max_time=120.0)
+    again = run.run_mission(room(), method=FindMethod(str(keys)), out_dir=tmp_path / "again", max_time=120.0)
     for name in ("stages.jsonl", "trajectory.tum", "map.npz", "keys.csv"):
         assert (again.folder / name).read_bytes() == (driven.folder / name).read_bytes(), name
 
@@ -68,7 +68,7 @@ def test_the_keys_are_kept_and_drive_once_more_to_the_bit(driven, tmp_path):
 @pytest.mark.slow
 def test_a_driver_may_take_all_the_time_there_is(tmp_path):
     """Nobody turns the robot, or ends the mission, while it stands."""
-    result = run.explore(room(), method=FindMethod("manual"), out_dir=tmp_path, max_time=400.0)
+    result = run.run_mission(room(), method=FindMethod("manual"), out_dir=tmp_path, max_time=400.0)
     assert (result.summary["outcome"], result.summary["stages"]) == ("time_limit", 1)
 
 
@@ -98,7 +98,7 @@ def test_the_robot_drives_by_itself_where_its_driver_sends_it(tmp_path, monkeypa
     asked = iter([()] * 160 + [[(3.0, 1.0)]])
     monkeypatch.setattr(Cockpit, "requests", lambda _: next(asked, ()))
     with Cockpit("", "room", rate=0.0) as cockpit:
-        result = run.explore(room(), method=FindMethod("manual"), out_dir=tmp_path, max_time=30.0, cockpit=cockpit)
+        result = run.run_mission(room(), method=FindMethod("manual"), out_dir=tmp_path, max_time=30.0, cockpit=cockpit)
     # It has looked round there, on the planner's path, and then waits for its driver.
     x, y, _ = result.stages[-1]["goal"]
     assert np.hypot(x - 4.0, y - 3.0) < 0.6
@@ -108,7 +108,7 @@ def test_the_robot_drives_by_itself_where_its_driver_sends_it(tmp_path, monkeypa
     # Where it was sent is kept with the keys, and so it goes there once more.
     keys = tmp_path / "keys.csv"
     assert [one.key for one in read_drive(keys)] == ["send 3.0 1.0"]
-    again = run.explore(room(), method=FindMethod(str(keys)), out_dir=tmp_path / "again", max_time=30.0)
+    again = run.run_mission(room(), method=FindMethod(str(keys)), out_dir=tmp_path / "again", max_time=30.0)
     assert (again.folder / "trajectory.tum").read_bytes() == (tmp_path / "trajectory.tum").read_bytes()
 
 

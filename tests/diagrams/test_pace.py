@@ -24,8 +24,8 @@ class Kernels:
 def test_it_says_so_goes_on_as_ever_and_comes_to_the_same(tmp_path):
     scenario = ApplySettings(LoadScenario("house"), ["explorer.first_look=5", "explorer.first_turns=1"])
     said = []
-    one = run.explore(scenario, max_time=30.0, out_dir=tmp_path / "one")
-    two = run.explore(
+    one = run.run_mission(scenario, max_time=30.0, out_dir=tmp_path / "one")
+    two = run.run_mission(
         scenario,
         max_time=30.0,
         out_dir=tmp_path / "two",

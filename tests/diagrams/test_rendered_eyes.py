@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install 'tfg-drake[camera]'")
 
 from tfg_drake.config import ChangeConfig, TagConfig
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario, MakeWorld, Scenario, ScenarioError, WorldConfig
 from tfg_drake.diagrams.station import MakeTurtlebotStation
@@ -187,7 +187,7 @@ def test_people_are_seen():
 @pytest.mark.slow
 def test_the_house_is_explored_through_pixels(tmp_path):
     scenario = ApplySettings(LoadScenario("house"), ["station.eyes=camera", "seed=2"])
-    summary = explore(scenario, out_dir=tmp_path, record=False).summary
+    summary = run_mission(scenario, out_dir=tmp_path, record=False).summary
     assert summary["outcome"] == "complete"
     assert summary["contacts"] == 0
     assert summary["landmarks_reachable"] == 120

@@ -31,7 +31,7 @@ def test_its_ports_are_those_of_any_station(finished):
 
 def test_the_same_explorer_comes_to_the_same_map(finished, tmp_path):
     robot = ReplayRobot(read_recording(finished.folder))
-    again = run.explore(room(), name="room", out_dir=tmp_path, robot=robot)
+    again = run.run_mission(room(), name="room", out_dir=tmp_path, robot=robot)
     for name in ("outcome", "reason", "sim_time_s", "landmark_rmse_m", "surface_coverage", "map_bytes"):
         assert again.summary[name] == finished.summary[name]
     assert finished.summary["outcome"] == "complete"
@@ -66,9 +66,9 @@ def test_trajectory_tools_find_the_error_of_the_summary(finished):
 
 
 def test_a_run_that_was_ended_ends_there_again(tmp_path):
-    one = run.explore(room(), name="room", out_dir=tmp_path / "one", max_time=28.5)
+    one = run.run_mission(room(), name="room", out_dir=tmp_path / "one", max_time=28.5)
     robot = ReplayRobot(read_recording(one.folder))
-    two = run.explore(room(), name="room", out_dir=tmp_path / "two", robot=robot)
+    two = run.run_mission(room(), name="room", out_dir=tmp_path / "two", robot=robot)
     assert (two.summary["outcome"], two.summary["reason"]) == ("time_limit", "the recording has ended")
     assert two.summary["sim_time_s"] == 28.5
     for name in EXACT:
@@ -77,14 +77,14 @@ def test_a_run_that_was_ended_ends_there_again(tmp_path):
 
 def test_another_method_on_it_ends_with_the_recording(finished, tmp_path):
     robot = ReplayRobot(read_recording(finished.folder))
-    summary = run.explore(room(), out_dir=tmp_path, robot=robot, method=FindMethod("grid-nearest")).summary
+    summary = run.run_mission(room(), out_dir=tmp_path, robot=robot, method=FindMethod("grid-nearest")).summary
     assert summary["sim_time_s"] <= robot.end_time
     assert summary["outcome"] != "fault"
 
 
 def test_a_run_need_not_be_recorded(finished, tmp_path):
     (tmp_path / "ports.mcap").write_text("an earlier run's")
-    result = run.explore(room(), name="room", out_dir=tmp_path, record=False)
+    result = run.run_mission(room(), name="room", out_dir=tmp_path, record=False)
     assert not (tmp_path / "ports.mcap").exists()
     for name in ("map.npz", "stages.jsonl", "trajectory.tum", "truth.tum"):
         assert (tmp_path / name).read_bytes() == (finished.folder / name).read_bytes(), name

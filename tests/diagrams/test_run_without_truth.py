@@ -43,12 +43,12 @@ def MakeTruthlessStation(scenario):
 
 
 def explore(folder, robot, **arguments):
-    return run.explore(room(), name="room", max_time=30.0, out_dir=folder, robot=robot, **arguments)
+    return run.run_mission(room(), name="room", max_time=30.0, out_dir=folder, robot=robot, **arguments)
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
-    return run.explore(room(), name="room", max_time=30.0, out_dir=tmp_path_factory.mktemp("simulated"))
+    return run.run_mission(room(), name="room", max_time=30.0, out_dir=tmp_path_factory.mktemp("simulated"))
 
 
 @pytest.fixture(scope="module")
@@ -135,4 +135,4 @@ def test_it_is_shown_in_the_map_frame(method, tmp_path):
     explore(tmp_path, robot, meshcat=meshcat, method=FindMethod(method))
     # The ghost of the true pose is there, unseen.
     assert meshcat.HasPath("/tfg/truth")
-    assert not meshcat.HasPath("/tfg/walls/<object>")
+    assert not meshcat.HasPath("/tfg/world")

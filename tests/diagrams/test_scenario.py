@@ -218,7 +218,7 @@ def test_missing_files_and_names(tmp_path):
     file.write_bytes(b"\xff\xfe\xfa")
     assert complaint(LoadScenario, file) == f"{file}: cannot be read: not UTF-8 text"
     assert complaint(LoadScenario, data="a: {}", scenario_name="b") == "scenario: no scenario b; the file has a"
-    assert complaint(LoadScenario) == "LoadScenario: give either filename or data"
+    assert complaint(LoadScenario) == "LoadScenario: give filename or data, or both"
 
 
 def test_settings_are_applied_in_order_to_a_copy():

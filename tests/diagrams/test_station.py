@@ -93,7 +93,7 @@ def dropping(drop, cliff):
     scenario = make_scenario()
     plant = Dropping(MakeWorld(scenario.world), scenario.robot)
     plant.drop, plant.cliff = drop, cliff
-    station = MakeTurtlebotStation(scenario, plant=plant)
+    station = MakeTurtlebotStation(scenario, plant=lambda _: plant)
     simulator = start(station, command=(0.2, 0.0))
 
     def speed(time):
@@ -142,7 +142,7 @@ def test_a_mission_is_paused_after_a_wheel_drop_until_it_is_enabled_anew():
     def MakeStation(scenario):
         plant = Dropping(world, scenario.robot)
         plant.drop = 4
-        return MakeTurtlebotStation(scenario, plant=plant)
+        return MakeTurtlebotStation(scenario, plant=lambda _: plant)
 
     requests = []
     diagram, *_ = MakeMissionDiagram(

@@ -1,5 +1,6 @@
 """The examples run as they are written, for a shorter time."""
 
+import json
 import re
 import runpy
 import sys
@@ -11,6 +12,11 @@ from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture(autouse=True)
+def _compiled(compiled):
+    """No example says that kernels are compiled."""
 
 
 @pytest.fixture
@@ -40,6 +46,36 @@ def test_a_mission(run_example, tmp_path, caplog):
     assert not [line for line in caplog.messages if "see whether" in line]
 
 
+def test_the_notebook(tmp_path, monkeypatch):
+    """Its cells, one after the other, for a shorter time."""
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLES / "mission.ipynb").read_text())["cells"]
+    text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    for old, new in (("until=60.0", "until=40.0"), ("advance(540.0)", "advance(2.0)")):
+        assert old in text
+        text = text.replace(old, new)
+    names = {}
+    exec(text, names)
+    assert names["clone"].get_time() == 40.0 < names["house"].time
+    assert "animation" in names["meshcat"].StaticHtml()
+
+
+def test_a_diagram_as_in_hardware_sim(run_example, tmp_path):
+    said = run_example("robot_sim.py", "house", "--max-time", 40, "--graphviz", "house.dot")
+    assert re.search(r"\n\d\d landmarks after 40 s\n\d+ m driven, 0 contacts\n$", said)
+    assert (tmp_path / "house.dot").read_text().startswith("digraph")
+
+
+def test_a_multibody_plant(run_example):
+    said = run_example("multibody_plant.py", time=("until=600.0", "until=42.0"))
+    assert re.search(r"<house, seed 0: \w+ after 42 s, \d+ stages, \d\d landmarks>, 0 contacts\n$", said)
+
+
+def test_another_estimator(run_example):
+    said = run_example("estimator.py", time=("until=600.0", "until=42.0"))
+    assert re.findall(r"^(.*): <house, seed 0: \w+ after 42 s", said, re.M) == ["as it is", "the truth"]
+
+
 def test_another_plant(run_example):
     said = run_example("plant.py", time=("until=120.0", "until=42.0"))
     one, other = (line.partition(": ")[2] for line in said.splitlines())
@@ -49,7 +85,7 @@ def test_another_plant(run_example):
 
 def test_a_run_analysed(run_example, tmp_path):
     short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
-    run.explore(short, out_dir=tmp_path / "run", max_time=15.0)
+    run.run_mission(short, out_dir=tmp_path / "run", max_time=15.0)
     said = run_example("analyse.py", tmp_path / "run")
     assert said.startswith("time_limit after 15.0 s")
     assert said.count("position error") == 4

@@ -56,3 +56,14 @@ def test_nobody_reads():
     theirs.close()  # as the end of the process does
     announcements.close()
     announcements.put("map", LARGE)
+
+
+def test_of_what_nobody_reads_the_oldest_is_lost():
+    theirs, ours = Pipe(duplex=False)
+    outbox = Outbox(ours, most=3)
+    outbox.put("message", LARGE)  # which is as much as the pipe holds, and more
+    time.sleep(0.5)
+    for number in range(10):
+        outbox.put("message", number)
+    assert [theirs.recv() for _ in range(4)] == [("message", LARGE), *(("message", number) for number in (7, 8, 9))]
+    outbox.close()

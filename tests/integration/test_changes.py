@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import ChangeConfig, TagConfig
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mapfile.saved_map import load_map
 
@@ -34,7 +34,7 @@ def test_a_chair_and_a_tag_are_moved_and_another_falls_off(tmp_path, seed):
         ChangeConfig(walls=chair(3.2, 2.6)),
         ChangeConfig(time=40.0, opened=chair(3.2, 2.6), walls=chair(1.0, 2.6), tags=[moved], fallen=[other.id]),
     ]
-    summary = explore(scenario, name="rooms", out_dir=tmp_path, record=False).summary
+    summary = run_mission(scenario, name="rooms", out_dir=tmp_path, record=False).summary
     assert summary["outcome"] == "complete"
     assert summary["contacts"] == 0
     assert summary["landmarks_present"] == len(scenario.world.tags) - 1

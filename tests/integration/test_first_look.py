@@ -7,7 +7,7 @@ import pytest
 
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, tagged
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
 
 ALL_ROUND = "scan.field_of_view=6.2831"
@@ -18,7 +18,7 @@ def remarks(tmp_path, caplog, *settings):
     """The lines that are told of the sensors until the first turn is over."""
     scenario = ApplySettings(tagged(DIVIDED + QUICK_LOOK), settings)
     with caplog.at_level(logging.WARNING, "tfg_drake.slam.sensors"):
-        explore(scenario, max_time=9.0, out_dir=tmp_path / "run", record=False)
+        run_mission(scenario, max_time=9.0, out_dir=tmp_path / "run", record=False)
     return [record.getMessage() for record in caplog.records if record.name == "tfg_drake.slam.sensors"]
 
 
@@ -50,6 +50,6 @@ def test_a_robot_in_a_wide_hall_goes_on_until_it_sees_a_wall(tmp_path):
     assert TagSensorConfig().range > 4.0
     hall = "world: {start: [12, 12, 0.3], walls: [[0, 0, 24, 0], [24, 0, 24, 24], [24, 24, 0, 24], [0, 24, 0, 0]]}\n"
     scenario = ApplySettings(LoadScenario(data=hall + QUICK_LOOK), ["tags.range=4", "scan.range=4"])
-    summary = explore(scenario, max_time=90.0, out_dir=tmp_path / "run", record=False).summary
+    summary = run_mission(scenario, max_time=90.0, out_dir=tmp_path / "run", record=False).summary
     assert summary["outcome"] == "time_limit"
     assert summary["surface_coverage"] > 0.0

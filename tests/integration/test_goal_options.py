@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import GAINS, GOAL_RULES
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
 # What comes first of all, shortly.
@@ -13,7 +13,7 @@ QUICK = ("explorer.first_look=2", "explorer.first_turns=1")
 
 def mission(tmp_path, max_time, *settings):
     scenario = ApplySettings(LoadScenario(FindScenario("paper")), [*QUICK, *settings])
-    return explore(scenario, max_time=max_time, out_dir=tmp_path / "run", record=False)
+    return run_mission(scenario, max_time=max_time, out_dir=tmp_path / "run", record=False)
 
 
 # Each rule with a gain, and with options of other parts.

@@ -3,13 +3,13 @@
 import pytest
 
 from tests.diagrams.rooms import room
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings
 
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_room_with_somebody_who_walks_about_and_stands_is_mapped_without_him(tmp_path, seed):
-    summary = explore(
+    summary = run_mission(
         ApplySettings(room(), [f"seed={seed}", "reality.people=1"]), name="room", out_dir=tmp_path, record=False
     ).summary
     assert summary["outcome"] == "complete"

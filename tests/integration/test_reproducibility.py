@@ -12,7 +12,7 @@ from pydrake.systems.analysis import InitializeParams, Simulator
 
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, lasting, tagged
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import MakeWorld
 
 
@@ -22,7 +22,7 @@ def test_two_processes_give_the_same_run(tmp_path):
     command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", str(room), "--tag-spacing", "1"]
     subprocess.run([*command, "--headless", "--out", str(tmp_path / "one")], check=True, capture_output=True)
     scenario = tagged(DIVIDED + QUICK_LOOK)
-    two = explore(scenario, name="room", world_name=str(room), out_dir=tmp_path / "two").summary
+    two = run_mission(scenario, name="room", world_name=str(room), out_dir=tmp_path / "two").summary
     one = json.loads((tmp_path / "one" / "summary.json").read_text())
     assert one["outcome"] == "complete"
     assert lasting(one) == lasting(two)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.cockpit.server import Cockpit
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.replay_station import ReplayRobot
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.storage.port_recording import read_recording
@@ -20,7 +20,7 @@ def test_the_robot_goes_where_it_is_sent_and_a_replay_is_equal_to_the_bit(tmp_pa
     monkeypatch.setattr(Cockpit, "requests", lambda _: next(asked, ()))
     scenario = LoadScenario("house")
     with Cockpit("", "house", rate=0.0) as cockpit:
-        run = explore(scenario, out_dir=tmp_path / "run", max_time=80.0, cockpit=cockpit)
+        run = run_mission(scenario, out_dir=tmp_path / "run", max_time=80.0, cockpit=cockpit)
     goals = [one for one in read_timeline(run.folder) if one.layer == "goal"]
     sent = [one for one in goals if one.told["reason"] == "Somebody has sent the robot there."]
     # Chosen within two glances, and left when the robot has looked round there.
@@ -28,6 +28,6 @@ def test_the_robot_goes_where_it_is_sent_and_a_replay_is_equal_to_the_bit(tmp_pa
     assert np.hypot(*(sent[0].arrays["points"][0] - PLACE)) < 0.5
     assert sent[-1].time < goals[-1].time
     recording = read_recording(run.folder)
-    again = explore(scenario, robot=ReplayRobot(recording), out_dir=tmp_path / "again", max_time=80.0)
+    again = run_mission(scenario, robot=ReplayRobot(recording), out_dir=tmp_path / "again", max_time=80.0)
     for name in ("stages.jsonl", "map.npz"):
         assert (again.folder / name).read_bytes() == (run.folder / name).read_bytes(), name

@@ -2,12 +2,12 @@
 
 import pytest
 
-from tfg_drake.diagrams.missions.run import explore
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import LoadScenario
 
 
 def test_the_house_is_explored_to_its_end(tmp_path):
-    summary = explore(LoadScenario("house"), name="house", out_dir=tmp_path, record=False).summary
+    summary = run_mission(LoadScenario("house"), name="house", out_dir=tmp_path, record=False).summary
     assert summary["outcome"] == "complete"
     assert summary["landmarks_mapped"] >= 0.95 * summary["landmarks_reachable"]
     assert summary["contacts"] == 0
@@ -17,7 +17,7 @@ def test_the_house_is_explored_to_its_end(tmp_path):
 
 @pytest.mark.parametrize("name", ["paper_white", "corridor", "office"])
 def test_a_minute_of_a_large_world(tmp_path, name):
-    summary = explore(LoadScenario(name), name=name, out_dir=tmp_path, max_time=60.0, record=False).summary
+    summary = run_mission(LoadScenario(name), name=name, out_dir=tmp_path, max_time=60.0, record=False).summary
     assert (summary["outcome"], summary["sim_time_s"]) == ("time_limit", 60.0)
     assert summary["stages"] > 1
     assert summary["landmarks_mapped"] > 15

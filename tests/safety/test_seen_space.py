@@ -118,7 +118,7 @@ def test_a_wall_seen_aslant_may_end_before_the_first_place_that_a_ray_met(aside,
 
 
 def test_past_what_it_is_near_to_already_the_base_drives_on():
-    """A corner was met beside the base, 1.5 cm from its outline; for a base 5 cm farther to the side it is in the way."""
+    """A corner was met 1.5 cm beside the outline; for a base 5 cm farther to that side it is in the way."""
     X_OB = np.array([-0.3, 0.0, -0.6])
     space = remembered(nothing_seen(), scan_of([[0.05, -0.195, 0.05, -0.6]], X_OB), X_OB, RADIUS)
     assert open_ahead(space, reach=0.2, newest=1.1) == np.inf

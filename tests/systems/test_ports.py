@@ -7,6 +7,7 @@ from pydrake.systems.framework import LeafSystem
 
 from tfg_drake.messages import Hazards, Odometry
 from tfg_drake.systems.ports import (
+    MessageState,
     declare_message_input,
     declare_message_output,
     eval_message,
@@ -50,3 +51,27 @@ def test_state_survives_a_clone():
     assert state_message(context.Clone(), relay.state, Odometry) is message
     with pytest.raises(TypeError, match="abstract state 0 must hold Hazards, not Odometry"):
         state_message(context, relay.state, Hazards)
+
+
+class _Counter(LeafSystem):
+    def __init__(self):
+        super().__init__()
+        self.hazards = MessageState(self, Hazards(0.0, 0, 0, 0))
+        self.hazards.declare_output(self, "cliff", lambda now: now.cliff)
+        self.DeclareStateOutputPort("hazards", self.hazards.index)
+
+
+def test_outputs_follow_the_state_and_its_kind_is_kept():
+    system = _Counter()
+    context = system.CreateDefaultContext()
+    assert system.GetOutputPort("cliff").Eval(context) == 0
+    message = Hazards(1.0, 0, 4, 0)
+    system.hazards.set(context.get_mutable_state(), message)
+    context.SetTime(1.0)
+    assert system.hazards(context) is message
+    assert system.hazards(context.Clone()) is message
+    assert system.GetOutputPort("cliff").Eval(context) == 4
+    assert system.GetOutputPort("hazards").Eval(context) is message
+    system.hazards.set(context.get_mutable_state(), 4)
+    with pytest.raises(TypeError, match="abstract state 0 must hold Hazards, not int"):
+        system.hazards(context)

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
@@ -224,10 +225,20 @@ def test_a_robot_shut_in_by_what_it_met_forgets_it():
 def test_an_unreachable_goal_gives_an_empty_path_with_a_new_id():
     planner = Planner()
     planner.observed()
-    planner.set(goal=choice(planner.output("roadmap"), None), mission=MissionStatus("plan", 1, 0.0))
+    roadmap = planner.output("roadmap")
+    node = int(roadmap.node_ids(np.flatnonzero(~roadmap.reachable))[0])
+    planner.set(goal=replace(choice(roadmap, (3, 0)), node=node), mission=MissionStatus("plan", 1, 0.0))
     planner.run()
     assert planner.output("path").id == 1
     assert len(planner.output("path").points) == 0
+
+
+def test_a_goal_that_is_not_there_is_an_error():
+    planner = Planner()
+    planner.observed()
+    planner.set(goal=choice(planner.output("roadmap"), None), mission=MissionStatus("plan", 1, 0.0))
+    with pytest.raises(ValueError, match="goal of stage 1: there is no node 1000000; choose one of the roadmap's"):
+        planner.run()
 
 
 def test_a_way_longer_than_the_budget_allows_is_not_taken():

@@ -91,3 +91,11 @@ def test_a_robot_does_not_drive_where_it_has_seen_nothing_and_says_so(caplog):
     speeds = blind.run(6.0, lambda seen: replace(seen, ranges=np.full(len(seen.ranges), np.nan)))
     assert max(speeds) == 0.0
     assert caplog.text.count(HELD) == 1
+
+
+def test_a_robot_with_something_in_its_way_says_so_once(caplog):
+    stopped = Filter()
+    stopped.x = 8.7
+    assert stopped.run(6.0)[-1] == 0.0
+    assert caplog.text.count("the base stands: something stands in its way") == 1
+    assert HELD not in caplog.text

@@ -1,11 +1,23 @@
+"""A mission in Meshcat: what is there, when it was there in a recording, and that it is nobody else's business."""
+
+import logging
+import time
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
+import tfg_drake
+from tests.systems.web_page import WebPage
+from tfg_drake.cockpit.browser import BrowserMissing, open_browser
+from tfg_drake.diagrams.commands.explore import open_meshcat
+from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import (
     GoalChoice,
     LaserScan,
@@ -17,7 +29,9 @@ from tfg_drake.messages import (
     Roadmap,
     TfgMap,
 )
-from tfg_drake.simulation.people import People
+from tfg_drake.pictures import tables
+from tfg_drake.simulation.people import People, places_at
+from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
 
@@ -126,7 +140,7 @@ def make_messages(f=2):
 
 def make_diagram(meshcat, messages, world=None):
     builder = DiagramBuilder()
-    visualizer = TfgVisualizer(meshcat, world, np.array([2.0, 2.0, 0.5]), 0.18, "test")
+    visualizer = TfgVisualizer(meshcat, world, np.array([2.0, 2.0, 0.5]))
     builder.AddNamedSystem("visualizer", visualizer)
     for name, message in messages.items():
         source = builder.AddSystem(ConstantValueSource(Value[object](message)))
@@ -137,77 +151,65 @@ def make_diagram(meshcat, messages, world=None):
     return builder.Build()
 
 
-STAGE_PATHS = ["map/landmarks", "map/surfaces/edge", "map/frontiers", "map/roadmap", "map/candidates", "map/path/line"]
+def is_visible(meshcat, path):
+    """Meshcat has it as msgpack has booleans."""
+    return {b"\xc3": True, b"\xc2": False}[meshcat._GetPackedProperty(f"/tfg/{path}", "visible")[-1:]]
+
+
+def drawn(meshcat, path):
+    """The OBJ file and materials that stand there."""
+    return meshcat._GetPackedObject(f"/tfg/{path}")
+
+
+STAGE_PATHS = [*(f"map/{layer}/0_0/1" for layer in ("map", "tfg", "frontiers", "gains")), "map/driving/path/1"]
 
 
 def test_draws_everything_that_is_there(meshcat):
     Simulator(make_diagram(meshcat, make_messages(), make_world())).AdvanceTo(1.0)
-    for path in [*STAGE_PATHS, "walls", "map/robot", "map/scan", "truth", "caption", "map/ellipses", "map/path/goal"]:
-        assert meshcat.HasPath(f"/tfg/{path}"), path
+    for path in [*STAGE_PATHS, "map/driving/goal/1", "map/scan/1", "map/robot", "truth", "world/walls", "world/floor"]:
+        assert drawn(meshcat, path), path
+    assert b"usemtl edge" in drawn(meshcat, "map/tfg/0_0/1")
+    assert b"usemtl landmark_3sigma" in drawn(meshcat, "map/map/0_0/1")
+
+
+def make_people(p_WP):
+    none, nobody = np.zeros(len(p_WP)), np.zeros(len(p_WP), dtype=bool)
+    ways = (np.zeros((0, 2)),) * len(p_WP)
+    return People(0.0, p_WP, np.zeros_like(p_WP), none, none, none, nobody, nobody, ways)
 
 
 def test_draws_who_walks_about(meshcat):
-    none, nobody = np.zeros(2), np.zeros(2, dtype=bool)
-    p_WP = np.array([[1.0, 2.0], [3.0, 4.0]])
-    people = People(0.0, p_WP, np.zeros((2, 2)), none, none, none, nobody, nobody, (np.zeros((0, 2)),) * 2)
+    people = make_people(np.array([[1.0, 2.0], [3.0, 4.0]]))
     Simulator(make_diagram(meshcat, {"people": people}, make_world())).AdvanceTo(0.5)
-    assert meshcat.HasPath("/tfg/people")
+    assert meshcat.HasPath("/tfg/people/1")
+    assert not meshcat.HasPath("/tfg/people/2")
+    assert np.array([3.0, 4.0]).astype(">f8").tobytes()[:8] in meshcat._GetPackedTransform("/tfg/people/1")
     Simulator(make_diagram(meshcat, make_messages(), make_world())).AdvanceTo(0.5)
     assert not meshcat.HasPath("/tfg/people")
 
 
-def test_empty_messages_leave_nothing_behind(meshcat):
+def test_another_simulation_begins_anew_and_empty_messages_leave_nothing_behind(meshcat):
     Simulator(make_diagram(meshcat, make_messages(), make_world())).AdvanceTo(0.5)
-    Simulator(make_diagram(meshcat, make_messages(f=0), make_world())).AdvanceTo(0.5)
-    for path in ("map/landmarks", "map/frontiers", "map/candidates", "map/path/line", "map/scan"):
-        assert not meshcat.HasPath(f"/tfg/{path}"), path
+    diagram = make_diagram(meshcat, make_messages(f=0), make_world())
+    for _ in range(2):
+        Simulator(diagram).AdvanceTo(0.5)
+        for path in STAGE_PATHS:
+            assert not drawn(meshcat, path), path
 
 
 def test_works_with_nothing_connected(meshcat):
     diagram = make_diagram(meshcat, {})
     Simulator(diagram).AdvanceTo(0.5)
     diagram.ForcedPublish(diagram.CreateDefaultContext())
-    assert meshcat.HasPath("/tfg/caption")
+    assert drawn(meshcat, "map/robot")
+    assert not is_visible(meshcat, "truth")
 
 
 def test_before_there_is_anything_the_true_robot_stands_at_the_start(meshcat):
-    visualizer = TfgVisualizer(meshcat, make_world(), np.array([2.0, 2.0, 0.5]), 0.18, "test")
-    meshcat.Delete("/tfg/caption")
-    visualizer.word = "compiling"
-    visualizer.ShowBeginning()
-    assert meshcat.HasPath("/tfg/caption")
-    assert meshcat._GetPackedProperty("/tfg/truth", "visible").endswith(b"\xc3")
+    TfgVisualizer(meshcat, make_world())
+    assert is_visible(meshcat, "truth")
     start = np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0, -np.sin(0.5), np.cos(0.5), 0, 0, 0, 0, 1, 0, 2.0, 2.0, 0, 1])
     assert start.astype(">f8").tobytes()[:8] in meshcat._GetPackedTransform("/tfg/truth")
-
-
-def test_a_caption_is_kept_for_browsers_that_are_late(meshcat, monkeypatch):
-    shown = []
-    monkeypatch.setattr("tfg_drake.systems.visualizer.render_caption", lambda *words: shown.append(words) or b"")
-    now = [0.0]
-    monkeypatch.setattr("tfg_drake.systems.visualizer.time.monotonic", lambda: now[0])
-    visualizer = TfgVisualizer(meshcat, None, np.zeros(3), 0.18, "test")
-    for _ in range(3):  # two in CAPTION_INTERVAL
-        visualizer.ShowBeginning()
-        now[0] += 0.3
-    assert len(shown) == 2
-    assert meshcat.HasPath("/tfg/captions/0")
-    assert meshcat.HasPath("/tfg/captions/1")
-    assert meshcat._GetPackedProperty("/tfg/captions", "visible").endswith(b"\xc2")
-
-
-def test_the_end_is_drawn_whenever_it_comes(meshcat, monkeypatch):
-    shown = []
-    monkeypatch.setattr(
-        TfgVisualizer, "_ShowCaption", lambda self, title, figures: shown.append((title, dict(figures)))
-    )
-    mission = MissionStatus(phase="done", stage=1, since=0.4, outcome="complete")
-    diagram = make_diagram(meshcat, make_messages() | {"mission": mission})
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(0.4)
-    diagram.ForcedPublish(simulator.get_context())
-    assert shown[-1][0] == "test, complete"
-    assert shown[-1][1]["stage"] == "1"
 
 
 @pytest.mark.parametrize(
@@ -217,8 +219,7 @@ def test_the_end_is_drawn_whenever_it_comes(meshcat, monkeypatch):
 def test_the_path_is_shown_as_long_as_the_robot_drives(meshcat, phase, moving, shown):
     mission = MissionStatus(phase=phase, stage=1, since=0.0, moving=moving)
     Simulator(make_diagram(meshcat, make_messages() | {"mission": mission})).AdvanceTo(0.5)
-    true, false = b"\xc3", b"\xc2"  # as msgpack has them
-    assert meshcat._GetPackedProperty("/tfg/map/path", "visible").endswith(true if shown else false)
+    assert is_visible(meshcat, "map/driving") is shown
 
 
 class GrowingMap(LeafSystem):
@@ -233,18 +234,194 @@ class GrowingMap(LeafSystem):
         self.DeclareStateOutputPort("map", state)
 
 
-def test_redraws_a_stage_once_and_only_when_it_changes(meshcat, monkeypatch):
+def growing(meshcat):
+    """A diagram that draws a growing map."""
     builder = DiagramBuilder()
-    first, second = make_map(1, 1), make_map(2, 2)
-    source = builder.AddSystem(GrowingMap(first, second))
-    visualizer = builder.AddSystem(TfgVisualizer(meshcat, None, np.zeros(3), 0.18, "test"))
+    source = builder.AddSystem(GrowingMap(make_map(1, 1), make_map(2, 2)))
+    visualizer = builder.AddSystem(TfgVisualizer(meshcat))
     builder.Connect(source.get_output_port(), visualizer.GetInputPort("map"))
-    shown = []
-    monkeypatch.setattr(visualizer, "_ShowLandmarks", shown.append)
-    simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(1.0)
-    assert [message.stage for message in shown] == [1, 2]
+    return builder.Build()
 
-    # What is drawn belongs to the context: a new one begins anew.
-    Simulator(simulator.get_system()).AdvanceTo(0.2)
-    assert [message.stage for message in shown] == [1, 2, 1]
+
+def test_without_a_recording_a_map_that_grows_keeps_its_path():
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    simulator = Simulator(growing(meshcat))
+    simulator.AdvanceTo(0.25)
+    before = drawn(meshcat, "map/map/0_0/1")
+    simulator.AdvanceTo(1.0)
+    assert len(drawn(meshcat, "map/map/0_0/1")) > len(before)
+    assert not meshcat.HasPath("/tfg/map/map/0_0/2")
+
+
+def test_in_a_recording_it_has_a_path_a_version_until_there_is_another():
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    simulator = Simulator(growing(meshcat))
+    simulator.AdvanceTo(0.25)
+    meshcat.StartRecording()
+    simulator.AdvanceTo(0.75)
+    meshcat.StopRecording()
+    assert [is_visible(meshcat, f"map/map/0_0/{k}") for k in (1, 2)] == [False, True]
+    scene = simulator.get_system().GetSystems()[1]._scene
+    for count in (3, 4):  # The third is written over.
+        estimate = make_map(count, count)
+        scene.write_rows("map", float(count), tables.landmarks(estimate))
+    assert [is_visible(meshcat, f"map/map/0_0/{k}") for k in (1, 2, 3)] == [False, False, True]
+    assert not meshcat.HasPath("/tfg/map/map/0_0/4")
+    meshcat.StartRecording()
+    scene.write_rows("map", 5.0, tables.landmarks(make_map(2, 2)))
+    assert [meshcat.HasPath(f"/tfg/map/map/0_0/{k}") for k in (1, 2, 3, 4)] == [False, False, True, True]
+
+
+def test_a_lost_picture_is_told_once_and_ends_nothing(caplog):
+    level = logging.getLogger("drake").level
+    meshcat = open_meshcat()  # Its server's last words do not wait for Python's lock.
+    logging.getLogger("drake").setLevel(level)
+    simulator = Simulator(make_diagram(meshcat, make_messages()))
+    simulator.AdvanceTo(0.5)
+    page = WebPage(meshcat.port())  # which stays until the end
+    page.send(b"\xc1")  # malformed
+    end = time.monotonic() + 30.0
+    while not (told := [one.getMessage() for one in caplog.records if one.name == "tfg_drake.visualizer"]):
+        assert time.monotonic() < end
+        simulator.AdvanceTo(simulator.get_context().get_time() + 0.25)
+    simulator.AdvanceTo(simulator.get_context().get_time() + 1.0)
+    reason = "Meshcat's internal websocket thread exited unexpectedly"
+    assert told == [f"the picture in Meshcat is lost: {reason}; the mission goes on"]
+    assert len([one for one in caplog.records if one.name == "tfg_drake.visualizer"]) == 1
+
+
+def test_the_users_meshcat_and_loggers_are_left_alone(meshcat):
+    level = logging.getLogger("drake").level
+    meshcat.SetProperty("/Background", "visible", True)
+    properties = [("/Background", "visible"), ("/Grid", "visible"), ("/Axes", "visible")]
+    properties.append(("/Lights/AmbientLight/<object>", "intensity"))
+    before = [meshcat._GetPackedProperty(*one) for one in properties]
+    Simulator(make_diagram(meshcat, make_messages(), make_world())).AdvanceTo(0.5)
+    assert [meshcat._GetPackedProperty(*one) for one in properties] == before
+    assert logging.getLogger("drake").level == level
+
+
+def test_a_plant_of_the_users_moves_in_the_same_meshcat(meshcat):
+    from pydrake.geometry import Box, MeshcatVisualizer
+    from pydrake.math import RigidTransform
+
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.01)
+    ball = plant.AddRigidBody("ball", SpatialInertia.SolidCubeWithDensity(1000.0, 0.1))
+    plant.RegisterVisualGeometry(ball, RigidTransform(), Box(0.1, 0.1, 0.1), "ball", [1.0, 0.0, 0.0, 1.0])
+    plant.Finalize()
+    MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
+    builder.AddSystem(TfgVisualizer(meshcat, make_world()))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(0.1)
+    before = meshcat._GetPackedTransform("/drake/visualizer/ball")
+    simulator.AdvanceTo(0.5)
+    assert before
+    assert meshcat._GetPackedTransform("/drake/visualizer/ball") != before
+    assert drawn(meshcat, "world/walls")
+
+
+def test_redraws_a_stage_once_and_only_when_it_changes(meshcat, monkeypatch):
+    diagram = growing(meshcat)
+    scene = diagram.GetSystems()[1]._scene
+    shown = []
+    monkeypatch.setattr(scene, "write_rows", lambda layer, time, table, near=None, **told: shown.append(told["stage"]))
+    Simulator(diagram).AdvanceTo(1.0)
+    assert shown == [1, 2]
+    # What is drawn belongs to the simulation: a new one begins anew.
+    Simulator(diagram).AdvanceTo(0.2)
+    assert shown == [1, 2, 1]
+
+
+def test_a_mission_is_the_same_with_and_without_it(meshcat):
+    def driven(**shown):
+        mission = tfg_drake.explore("house", until=45.0, **shown)
+        return mission.look("truth.pose"), mission.map.p_ML, mission.stages
+
+    for with_it, without in zip(driven(meshcat=meshcat), driven(), strict=True):
+        np.testing.assert_array_equal(with_it, without)
+
+
+@pytest.fixture
+def driver():
+    try:
+        driver = open_browser(820, 560)
+    except BrowserMissing as error:
+        pytest.skip(str(error))
+    yield driver
+    driver.quit()
+
+
+# What a page shows: where robot, truth and people are in W, and the vertices of visible landmarks in M and of the path.
+SHOWN = """viewer.animator.pause(); viewer.animator.seek(arguments[0]);
+viewer.scene.updateMatrixWorld(true);
+const T = MeshCat.THREE, at = (...path) => viewer.scene_tree.find(["tfg", ...path]).object;
+// The page's own axes have y up.
+const place = (object) => { const e = object.matrixWorld.elements; return [e[12], -e[14]]; };
+const vertices = (root, material) => {
+  const found = [];
+  root.traverseVisible((part) => {
+    const materials = [part.material ?? []].flat(), k = materials.findIndex((one) => one.name === material);
+    if (k < 0) return;
+    const groups = part.geometry.groups.length ? part.geometry.groups : [{ materialIndex: 0, start: 0, count: 1e9 }];
+    const points = part.geometry.attributes.position.array;
+    for (const group of groups.filter((one) => one.materialIndex === k))
+      for (let i = group.start; i < group.start + group.count && 3 * i < points.length; i++)
+        found.push([points[3 * i], points[3 * i + 1]]);
+  });
+  return found;
+};
+const drives = at("map", "driving").visible;
+return { robot: place(at("map", "robot")), truth: place(at("truth")), people: place(at("people", "0")),
+         landmarks: vertices(at("map", "map"), "landmark"),
+         path: drives ? vertices(at("map", "driving"), "path") : [] };
+"""
+CORNERS = 18  # of the top of a landmark: six triangles
+
+
+def test_a_published_recording_plays_the_mission(driver, tmp_path):
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    mission = tfg_drake.explore("house", meshcat=meshcat, until=0.0, settings=["reality.people=1"])
+    meshcat.StartRecording()
+    moments = []
+    for now in (20.2, 40.2, 42.2, 50.2, 61.2):
+        mission.advance(now - mission.time)
+        pose, people = mission.look("pose"), mission.look("truth.people")
+        moments.append(
+            {
+                "time": now,
+                "robot": compose(mission.X_WM, pose_at(pose, now))[:2],
+                "truth": mission.look("truth.pose")[:2],
+                "people": places_at(people, now)[0],
+                "landmarks": mission.map.p_ML if mission.map is not None else np.zeros((0, 2)),
+                "path": mission.look("path").points if mission.status.drives else np.zeros((0, 2)),
+            }
+        )
+    assert not len(moments[0]["landmarks"])
+    assert len({len(one["landmarks"]) for one in moments}) > 2
+    assert {len(one["path"]) > 0 for one in moments} == {True, False}
+    mission.advance(0.2)  # Between two recorded poses the robot is between them.
+    meshcat.StopRecording()
+    meshcat.PublishRecording()
+    page = tmp_path / "mission.html"
+    page.write_text(meshcat.StaticHtml())
+
+    driver.get(page.as_uri())
+    end = time.monotonic() + 60.0
+    while not driver.execute_script("return viewer.animator.duration > 0"):
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    for one in [*moments, moments[1]]:
+        shown = driver.execute_script(SHOWN, one["time"])
+        for name in ("robot", "truth", "people"):
+            np.testing.assert_allclose(shown[name], one[name], atol=0.03, err_msg=f"{name} at {one['time']} s")
+        corners = np.array(shown["landmarks"]).reshape(-1, CORNERS, 2)
+        assert len(corners) == len(one["landmarks"])
+        if len(corners):
+            nearest = np.linalg.norm(corners.mean(axis=1)[:, None] - one["landmarks"], axis=2).min(axis=0)
+            assert nearest.max() < 0.1
+        path = np.array(shown["path"]).reshape(-1, 2)
+        assert (len(path) > 0) == (len(one["path"]) > 0)
+        if len(path):
+            np.testing.assert_allclose(path.min(axis=0), one["path"].min(axis=0), atol=0.1)
+            np.testing.assert_allclose(path.max(axis=0), one["path"].max(axis=0), atol=0.1)

@@ -7,14 +7,14 @@ import hashlib
 import html
 import json
 import re
+from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tfg_drake.pictures.caption import gain_colours
-from tfg_drake.pictures.palette import DARK, LIGHT, css
+from tfg_drake.pictures.palette import DARK, LIGHT, css, gain_colours
 from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.timeline import MAGIC, TimelineError
 
@@ -63,6 +63,12 @@ def export_page(timeline: Path, out: Path, title: str, viewer: str) -> None:
     if not data.startswith(MAGIC):
         raise TimelineError(f"{timeline}: is no timeline of this version; run the mission again")
     write_atomic(out, whole_page(title, data, viewer), durable=False)
+
+
+def viewer_script() -> str:
+    """Meshcat's viewer, as Drake ships it; Drake is not loaded for it."""
+    script = distribution("drake").locate_file("pydrake/share/drake/geometry/meshcat.js")
+    return Path(str(script)).read_text(encoding="utf-8")
 
 
 def _page(title: str, source: dict[str, Any] | None, data: str) -> str:

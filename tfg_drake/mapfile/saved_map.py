@@ -7,17 +7,20 @@ of their number and follows from them: `restored_estimate`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import io
 from pathlib import Path
 
 import numpy as np
 
+from tfg_drake.config import OdometryConfig
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap, message, replace
-from tfg_drake.slam.camera_model import CameraModel
-from tfg_drake.slam.estimator_state import EstimatorState, known_camera
-from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_map
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, TfgMap, message, replace
+from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel
+from tfg_drake.slam.estimator_state import EstimatorState, initial_state, known_camera
+from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.range_scale import RangeScale
 from tfg_drake.storage.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.tfg.frontier import FrontierPoints
@@ -63,6 +66,11 @@ class SavedMap:
     def ids(self) -> IntArray:
         """(n,) ids of the landmarks, ascending."""
         return self.graph.ids
+
+    @property
+    def is_doubtful(self) -> BoolArray:
+        """Which landmarks (n,) are."""
+        return np.isin(self.ids, self.doubtful)
 
     @property
     def p_ML(self) -> FloatArray:
@@ -197,6 +205,25 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         tfg_graph=tfg_graph,
         tfg=tfg,
     )
+
+
+@functools.lru_cache(maxsize=1)
+def state_of_map(estimate: MapEstimate) -> EstimatorState:
+    """What is known of an estimator that tells no more than its map: that Gaussian as one keyframe, seen from the map's
+    origin. Landmarks that are not known jointly count as independent, what is known exactly has the deviation
+    LEAST_SIGMA."""
+    n = len(estimate.ids)
+    covariance = LEAST_SIGMA**2 * np.eye(2 * n + 3)
+    for row, own in enumerate(estimate.landmark_covariance):
+        covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own
+    joint = np.append(np.stack([2 * estimate.local, 2 * estimate.local + 1], axis=1).ravel(), 2 * n + np.arange(3))
+    covariance[np.ix_(joint, joint)] = estimate.covariance + LEAST_SIGMA**2 * np.eye(len(joint))
+    none = np.zeros(0), np.zeros((0, 3))
+    graph = updated(
+        empty_graph(), empty_map(), Observation(estimate.ids, estimate.p_ML, estimate.X_MD, covariance, *none)
+    )[0]
+    graph = replace(graph, view_keyframe=np.zeros(estimate.stage, dtype=np.int64), X_AV=estimate.X_MA)
+    return replace(initial_state(OdometryConfig()), graph=graph, map=estimate)
 
 
 def restored_estimate(saved: SavedMap) -> MapEstimate:

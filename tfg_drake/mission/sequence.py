@@ -32,6 +32,9 @@ OTHER_GOAL = 0.5
 BUMPER_PATIENCE = 2.0
 # A path that is not finished after this many times its time at full speed, plus a minute, is planned again.
 PATIENCE = 4.0
+# Why it is paused.
+PAUSED = "paused by the operator"
+NOT_ENABLED = "the base is not enabled: whoever operates it enables it"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,19 +71,19 @@ def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
         return status
     if inputs.stop:
         return _end(status, inputs, "interrupted", "told to end")
-    held = inputs.pause or not inputs.enable
+    held = PAUSED if inputs.pause else "" if inputs.enable else NOT_ENABLED
     if status.phase == "paused":
         if held:
-            return status
+            return status if held == status.reason else replace(status, reason=held)
         # A path may have gone stale while the robot stood (or was kidnapped): plan it anew.
         resume = "plan" if status.resume_phase == "follow" else status.resume_phase
         since = status.since if resume == "observe" else inputs.time
         # What a glance was to see ahead is not where the robot drives any more: it stands until there is a new path.
         resume = "map" if resume == "glance" else resume
         replans = status.replans + (status.resume_phase == "follow")
-        return replace(status, phase=resume, resume_phase="", since=since, replans=replans, moving=False)
+        return replace(status, phase=resume, resume_phase="", since=since, replans=replans, moving=False, reason="")
     if held:
-        return replace(status, phase="paused", resume_phase=status.phase)
+        return replace(status, phase="paused", resume_phase=status.phase, reason=held)
     return _PHASES[status.phase](status, inputs)
 
 

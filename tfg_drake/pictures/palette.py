@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from tfg_drake.pictures.caption import Colour
+import matplotlib
+import numpy as np
+
+from tfg_drake.messages import FloatArray
+
+Colour = tuple[float, float, float]
 
 WALL: Colour = (0.84, 0.85, 0.87)
 EDGE: Colour = (0.16, 0.18, 0.22)
@@ -16,7 +21,6 @@ SCAN: Colour = (0.36, 0.72, 0.90)
 ROBOT: Colour = (0.10, 0.22, 0.42)
 GHOST: Colour = (0.45, 0.48, 0.53)
 PERSON: Colour = (0.62, 0.64, 0.68)
-ROADMAP: Colour = (0.945, 0.955, 0.97)
 FREE: Colour = (0.955, 0.965, 0.945)
 OCCUPIED: Colour = (0.16, 0.18, 0.22)
 
@@ -24,6 +28,11 @@ OCCUPIED: Colour = (0.16, 0.18, 0.22)
 def css(colour: Colour) -> str:
     """A colour as a page names it, such as #10357a."""
     return "#" + "".join(f"{round(255 * part):02x}" for part in colour)
+
+
+def gain_colours(share: FloatArray) -> FloatArray:
+    """Colours (n, 3) in [0, 1] for shares (n,) of the best gain: pale for none, deep for the best, even to the eye."""
+    return np.asarray(matplotlib.colormaps["magma_r"](0.08 + 0.77 * share))[:, :3]
 
 
 # The page's, by what they are for: on a light ground and, where another one is needed, on a dark one.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.tfg.frontier import PUSH, SPACING
 from tfg_drake.world.world import World
 
+if TYPE_CHECKING:
+    from tfg_drake.mapfile.saved_map import SavedMap
+
 Layer = Mapping[str, NDArray[Any]]
 
 # A star polygon is drawn anew when one of its corners has moved so far, m: less than a pixel of a whole building.
@@ -51,7 +54,7 @@ def walls(world: World) -> Layer:
     return {"segments": world.walls, "tags": world.p_WT, "tag_facing": world.tag_facing, "ids": world.tag_ids}
 
 
-def landmarks(estimate: MapEstimate) -> Layer:
+def landmarks(estimate: MapEstimate | SavedMap) -> Layer:
     """points: (n, 2). covariance: (n, 3) of xx, xy, yy, m^2. doubtful: (n,). ids: (n,)."""
     P = estimate.landmark_covariance
     covariance = np.stack([P[:, 0, 0], P[:, 0, 1], P[:, 1, 1]], axis=1)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene
 from tfg_drake.storage.rows import Table
+
+if TYPE_CHECKING:
+    from tfg_drake.mapfile.saved_map import SavedMap
 
 # Positions that differ by no more are alike, m: in most pictures a fraction of a pixel.
 POSITION = 0.01
@@ -20,7 +25,7 @@ SHARE = 0.04
 LEAST = 1e-8
 
 
-def landmarks(estimate: MapEstimate) -> Table:
+def landmarks(estimate: MapEstimate | SavedMap) -> Table:
     """points, covariance, doubtful, ids: see `scene.landmarks`."""
     layer = scene.landmarks(estimate)
     xx, xy, yy = layer["covariance"].T + np.array([[LEAST], [0.0], [LEAST]])

@@ -321,6 +321,11 @@ def _plan(state: PlannerState, task: _Task) -> PlannerState:
     X_MB, speed = (pose.X_MB, float(pose.speed[0])) if now else (estimate.X_MD, 0.0)
     obstacles = obstacles_in_map(state, estimate)
     node = int(np.searchsorted(nodes.ids, goal.node))
+    if goal.node not in nodes.ids:
+        raise ValueError(
+            f"goal of stage {goal.stage}: there is no node {goal.node}; choose one of the roadmap's {len(nodes.ids)},"
+            f" by its id: {nodes.ids[0]} to {nodes.ids[-1]}"
+        )
     points = plan_path(nodes, estimate, task.tfg, X_MB, node, task.parameters, obstacles, speed)
     if _length(state.driven, X_MB[:2]) + np.hypot(*np.diff(points, axis=0).T).sum() > goal.longest_way:
         points = np.zeros((0, 2))

@@ -23,7 +23,7 @@ explorer: {first_look: 4, first_turns: 1}
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
     scenario = ApplyWorldFile(LoadScenario(data=ROOMS), tag_spacing=1.0)
-    return run.explore(scenario, name="rooms", out_dir=tmp_path_factory.mktemp("original"))
+    return run.run_mission(scenario, name="rooms", out_dir=tmp_path_factory.mktemp("original"))
 
 
 def look(simulator, port, kind):
@@ -63,7 +63,7 @@ def test_the_context_can_be_cloned_and_driven_on(original):
 
 def test_the_robot_drives_to_another_candidate_and_looks_round_there(original):
     change = Fork(2, candidate=3)
-    result = run.explore(
+    result = run.run_mission(
         LoadScenario(original.folder / "scenario.yaml"), out_dir=original.folder.parent / "other", fork=change
     )
     check_same(tfg_drake.load_run(original.folder), result.stages, 2)

@@ -100,7 +100,7 @@ def test_the_trajectories_share_a_frame_and_end_together(finished):
 
 def test_the_time_limit_ends_a_mission(tmp_path):
     seen = []
-    result = run.explore(room(), max_time=28.5, out_dir=tmp_path, on_progress=seen.append)
+    result = run.run_mission(room(), max_time=28.5, out_dir=tmp_path, on_progress=seen.append)
     assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 28.5)
     assert result.summary["reason"] == "the time limit of 28.5 s was reached"
     assert [progress.time for progress in seen] == [*np.arange(1.0, 29.0), 28.5, 28.5]
@@ -110,7 +110,7 @@ def test_the_time_limit_ends_a_mission(tmp_path):
 
 
 def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
-    summary = run.explore(room(), max_time=1.0, out_dir=tmp_path).summary
+    summary = run.run_mission(room(), max_time=1.0, out_dir=tmp_path).summary
     assert list(summary) == FIELDS
     assert summary["stages"] == summary["landmarks_mapped"] == summary["map_bytes"] == 0
     assert summary["landmark_rmse_m"] is summary["landmark_entropy_nats"] is summary["pose_anees"] is None
@@ -125,7 +125,7 @@ def test_a_signal_leaves_a_usable_result(tmp_path, number, name):
             os.kill(os.getpid(), number)
 
     before = signal.getsignal(number)
-    result = run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
+    result = run.run_mission(room(), out_dir=tmp_path, on_progress=interrupt)
     assert (result.summary["outcome"], result.summary["reason"]) == ("interrupted", f"interrupted by {name} at 26 s")
     assert load_map(tmp_path / "map.npz").stage == 1
     assert signal.getsignal(number) == before
@@ -138,7 +138,7 @@ def test_a_second_ctrl_c_aborts(tmp_path, monkeypatch):
 
     monkeypatch.setattr("tfg_drake.mission.interruption.TOGETHER", 0.0)
     with pytest.raises(KeyboardInterrupt):
-        run.explore(room(), out_dir=tmp_path, on_progress=interrupt)
+        run.run_mission(room(), out_dir=tmp_path, on_progress=interrupt)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_an_error_inside_is_a_fault_and_its_traceback_is_in_the_log(tmp_path, mo
             super()._CalcVector(context, output)
 
     monkeypatch.setattr(mission_diagram, "PoseVector", Failing)
-    summary = run.explore(room(), out_dir=tmp_path).summary
+    summary = run.run_mission(room(), out_dir=tmp_path).summary
     assert summary["outcome"] == "fault"
     assert summary["reason"] == f"{type(error).__name__} at {told} s: no way"
     assert summary["stages"] == stages
@@ -166,7 +166,7 @@ def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
         raise ValueError("\nno way\nmore")
 
     method = Method("failing", "", fail)
-    summary = run.explore(room(), method=method, out_dir=tmp_path).summary
+    summary = run.run_mission(room(), method=method, out_dir=tmp_path).summary
     assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
     assert list(summary) == FIELDS
     # Of the truth nothing is known.
@@ -179,7 +179,7 @@ def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
 def test_a_caller_may_end_a_mission(tmp_path):
     stop = threading.Event()
     stop.set()
-    summary = run.explore(room(), out_dir=tmp_path, interrupted=stop).summary
+    summary = run.run_mission(room(), out_dir=tmp_path, interrupted=stop).summary
     assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted at 0 s")
 
 
@@ -192,14 +192,14 @@ def test_default_folders_do_not_collide(tmp_path, monkeypatch):
 
 def test_the_mission_may_run_outside_the_main_thread(tmp_path):
     results = []
-    worker = threading.Thread(target=lambda: results.append(run.explore(room(), max_time=1.0, out_dir=tmp_path)))
+    worker = threading.Thread(target=lambda: results.append(run.run_mission(room(), max_time=1.0, out_dir=tmp_path)))
     worker.start()
     worker.join()
     assert results[0].summary["outcome"] == "time_limit"
 
 
 def test_a_grid_mission_has_a_grid_and_no_landmarks(tmp_path):
-    summary = run.explore(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path).summary
+    summary = run.run_mission(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path).summary
     assert (summary["method"], summary["outcome"], summary["contacts"]) == ("grid-nearest", "complete", 0)
     assert list(summary) == FIELDS
     assert summary["landmarks_mapped"] is None
@@ -211,13 +211,13 @@ def test_a_grid_mission_has_a_grid_and_no_landmarks(tmp_path):
     grid = load_grid(tmp_path / "grid.npz")
     assert grid.probability.size == summary["map_variables"]["cells"]
     assert not (tmp_path / "map.npz").exists()
-    again = run.explore(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path / "again").summary
+    again = run.run_mission(room(), method=FindMethod("grid-nearest"), name="room", out_dir=tmp_path / "again").summary
     assert lasting(again) == lasting(summary)
 
 
 @pytest.mark.parametrize("name", ["weighted", "random"])
 def test_other_methods_end_a_mission_too(name, tmp_path):
-    summary = run.explore(room(), method=FindMethod(name), name="room", max_time=300.0, out_dir=tmp_path).summary
+    summary = run.run_mission(room(), method=FindMethod(name), name="room", max_time=300.0, out_dir=tmp_path).summary
     assert summary["outcome"] in ("complete", "time_limit")
     assert summary["contacts"] == 0
     assert summary["area_coverage"] > 0.99
@@ -226,7 +226,7 @@ def test_other_methods_end_a_mission_too(name, tmp_path):
 def test_a_scripted_drive_maps_what_it_passes(tmp_path):
     scenario = room()
     scenario.drive = [[4.0, 1.5], [5.0, 3.0]]
-    summary = run.explore(scenario, method=FindMethod("scripted"), name="room", out_dir=tmp_path).summary
+    summary = run.run_mission(scenario, method=FindMethod("scripted"), name="room", out_dir=tmp_path).summary
     assert summary["stages"] == 3
     assert summary["outcome"] in ("complete", "stuck")
     assert summary["landmarks_mapped"] > 10
@@ -266,7 +266,7 @@ class Restless:
 def test_who_only_looks_on_and_holds_the_clock_changes_nothing(finished, tmp_path, monkeypatch):
     monkeypatch.setattr(mission_runner, "HELD_INTERVAL", 0.001)
     page = Restless()
-    result = run.explore(room(), name="room", out_dir=tmp_path, cockpit=page)
+    result = run.run_mission(room(), name="room", out_dir=tmp_path, cockpit=page)
     assert page.clock.looks > 300
     assert page.followed == [tmp_path / "timeline.tfg"]
     assert page.stages[-1] == finished.summary["stages"]
@@ -319,4 +319,4 @@ def test_a_method_without_every_port_is_shown_too(name, tmp_path):
     scenario = room()
     scenario.drive = [[4.0, 1.5]]
     arguments = {"method": FindMethod(name), "meshcat": meshcat, "max_time": 2.0, "out_dir": tmp_path}
-    assert run.explore(scenario, **arguments).summary["outcome"] == "time_limit"
+    assert run.run_mission(scenario, **arguments).summary["outcome"] == "time_limit"

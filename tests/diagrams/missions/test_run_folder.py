@@ -62,7 +62,7 @@ def test_a_run_that_was_killed_refuses_nobody(held, tmp_path):
 def test_a_refused_run_touches_nothing(held, tmp_path):
     (tmp_path / "map.npz").write_text("of the run at work")
     with pytest.raises(BlockingIOError):
-        run.explore(room(), out_dir=tmp_path)
+        run.run_mission(room(), out_dir=tmp_path)
     assert (tmp_path / "map.npz").read_text() == "of the run at work"
 
 
@@ -151,7 +151,7 @@ def test_the_map_is_on_the_disk_while_it_grows(tmp_path, monkeypatch, method, fi
     monkeypatch.setattr(run, "write_report", end)
     monkeypatch.setattr(run, "KEPT_SHARE", np.inf)
     with pytest.raises(Ends):
-        run.explore(room(), method=FindMethod(method), max_time=100.0, out_dir=tmp_path, on_progress=look)
+        run.run_mission(room(), method=FindMethod(method), max_time=100.0, out_dir=tmp_path, on_progress=look)
     assert len(kept) >= 2
     assert all(stage - 1 <= of_map for stage, of_map in kept.items())
     assert len(list(tmp_path.glob("*.npz"))) == 1
@@ -159,7 +159,7 @@ def test_the_map_is_on_the_disk_while_it_grows(tmp_path, monkeypatch, method, fi
 
 def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "_Keeper", _fail)
-    result = run.explore(room(), max_time=30.0, out_dir=tmp_path, record=False)
+    result = run.run_mission(room(), max_time=30.0, out_dir=tmp_path, record=False)
     assert load_map(tmp_path / "map.npz").stage == result.summary["stages"]
 
 
@@ -168,7 +168,7 @@ def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch)
     monkeypatch.setattr(run, "KEPT_SHARE", 1e-9)
     saved = []
     monkeypatch.setattr(run, "save_map", lambda path, found, final: saved.append(found.stage))
-    run.explore(room(), max_time=100.0, out_dir=tmp_path)
+    run.run_mission(room(), max_time=100.0, out_dir=tmp_path)
     assert saved == [1]
 
 
@@ -207,7 +207,7 @@ def look(progress):
         resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
 scenario = ApplyWorldFile(LoadScenario(data=sys.argv[2]), tag_spacing=1.0)
-result = run.explore(scenario, name="room", max_time=100.0, out_dir=Path(sys.argv[1]), on_progress=look)
+result = run.run_mission(scenario, name="room", max_time=100.0, out_dir=Path(sys.argv[1]), on_progress=look)
 print(json.dumps([result.summary["outcome"], result.summary["stages"], sorted(result.unwritten)]))
 """
 

@@ -1,0 +1,78 @@
+"""Layers as solids, and solids as an OBJ file."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tfg_drake.pictures.drawing import bands, circles
+from tfg_drake.pictures.solids import Solid, solids, wavefront
+
+BLUE = (0.0, 0.5, 1.0)
+
+
+def read(obj):
+    """Vertices (n, 3) and of each material its triangles, as fans of polygons."""
+    vertices, faces = [], {}
+    for word, *rest in (line.split() for line in obj.splitlines()):
+        if word == "v":
+            vertices.append([float(number) for number in rest])
+        elif word == "usemtl":
+            triangles = faces.setdefault(rest[0], [])
+        else:
+            a, *others = (int(number) - 1 for number in rest)
+            triangles += [(a, b, c) for b, c in itertools.pairwise(others)]
+    return np.array(vertices), {name: np.array(some) for name, some in faces.items()}
+
+
+def areas(vertices, triangles):
+    """Vectors (n, 3), m^2, along the normals of those who see the triangles anticlockwise."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return 0.5 * np.cross(b - a, c - a)
+
+
+def test_a_solid_is_closed_but_for_its_bottom_and_faces_outwards():
+    obj, materials = wavefront([Solid("box", bands(np.array([[0.0, 0.0, 3.0, 4.0]]), 1.0), 0.5, 2.5, BLUE, 0.4)])
+    vertices, faces = read(obj)
+    assert set(faces) == {"box", "box_side"}
+    np.testing.assert_allclose(areas(vertices, faces["box"]).sum(axis=0), [0, 0, 6.0], atol=1e-2)
+    sides = areas(vertices, faces["box_side"])
+    np.testing.assert_allclose(np.linalg.norm(sides, axis=1).sum(), 2.0 * (6.0 + 6.0 + 1.0 + 1.0), rtol=1e-2)
+    outwards = vertices[faces["box_side"]].mean(axis=1) - vertices.mean(axis=0)
+    assert np.all(np.sum(sides * outwards, axis=1) > 0.0)
+    assert sorted(set(vertices[:, 2])) == [0.5, 2.5]
+    top, side = (np.array(line.split()[1:], float) for line in materials.splitlines() if line.startswith("Ke"))
+    assert np.all(side <= top)
+    assert side[2] < top[2]
+    assert materials.count("d 0.4") == 2
+
+
+def test_sheets_have_no_sides_and_nothing_is_nothing():
+    sheet = Solid("sheet", circles(np.zeros((2, 2)), 1.0, 64), 0.1, 0.1, BLUE)
+    vertices, faces = read(wavefront([sheet])[0])
+    assert set(faces) == {"sheet"}
+    np.testing.assert_allclose(areas(vertices, faces["sheet"]).sum(axis=0)[2], 2.0 * np.pi, rtol=1e-2)
+    assert wavefront([]) == wavefront([Solid("none", np.zeros((0, 4, 2)), 0.0, 1.0, BLUE)]) == ("", "")
+
+
+def test_free_space_that_is_not_convex_has_its_area():
+    star = np.array([[0, 0], [2, 0], [0.2, 0.2], [0, 2], [-0.2, 0.2], [-2, 0], [0, -1]], dtype=float)
+    (sheet,) = solids("free", {"points": star, "count": np.array([7])}, {}, 0.1)
+    vertices, faces = read(wavefront([sheet])[0])
+    found = areas(vertices, faces["free"])
+    assert np.all(found[:, 2] > 0.0)
+    x, y = star[1:].T
+    exact = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+    assert found[:, 2].sum() == pytest.approx(exact, rel=1e-3)
+
+
+def test_surfaces_stand_by_kind_and_doubtful_landmarks_apart():
+    segments = np.array([[0, 0, 1, 0], [1, 0, 1, 3], [5, 5, 6, 6]], dtype=float)
+    shown = {one.name: one for one in solids("tfg", {"segments": segments, "kind": np.array([0, 2, 2])}, {}, 0.1)}
+    assert {name: len(one.outlines) for name, one in shown.items()} == {"edge": 1, "wall_end": 0, "bare": 2}
+    assert all(one.high > one.low == 0.0 for one in shown.values())
+
+    covariance = np.array([[1e-4, 0.0, 1e-4], [0.04, 0.0, 0.04]])
+    arrays = {"points": segments[:2, :2], "covariance": covariance, "doubtful": np.array([True, False])}
+    shown = {one.name: len(one.outlines) for one in solids("map", arrays, {}, 0.1)}
+    assert shown == {"landmark": 1, "landmark_3sigma": 1, "doubtful": 1, "doubtful_3sigma": 0}  # it hides its own

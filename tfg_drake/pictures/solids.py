@@ -1,0 +1,117 @@
+"""What layers of a scene look like in space: solids and sheets, and those as an OBJ file. Pure geometry, no Drake."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.messages import FloatArray
+from tfg_drake.pictures import palette
+from tfg_drake.pictures.drawing import bands, circles, ellipses
+from tfg_drake.pictures.palette import Colour
+
+# Of true walls, of the robot's surfaces, of a landmark, of the robot and of a person, m.
+WALL_HEIGHT, SURFACE_HEIGHT, TAG_HEIGHT, ROBOT_HEIGHT, PERSON_HEIGHT = 0.35, 0.4, 0.45, 0.3, 1.6
+# Heights of what lies on the floor, m: far enough apart for a browser to tell which is above.
+SHEETS = {name: 0.01 * k for k, name in enumerate(("floor", "free", "gains", "ellipses", "frontiers", "path"), 1)}
+SURFACES = (("edge", palette.EDGE), ("wall_end", palette.WALL_END), ("bare", palette.BARE_SURFACE))
+WHITE, FLOOR, GAIN = (1.0, 1.0, 1.0), (0.80, 0.82, 0.85), (0.85, 0.45, 0.62)
+# Of its colour: what a solid shines by itself, lest lamps leave half a building in the dark, and what it reflects. Its
+# sides are darker than its top.
+SHINE, REFLECTION, SIDES = 0.9, 0.3, 0.8
+
+
+@dataclasses.dataclass(frozen=True)
+class Solid:
+    """Prisms, or sheets where low and high are the same.
+
+    name: a word. outlines: (n, c, 2), m; each is a star round its first corner, as convex ones are. low, high: m.
+    """
+
+    name: str
+    outlines: FloatArray
+    low: float
+    high: float
+    colour: Colour
+    opacity: float = 1.0
+
+
+def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any], unit: float) -> Iterator[Solid]:
+    """What a layer of tfg_drake.pictures.scene looks like, in its own frame. unit: a symbol's size, m."""
+    flat = SHEETS.get(layer, 0.0)
+    if layer == "world":
+        yield Solid("walls", bands(arrays["segments"], 0.02), 0.0, WALL_HEIGHT, palette.WALL, 0.6)
+        along = 0.1 * np.stack([-np.sin(arrays["tag_facing"]), np.cos(arrays["tag_facing"])], axis=1)
+        plates = np.hstack([arrays["tags"] - along, arrays["tags"] + along])
+        yield Solid("tags", bands(plates, 0.06), 0.1, 0.3, palette.WALL_END)
+    elif layer == "map":
+        points, covariance = arrays["points"], arrays["covariance"][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        # Not those that lie under their landmark.
+        wide = 3.0 * np.sqrt(np.trace(covariance, axis1=1, axis2=2)) > 1.4 * unit
+        for kind, (name, colour) in enumerate((("landmark", palette.LANDMARK), ("doubtful", palette.DOUBTFUL))):
+            some = arrays["doubtful"] == kind
+            yield Solid(name, circles(points[some], 1.4 * unit, 8), 0.0, TAG_HEIGHT, colour)
+            outlines, z = ellipses(points[some & wide], covariance[some & wide], corners=20), SHEETS["ellipses"]
+            yield Solid(f"{name}_3sigma", outlines, z, z, colour, 0.4)
+    elif layer == "tfg":
+        for kind, (name, colour) in enumerate(SURFACES):
+            pieces = arrays["segments"][arrays["kind"] == kind]
+            yield Solid(name, bands(pieces, 1.2 * unit), 0.0, SURFACE_HEIGHT, colour)
+    elif layer == "frontiers":
+        yield Solid(layer, bands(arrays["segments"], 1.6 * unit), flat, flat, palette.FRONTIER)
+    elif layer == "gains":
+        # The larger the more gain.
+        radius = unit * (0.4 + 1.6 * arrays["share"] / 255.0)
+        discs = circles(np.zeros((len(radius), 2)), 1.0, 8) * radius[:, None, None] + arrays["points"][:, None]
+        yield Solid(layer, discs, flat, flat, GAIN)
+    elif layer == "path":
+        yield Solid(layer, bands(arrays["segments"], unit), flat, flat, palette.PATH)
+    elif layer == "goal":
+        yield Solid(layer, circles(arrays["points"], 2.5 * unit), SHEETS["path"], SHEETS["path"], palette.PATH)
+    elif layer == "free":
+        # Round its centre, and back to where it began.
+        star = np.vstack([arrays["points"], arrays["points"][1:2]])
+        yield Solid(layer, star[None], flat, flat, palette.FREE)
+    elif layer == "grid":
+        size, z = told["resolution"], SHEETS["free"]
+        yield Solid("free", bands(arrays["free"], size), z, z, palette.FREE)
+        yield Solid("occupied", bands(arrays["occupied"], size), 0.0, SURFACE_HEIGHT, palette.OCCUPIED)
+
+
+def wavefront(shown: Iterable[Solid]) -> tuple[str, str]:
+    """Solids as the text of an OBJ file and of its materials; "" where there are none."""
+    lines, materials, count = list[str](), list[str](), 1
+    for solid in shown:
+        n, c = solid.outlines.shape[:2]
+        if not n:
+            continue
+        lines += _vertices(solid.outlines, solid.high)
+        top = count + np.arange(n * c).reshape(n, c)
+        count += n * c
+        lines += _faces(solid.name, top)
+        materials.append(_material(solid.name, solid.colour, solid.opacity))
+        if solid.high > solid.low:
+            lines += _vertices(solid.outlines, solid.low)
+            low, count = top + n * c, count + n * c
+            walls = np.stack([top, low, np.roll(low, -1, axis=1), np.roll(top, -1, axis=1)], axis=2)
+            lines += _faces(f"{solid.name}_side", walls.reshape(-1, 4))
+            sides = tuple(SIDES * part for part in solid.colour)
+            materials.append(_material(f"{solid.name}_side", sides, solid.opacity))
+    return "\n".join(lines), "\n".join(materials)
+
+
+def _vertices(outlines: FloatArray, z: float) -> list[str]:
+    return [f"v {x:.3f} {y:.3f} {z:.3f}" for x, y in outlines.reshape(-1, 2).tolist()]
+
+
+def _faces(material: str, corners: NDArray[np.int64]) -> list[str]:
+    return [f"usemtl {material}", *(f"f {' '.join(map(str, face))}" for face in corners.tolist())]
+
+
+def _material(name: str, colour: Sequence[float], opacity: float) -> str:
+    shone, reflected = (" ".join(f"{share * part:.3f}" for part in colour) for share in (SHINE, REFLECTION))
+    return f"newmtl {name}\nKe {shone}\nKd {reflected}\nKs 0 0 0\nd {opacity}"
