@@ -54,19 +54,6 @@ def eval_optional(port: InputPort, context: Context, kind: type[T]) -> T | None:
     return eval_message(port, context, kind) if port.HasValue(context) else None
 
 
-def state_message(context: Context | State, index: int, kind: type[T]) -> T:
-    """The message in an abstract state variable. Raises TypeError where it holds anything else than a kind."""
-    value = context.get_abstract_state(int(index)).get_value()
-    if not isinstance(value, kind):
-        raise TypeError(f"abstract state {int(index)} must hold {kind.__name__}, not {type(value).__name__}.")
-    return value
-
-
-def set_state_message(state: State, index: int, value: object) -> None:
-    """Puts a message into an abstract state variable."""
-    state.get_mutable_abstract_state(int(index)).set_value(value)
-
-
 class MessageState(Generic[T]):
     """An abstract state variable that holds messages of one kind; called with a context it is the message there."""
 
@@ -77,12 +64,16 @@ class MessageState(Generic[T]):
         self.tickets = {system.abstract_state_ticket(self.index)}
 
     def __call__(self, context: Context | State) -> T:
-        """The message. Raises TypeError as `state_message` does."""
-        return state_message(context, self.index, self._kind)
+        """The message. Raises TypeError where the variable holds anything else."""
+        value = context.get_abstract_state(int(self.index)).get_value()
+        if not isinstance(value, self._kind):
+            found = type(value).__name__
+            raise TypeError(f"abstract state {int(self.index)} must hold {self._kind.__name__}, not {found}.")
+        return value
 
     def set(self, state: State, value: T) -> None:
         """Puts another message there."""
-        set_state_message(state, self.index, value)
+        state.get_mutable_abstract_state(int(self.index)).set_value(value)
 
     def declare_output(self, system: LeafSystem, name: str, part: Callable[[T], object]) -> OutputPort:
         """Declares an output port of the same system for what a part of the message is, or is made of it alone."""

@@ -6,13 +6,12 @@ import logging
 import math
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
 from tfg_drake.mission.operation import stopped_by
-from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
+from tfg_drake.safety.scan_watch import HELD, no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     MOST_REFLEXES,
     PRESSED,
@@ -26,13 +25,7 @@ from tfg_drake.safety.velocity_filter import (
 from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import (
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    set_state_message,
-    state_message,
-)
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 
 PERIOD = 1.0 / 32.0
 # As often as odometry comes; scans are fewer.
@@ -83,17 +76,12 @@ class SafetyFilter(LeafSystem):
         # a cliff or a wheel drop has used up.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
         self._state, velocity, self._enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
-        self._watch = self.DeclareAbstractState(AbstractValue.Make(no_watch(no_scan(scan))))
+        self._watch = MessageState(self, no_watch(no_scan(scan)))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
         self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._Watch)
         self.DeclareStateOutputPort("velocity", velocity)
         self.DeclareStateOutputPort("enabled", self._enabled)
-        declare_message_output(
-            self,
-            "scan_believed",
-            lambda context: state_message(context, self._watch, ScanWatch).believed,
-            {self.abstract_state_ticket(self._watch)},
-        )
+        self._watch.declare_output(self, "scan_believed", lambda now: now.believed)
 
     @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
@@ -122,7 +110,7 @@ class SafetyFilter(LeafSystem):
     def _Filtered(self, context: Context) -> FloatArray:
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
-        scan, watch = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
+        scan, watch = eval_message(self._scan, context, LaserScan), self._watch(context)
         state, now, odometry = self._State(context), context.get_time(), eval_message(self._odometry, context, Odometry)
         return filter_command(state, now, command, hazards, scan, watch, odometry, self._robot, self._safety, PERIOD)
 
@@ -132,7 +120,7 @@ class SafetyFilter(LeafSystem):
 
     @metered("safety_filter")
     def _Watch(self, context: Context, state: State) -> EventStatus:
-        scan, before = eval_message(self._scan, context, LaserScan), state_message(context, self._watch, ScanWatch)
+        scan, before = eval_message(self._scan, context, LaserScan), self._watch(context)
         if not scan.stamp > before.newest:
             return EventStatus.DidNothing()
         odometry = eval_message(self._odometry, context, Odometry)
@@ -150,7 +138,7 @@ class SafetyFilter(LeafSystem):
             if after.held == _HELD_SCANS:
                 unseen = held(after, X_OB, wanted, self._robot, self._safety) and not self._Meets(scan, wanted)
                 _log.warning("%.2f s: the base stands: %s", context.get_time(), HELD if unseen else _BLOCKED)
-        set_state_message(state, self._watch, after)
+        self._watch.set(state, after)
         return EventStatus.Succeeded()
 
     def _Meets(self, scan: LaserScan, speed: float) -> bool:
