@@ -34,7 +34,8 @@ def MakeTurtlebotStation(
     """The station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
 
     plant: makes for the scenario what moves instead of a DifferentialDrivePlant, a system with that one's ports;
-    without the inputs people and world it can do where the scenario has neither.
+    without the inputs people and world it can do where the scenario has neither, without contacts, clearance and
+    contacts_received at all: nothing is told of them then.
 
     A meshcat shows a simulated robot in its world, for a station without an explorer; TfgVisualizer.AddToBuilder draws
     a mission.
@@ -174,7 +175,7 @@ def _ExportTruth(
     builder: DiagramBuilder, plant: System, walking: PeopleWalking | None, changing: ChangingWorld | None
 ) -> None:
     """The truth, for metrics and pictures. A simulation knows it, a robot does not: never wire it into an explorer."""
-    for name in ("pose", "contacts", "clearance", "contacts_received"):
+    for name in filter(plant.HasOutputPort, ("pose", "contacts", "clearance", "contacts_received")):
         builder.ExportOutput(plant.GetOutputPort(name), f"truth.{name}")
     if walking is not None:
         builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")

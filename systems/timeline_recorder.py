@@ -102,7 +102,7 @@ class TimelineRecorder(LeafSystem):
 
     map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice, path: Path, grid: GridMap, mission:
     MissionStatus, pose: PoseEstimate, working_map: WorkingMap, working_roadmap: Roadmap, all in M. scan: LaserScan.
-    people: People, in W.
+    people: People, in W. pushes: Pushes, what somebody does to the base.
 
     Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
     whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a map so large that planning works on a

@@ -305,7 +305,7 @@ def test_who_pushes_the_robot_into_a_wall_has_made_the_contact(tmp_path):
     scenario.disturbances = [DisturbanceConfig(time=1.0, duration=0.5, ahead=6.0)]
     asked = iter([[]] * 40 + [["push"]])
     page.requests = lambda: next(asked, [])
-    summary = run.explore(scenario, max_time=5.0, out_dir=tmp_path, cockpit=page).summary
+    summary = run.run_mission(scenario, max_time=5.0, out_dir=tmp_path, cockpit=page).summary
     assert (summary["contacts"], summary["contacts_received"]) == (0, 1)
     told = {record.layer: record.told for record in read_timeline(tmp_path)}
     assert [push["ahead"] for push in told["world"]["pushes"]] == [6.0]
