@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 
 from pydrake.systems.framework import System
@@ -25,6 +26,10 @@ def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scena
     Raises TypeError as CheckFactory does, and where the factory makes no system.
     """
     CheckFactory(role, factory)
+    try:
+        inspect.signature(factory or usual).bind(scenario)
+    except TypeError as error:
+        raise TypeError(f"{role}: must be a function of a scenario: {error}; write lambda scenario: ...") from None
     part = (factory or usual)(scenario)
     if not isinstance(part, System):
         raise TypeError(f"{role}: its function must return a Drake System, not {type(part).__name__}")

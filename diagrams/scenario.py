@@ -278,8 +278,17 @@ def _LoadBase(
 
 def CheckScenario(scenario: Scenario, source: str = "scenario") -> None:
     """Raises ScenarioError where a scenario has a value that a file could not give it; source: what it is called."""
-    _CheckTree(dataclasses.asdict(scenario), Scenario, "", source)
+    _CheckTree(_Tree(scenario, source), Scenario, "", source)
     _CheckWorld(scenario, source)
+
+
+def _Tree(value: typing.Any, source: str) -> typing.Any:
+    """A scenario, or part of one, as a file has it, with the attributes that are none of its fields."""
+    if dataclasses.is_dataclass(value):
+        return {name: _Tree(item, source) for name, item in vars(value).items()}
+    if isinstance(value, dict):
+        raise ScenarioError(f"{source}: {value} is a dict; give a section as its class in tfg_drake.config")
+    return [_Tree(item, source) for item in value] if isinstance(value, list) else value
 
 
 def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenario:
@@ -324,6 +333,7 @@ def PrepareScenario(
     """A copy of a scenario, which is loaded if it is named, with settings, a seed and a world of its own; None: as it
     is. See ApplySettings and ApplyWorldFile. Raises ScenarioError."""
     own = [] if seed is None else [f"seed={seed}"]
+    settings = [settings] if isinstance(settings, str) else settings
     loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
     loaded = ApplySettings(loaded, [*settings, *own])
     if world is not None or tag_spacing is not None or start is not None:

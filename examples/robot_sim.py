@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.geometry import StartMeshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
@@ -68,26 +69,18 @@ def Run(scenario: Scenario, *, max_time: float, graphviz: Path | None, **made_of
     simulator.set_target_realtime_rate(0.0 if simulated else 1.0)
     diagram.SetRandomContext(simulator.get_mutable_context(), RandomGenerator(scenario.seed))
 
-    def Look(port: str, context: Context) -> object:
-        return explorer.GetOutputPort(port).Eval(explorer.GetMyContextFromRoot(context))
-
-    def EndOfMission(context: Context) -> EventStatus:
-        mission = Look("mission", context)
-        if not mission.outcome:
-            return EventStatus.DidNothing()
-        return EventStatus.ReachedTermination(explorer, f"{mission.outcome}: {mission.reason}")
-
-    simulator.set_monitor(EndOfMission)
+    # The explorer requests termination when its mission is over.
     status = simulator.AdvanceTo(max_time)
-
     context = simulator.get_context()
-    estimate = Look("map", context)
-    print(f"{status.FormatMessage()}\n{len(estimate.ids)} landmarks after {context.get_time():.0f} s")
+
+    def Look(system: System, port: str) -> Any:
+        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(context))
+
+    print(f"{status.FormatMessage()}\n{len(Look(explorer, 'map').ids)} landmarks after {context.get_time():.0f} s")
     if simulated:
-        contacts = station.GetOutputPort("truth.contacts").Eval(station.GetMyContextFromRoot(context))
         truth = diagram.GetSubsystemByName("truth_log").FindLog(context).data()
         driven = np.hypot(*np.diff(truth[:2], axis=1)).sum()
-        print(f"{driven:.0f} m driven, {contacts[0]:.0f} contacts")
+        print(f"{driven:.0f} m driven, {Look(station, 'truth.contacts')[0]:.0f} contacts")
 
 
 def main() -> None:

@@ -82,7 +82,8 @@ def explore(
         enable: a real robot may move from the beginning; else when somebody enables it, by the page or its buttons.
         meshcat: where the mission is shown as it goes on; `pydrake.all.StartMeshcat()` makes one.
         page: serve the page that shows and operates it until explore returns; its address is printed.
-        out: the run's folder; with a page or a real robot runs/<time>-<name>-<seed> by default, else none is kept.
+        out: the run's folder; with a page or a real robot runs/<time>-<name>-<seed> by default, else none is kept. A
+            simulated run that is in it is replaced.
         realtime_rate: simulated s per second at most, 0 for as fast as possible.
         until: s to drive, or less where the mission ends before; 0 to build it only.
 
@@ -90,7 +91,7 @@ def explore(
         ScenarioError, MethodError: the scenario or the method cannot be used.
         ValueError: until or realtime_rate is negative.
         TypeError: a part is given that is no such function.
-        BadInput: the folder holds what is not to be lost, or the page cannot be served.
+        BadInput: the folder holds a real robot's run, or the scenario that is read; or the page cannot be served.
         DeviceError: the robot cannot be used.
         OSError: the folder cannot be written.
     """
@@ -127,7 +128,7 @@ def explore(
     with contextlib.ExitStack() as stack:
         stack.callback(robot.close)
         if out is not None:
-            check_kept(Path(out))
+            check_kept(Path(out), inputs=[Path(named)])
         cockpit = None
         if page:
             rate = None if robot.real else realtime_rate
@@ -246,7 +247,7 @@ class Exploration:
         return self._mission.true_poses() or (np.zeros(0), np.zeros((0, 3)))
 
     def advance(self, seconds: float = math.inf) -> Exploration:
-        """Simulate so many s more, or to the mission's end. Returns itself.
+        """Simulate so many s more, to the mission's end, or until a monitor of the simulator ends it. Returns itself.
 
         Raises:
             ValueError: seconds is negative.

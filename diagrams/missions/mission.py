@@ -161,6 +161,8 @@ class Mission:
             if ended and status.system() is self._simulator.get_system():
                 return False
             self.observe()
+            if ended and self.status.phase != "done":
+                return False
         return True
 
     def record_now(self) -> None:

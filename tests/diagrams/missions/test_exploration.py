@@ -17,6 +17,7 @@ import tfg_drake
 from examples.estimator import TruthEstimator
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, ROOM, lasting, tagged
 from tfg_drake import kernels
+from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.commands import command_line
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.methods import MethodError
@@ -30,6 +31,7 @@ from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.prm_planner import PrmPlanner
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
+from tfg_drake.systems.slam_estimator import SlamEstimator
 
 LISTED = "must be one of gain_per_time, argmax, tour, nearest_frontier, random"
 
@@ -81,6 +83,10 @@ def test_an_instance_is_no_factory(role, tmp_path):
     assert not (tmp_path / "run").exists()
     with pytest.raises(TypeError, match=f"{role}: its function must return a Drake System, not int"):
         tfg_drake.explore(bare(), **{role: lambda _scenario: 3})
+    with pytest.raises(
+        TypeError, match=rf"^{role}: must be a function of a scenario: .*; write lambda scenario: \.\.\.$"
+    ):
+        tfg_drake.explore(bare(), **{role: SlamEstimator})
 
 
 def test_what_does_not_go_together_is_told():
@@ -107,6 +113,25 @@ def test_a_scenario_changed_in_python_is_checked_like_a_file(section, key, value
         with pytest.raises(ScenarioError) as caught:
             use()
         assert str(caught.value) == complaint
+
+
+def test_what_is_no_field_of_a_scenario_is_told():
+    scenario = bare()
+    scenario.explorer.stop_gian = 7.0
+    with pytest.raises(ScenarioError, match=r"^scenario: explorer\.stop_gian: unknown key; did you mean stop_gain\?$"):
+        tfg_drake.explore(scenario)
+    scenario = bare()
+    scenario.robot = {"max_speed": 0.3}
+    with pytest.raises(ScenarioError, match=r"^scenario: \{'max_speed': 0\.3\} is a dict; give a section as its class"):
+        tfg_drake.explore(scenario)
+
+
+def test_a_scenario_that_is_read_is_not_written_over(tmp_path):
+    mine = tmp_path / "scenario.yaml"
+    mine.write_text(ROOM + QUICK_LOOK)
+    with pytest.raises(BadInput, match=r"its scenario\.yaml, which is read, would be written over"):
+        tfg_drake.explore(mine, out=tmp_path)
+    assert mine.read_text() == ROOM + QUICK_LOOK
 
 
 def test_a_scenario_from_yaml_is_changed_and_written_back(tmp_path):
@@ -229,13 +254,14 @@ def test_a_station_needs_no_truth_but_its_pose(tmp_path):
     assert run.summary["position_error_m"]["max"] < 0.1
 
 
-def test_a_monitor_stops_at_so_many_tags():
+@pytest.mark.parametrize("by", ["diagram", "explorer"])
+def test_a_monitor_stops_at_so_many_tags(by):
     mission = tfg_drake.explore(bare(), until=0.0)
 
     def enough(root):
         estimate = mission.explorer.GetOutputPort("map").Eval(mission.explorer.GetMyContextFromRoot(root))
         if len(estimate.ids) >= 10:
-            return EventStatus.ReachedTermination(mission.diagram, "ten tags")
+            return EventStatus.ReachedTermination(getattr(mission, by), "ten tags")
         return EventStatus.DidNothing()
 
     mission.simulator.set_monitor(enough)
