@@ -21,7 +21,7 @@ def CheckFactory(role: str, factory: Factory | None) -> None:
 
 
 def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scenario) -> System:
-    """What a factory makes for the scenario, without one what the usual one does.
+    """The System that a factory makes for the scenario, or the usual one where there is none.
 
     Raises TypeError as CheckFactory does, and where the factory makes no system.
     """

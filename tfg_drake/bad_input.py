@@ -9,5 +9,5 @@ class BadInput(Exception):
 
 
 def not_radians(angle: float) -> str:
-    """What is wrong with an angle, rad, that somebody has written; "" for nothing."""
+    """The complaint about an angle that is more than a turn in rad, so probably in degrees; "" where it is none."""
     return f"{angle:g} rad is more than a turn; write radians, not degrees" if abs(angle) > _TURN else ""

@@ -209,7 +209,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
 
 @functools.lru_cache(maxsize=1)
 def state_of_map(estimate: MapEstimate) -> EstimatorState:
-    """What is known of an estimator that tells no more than its map: that Gaussian as one keyframe, seen from the map's
+    """The state of an estimator that tells no more than its map: that Gaussian as one keyframe, seen from the map's
     origin. Landmarks that are not known jointly count as independent, what is known exactly has the deviation
     LEAST_SIGMA."""
     n = len(estimate.ids)

@@ -41,7 +41,7 @@ class Solid:
 
 
 def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any], unit: float) -> Iterator[Solid]:
-    """What a layer of tfg_drake.pictures.scene looks like, in its own frame. unit: a symbol's size, m."""
+    """The solids that draw a layer of tfg_drake.pictures.scene, in its own frame. unit: a symbol's size, m."""
     flat = SHEETS.get(layer, 0.0)
     if layer == "world":
         yield Solid("walls", bands(arrays["segments"], 0.02), 0.0, WALL_HEIGHT, palette.WALL, 0.6)

@@ -136,7 +136,7 @@ def _model(tree: dict[Any, Any]) -> str:
 
 
 def _value(tree: dict[Any, Any], key: str) -> Any:
-    """What a file has for a key, by whatever name, None where it has nothing."""
+    """The value of a key in a file, under any of its names; None where there is none."""
     return next((tree[name] for name in _KEYS.get(key, (key,)) if tree.get(name) is not None), None)
 
 
