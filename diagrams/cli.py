@@ -528,9 +528,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_CODES["interrupted"]
     except BrokenPipeError:
-        # Whoever read our output has gone; nothing is left to say, at exit either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 141
+        code = 141  # Whoever read our output has gone; nothing is left to say.
     except OSError as error:
         # What the machine refuses: a folder that is gone, one process or file too many.
         where = "" if error.filename is None else f"{error.filename}: "
@@ -545,6 +543,11 @@ def main(arguments: list[str] | None = None) -> None:
         code = 3
     if code == EXIT_CODES["interrupted"] and interruption.is_set():
         code = 128 + interruption.number
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # What is left to say has nowhere to go, at exit either, which would have a code of its own.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code if isinstance(code, int) else 0)
 
 
