@@ -57,7 +57,7 @@ def open_browser(width: int, height: int) -> Any:
     try:
         from selenium import common, webdriver
     except ImportError:
-        raise BrowserMissing("the package selenium is missing: pip install -e '.[film]'") from None
+        raise BrowserMissing("the package selenium is missing: pip install 'tfg-drake[film]'") from None
     options = webdriver.ChromeOptions()
     options.binary_location = browser
     for option in (*OPTIONS.split(), f"--window-size={width},{height}"):

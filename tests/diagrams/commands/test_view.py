@@ -33,7 +33,7 @@ def test_without_a_browser_it_says_how_to_get_one(call, run_dir, monkeypatch):
     assert call("export", run_dir, run_dir / "page.gif")[::2] == (2, f"tfg-drake: {complaint}\n")
     monkeypatch.setattr("shutil.which", lambda name: name)
     monkeypatch.setitem(sys.modules, "selenium", None)
-    complaint = "the package selenium is missing: pip install -e '.[film]'"
+    complaint = "the package selenium is missing: pip install 'tfg-drake[film]'"
     assert call("export", run_dir, run_dir / "page.gif")[::2] == (2, f"tfg-drake: {complaint}\n")
     assert not (run_dir / "page.gif").exists()
 
