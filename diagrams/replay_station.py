@@ -27,7 +27,7 @@ def MakeReplayStation(recording: PortRecording) -> Diagram:
 
 
 def ReplayRobot(recording: PortRecording) -> Robot:
-    """What `run_mission` takes to drive through a recording once more, with the scenario of its run.
+    """Method and robot for `run_mission` that drive through a recording once more, with the scenario of its run.
 
     A simulated run's world is known still, the way that the robot really went is not.
     """

@@ -62,7 +62,7 @@ _LAYERS = {"goal": ("goal", "gains"), "tfg": ("tfg", "facing", "frontiers"), "ro
 
 
 class LayerWriter(Protocol):
-    """Where layers are written to: what a TimelineWriter offers of this."""
+    """A writer of layers: a TimelineWriter, or a picture that draws them."""
 
     def is_due(self, layer: str, time: float) -> bool:
         """Whether a layer may be written at a time, s."""

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from tfg_drake import kernels
+from tfg_drake.cockpit.browser import BrowserMissing, open_browser
 
 # All xdist workers share the kernels that the installation has compiled. Whoever starts them sees to it that none is of
 # sources of another day.
@@ -185,3 +186,14 @@ def small_map():
     )
     state = dataclasses.replace(initial_state(OdometryConfig()), graph=graph, map=estimate)
     return saved_map(np.array([5.0, 3.0, 0.5 * np.pi]), state, tfg_graph, resolved)
+
+
+@pytest.fixture(scope="module")
+def driver():
+    """A browser, for tests of pages; they are skipped where there is none."""
+    try:
+        driver = open_browser(820, 560)
+    except BrowserMissing as error:
+        pytest.skip(str(error))
+    yield driver
+    driver.quit()

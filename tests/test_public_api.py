@@ -1,4 +1,4 @@
-"""What is public is found: by completion, by type checkers, in the docstrings of the systems."""
+"""The public names are found: by completion, by type checkers, in the docstrings of the systems."""
 
 import importlib
 import inspect

@@ -164,7 +164,7 @@ def keys_of_driver(method: Method, robot: str, cockpit: Cockpit | None) -> Itera
 
 @contextlib.contextmanager
 def remarks_on_screen(screen: TextIO | None = None) -> Iterator[None]:
-    """What base, operator, Meshcat's picture and the run's files remark is shown, too; screen: by default standard
+    """Shows the remarks of base, operator, Meshcat's picture and the run's files on a screen, by default standard
     output."""
     import logging
 

@@ -13,7 +13,7 @@ import shapely
 from PIL import Image, ImageSequence
 
 from tests.cockpit.conftest import ENDS, EXPLAINED, STAGES, SUMMARY, begin, drive, end, stage, write_mission
-from tfg_drake.cockpit.browser import SEEK, BrowserMissing, open_browser, wait_for_page, write_gif, write_mp4
+from tfg_drake.cockpit.browser import SEEK, wait_for_page, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.commands.explore import table_rows
@@ -23,16 +23,6 @@ from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded, read_time
 
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "trail", "scan", "camera"]
 LAYERS += ["free"]
-
-
-@pytest.fixture(scope="module")
-def driver():
-    try:
-        driver = open_browser(820, 560)
-    except BrowserMissing as error:
-        pytest.skip(str(error))
-    yield driver
-    driver.quit()
 
 
 class Page:

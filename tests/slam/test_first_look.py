@@ -1,5 +1,4 @@
-"""What sensors say of each other in the first look: turns of a simulated robot, by sensors that are mounted or stamped
-wrong."""
+"""The first look held against odometry: turns of a simulated robot, by sensors that are mounted or stamped wrong."""
 
 import numpy as np
 import pytest

@@ -15,7 +15,6 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 import tfg_drake
 from tests.systems.web_page import WebPage
-from tfg_drake.cockpit.browser import BrowserMissing, open_browser
 from tfg_drake.diagrams.commands.explore import open_meshcat
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import (
@@ -340,16 +339,6 @@ def test_a_mission_is_the_same_with_and_without_it(meshcat):
 
     for with_it, without in zip(driven(meshcat=meshcat), driven(), strict=True):
         np.testing.assert_array_equal(with_it, without)
-
-
-@pytest.fixture
-def driver():
-    try:
-        driver = open_browser(820, 560)
-    except BrowserMissing as error:
-        pytest.skip(str(error))
-    yield driver
-    driver.quit()
 
 
 # What a page shows: where robot, truth and people are in W, and the vertices of visible landmarks in M and of the path.
