@@ -23,14 +23,11 @@ class CpuMeter:
     """CPU seconds of this thread, by what they were spent on.
 
     A call inside another is charged to the inner name only, so that the accounts add up: Drake evaluates an output
-    port when somebody asks for it, often in the middle of another component's event. The CPU clock is read once a
-    call, for it may be slow: a call has taken no more than the wall time since it began, and no more CPU time than has
-    passed since the clock was read last. The lesser of the two is charged.
+    port when somebody asks for it, often in the middle of another component's event.
     """
 
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}
-        self._read = time.thread_time()
         self._inner = 0.0
 
     def attach(self, system: System) -> None:
@@ -41,13 +38,12 @@ class CpuMeter:
 
     def call(self, name: str, function: Callable[..., Any], *args: Any) -> Any:
         """function(*args), charged to a name."""
-        read, outside, begin = self._read, self._inner, time.perf_counter()
-        self._inner = 0.0
+        outside, self._inner = self._inner, 0.0
+        begin = time.thread_time()
         try:
             return function(*args)
         finally:
-            self._read = time.thread_time()
-            spent = min(self._read - read, time.perf_counter() - begin)
+            spent = time.thread_time() - begin
             self.spent[name] = self.spent.get(name, 0.0) + spent - self._inner
             self._inner = outside + spent
 

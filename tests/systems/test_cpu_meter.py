@@ -25,6 +25,19 @@ def clock(monkeypatch):
     return now
 
 
+def test_what_was_spent_before_a_call_is_not_charged_to_it(clock):
+    """On a busy machine a call lasts longer than it takes, and what came before it has taken CPU time, too."""
+    meter = CpuMeter()
+    clock.burn(3.0)
+
+    def held_up():
+        clock.wait(4.0)
+        clock.burn(1.0)
+
+    meter.call("component", held_up)
+    assert meter.spent == {"component": 1.0}
+
+
 def test_inner_calls_are_not_charged_to_outer_ones(clock):
     meter = CpuMeter()
 
