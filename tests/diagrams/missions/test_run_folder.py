@@ -164,7 +164,6 @@ def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
 
 
 def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "QUICKLY_KEPT", 0.0)
     monkeypatch.setattr(run, "KEPT_SHARE", 1e-9)
     saved = []
     monkeypatch.setattr(run, "save_map", lambda path, found, final: saved.append(found.stage))
@@ -176,6 +175,7 @@ def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch)
 def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monkeypatch, lost):
     writers = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "_draw"}
     monkeypatch.setattr(report, writers.get(lost[0], "write_tum"), _fail)
+    monkeypatch.setattr(run, "KEPT_SHARE", np.inf)
     (tmp_path / "room.yaml").write_text(DIVIDED + SHORT_LOOK)
     arguments = ["explore", tmp_path / "room.yaml", "--tag-spacing", 1, "--headless", "--max-time", 30, "--json"]
     code, out, _ = call(*arguments, "--out", tmp_path / "run")
