@@ -126,19 +126,22 @@ def _seen(
     tree = cKDTree(cells)
     origins = points + _OFF_WALL * normals
 
-    def sees(i: int, index: IntArray) -> bool:
-        offset = cells[index] - origins[i]
-        facing = offset @ normals[i] >= np.cos(max_incidence) * np.linalg.norm(offset, axis=1)
-        near = np.ascontiguousarray(cells[index[facing]])
-        return len(near) > 0 and bool(line_of_sight(walls, origins[i], near).any())
+    def look(some: IntArray, index: IntArray, near: BoolArray) -> None:
+        """Tries the cells index (s, k) of some points (s,), as far as they are near (s, k)."""
+        offset = cells[np.where(near, index, 0)] - origins[some, None]
+        ahead = (offset * normals[some, None]).sum(axis=-1)
+        facing = near & (ahead >= np.cos(max_incidence) * np.linalg.norm(offset, axis=-1))
+        for row in np.flatnonzero(facing.any(axis=1)).tolist():
+            i = some[row]
+            seen[i] = np.count_nonzero(line_of_sight(walls, origins[i], cells[index[row, facing[row]]]))
 
     for count in (1, 8, 64):
-        left = np.nonzero(~seen)[0]
+        left = np.flatnonzero(~seen)
         distance, index = tree.query(points[left], k=np.arange(1, count + 1), distance_upper_bound=range_max)
-        for row, i in enumerate(left.tolist()):
-            seen[i] = sees(i, index[row, np.isfinite(distance[row])])
-    for i in np.nonzero(~seen)[0].tolist():
-        seen[i] = sees(i, np.array(tree.query_ball_point(points[i], range_max), dtype=np.int64))
+        look(left, index, np.isfinite(distance))
+    for i in np.flatnonzero(~seen).tolist():
+        index = np.array([tree.query_ball_point(points[i], range_max)], dtype=np.int64)
+        look(np.array([i]), index, np.ones(index.shape, dtype=np.bool_))
     return seen
 
 
@@ -207,7 +210,7 @@ def _beside(walls: FloatArray, grid: Grid, connected: BoolArray, points: FloatAr
     front = connected[r, c] & (((centers - origins[:, None]) * normals[:, None]).sum(axis=-1) > 0.0)
     result = np.zeros(len(points), dtype=np.bool_)
     for i in np.flatnonzero(front.any(axis=1)).tolist():
-        result[i] = line_of_sight(walls, origins[i], centers[i, front[i]]).any()
+        result[i] = np.count_nonzero(line_of_sight(walls, origins[i], centers[i, front[i]]))
     return result
 
 
