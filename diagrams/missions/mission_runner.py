@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gc
 import logging
 import math
 import threading
@@ -91,8 +90,6 @@ class MissionRunner:
         self._wall_start = time.monotonic()
         try:
             mission.begin(monitor, write)
-            # What there is so far stays: looking through all of it for garbage, again and again, takes its time.
-            gc.freeze()
             mission.simulator.set_target_realtime_rate(1.0 if mission.robot.real else self._rate)
             terminated = False
             while not self._ended():
@@ -118,7 +115,6 @@ class MissionRunner:
             mission.reason = f"{type(error).__name__} at {mission.time:.2f} s: {first_line}"
             _log.exception("the mission failed at %.3f s", mission.time)
         finally:
-            gc.unfreeze()
             mission.robot.close()
         mission.account(time.monotonic() - self._wall_start)
         if mission.built:

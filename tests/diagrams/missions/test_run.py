@@ -1,3 +1,4 @@
+import gc
 import json
 import math
 import os
@@ -52,6 +53,30 @@ def test_the_summary_has_every_field_in_order(finished):
         assert list(written[name]) == ["mean", "std", "max", "final"]
     assert list(written["map_variables"]) == ["landmarks", "poses", "calibration"]
     assert list(written["stage_ms"]) == ["median", "p99", "max"]
+
+
+def test_a_run_leaves_no_garbage_and_the_collector_as_it_was(tmp_path, monkeypatch):
+    """A figure goes round in circles and holds megabytes, which nobody may come to collect for many missions."""
+    monkeypatch.setattr(run, "MissionRunner", _fail)
+    before = gc.isenabled(), gc.get_threshold()
+    with pytest.raises(Failure):
+        run.run_mission(room(), max_time=1.0, out_dir=tmp_path)
+    monkeypatch.undo()
+    gc.disable()
+    try:
+        run.run_mission(room(), max_time=1.0, out_dir=tmp_path)
+        assert not [one for one in gc.get_objects() if type(one).__name__ == "Figure"]
+    finally:
+        gc.enable()
+    assert (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count()) == (*before, 0)
+
+
+class Failure(Exception):
+    """What goes wrong."""
+
+
+def _fail(*_arguments):
+    raise Failure
 
 
 def test_stages_are_written_line_by_line(finished):
