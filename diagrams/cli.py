@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import io
 import json
 import locale
@@ -51,6 +52,10 @@ if TYPE_CHECKING:
 # Tags nearer to each other than this would lie on top of one another, m.
 LEAST_SPACING = 0.05
 EXIT_CODES = {"complete": 0, "budget": 0, "battery": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
+
+# So many more objects come before somebody looks for garbage among them: while libraries are imported there is none,
+# and to look takes a quarter of a second.
+GARBAGE = 50_000
 
 # Commands that a signal ends with all that they have written; others it ends at once.
 WRITING = ("explore", "compare", "fork", "slam", "figures")
@@ -513,6 +518,7 @@ def figures(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
+    gc.set_threshold(GARBAGE)
     interruption.clear()
     interruption.first = interruption.again = signal.default_int_handler
     try:
