@@ -61,19 +61,20 @@ class MessageState(Generic[T]):
         """Declares it. initial: the message at first, of the kind of all others."""
         self._kind = type(initial)
         self.index = system.DeclareAbstractState(AbstractValue.Make(initial))
+        self._number = int(self.index)
         self.tickets = {system.abstract_state_ticket(self.index)}
 
     def __call__(self, context: Context | State) -> T:
         """The message. Raises TypeError where the variable holds anything else."""
-        value = context.get_abstract_state(int(self.index)).get_value()
+        value = context.get_abstract_state(self._number).get_value()
         if not isinstance(value, self._kind):
             found = type(value).__name__
-            raise TypeError(f"abstract state {int(self.index)} must hold {self._kind.__name__}, not {found}.")
+            raise TypeError(f"abstract state {self._number} must hold {self._kind.__name__}, not {found}.")
         return value
 
     def set(self, state: State, value: T) -> None:
         """Puts another message there."""
-        state.get_mutable_abstract_state(int(self.index)).set_value(value)
+        state.get_mutable_abstract_state(self._number).set_value(value)
 
     def declare_output(self, system: LeafSystem, name: str, part: Callable[[T], object]) -> OutputPort:
         """Declares an output port of the same system for what a part of the message is, or is made of it alone."""

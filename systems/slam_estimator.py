@@ -17,6 +17,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.slam.camera_model import camera_model
 from tfg_drake.slam.estimator import (
+    NO_MAP,
     begin_turn,
     end_turn,
     map_estimate,
@@ -26,7 +27,6 @@ from tfg_drake.slam.estimator import (
     process_scan,
 )
 from tfg_drake.slam.estimator_state import initial_state
-from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
@@ -74,7 +74,7 @@ class SlamEstimator(LeafSystem):
         self._state = MessageState(self, initial_state(odometry_config, path_keyframe_period, camera_model(sensor)))
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
-        self._state.declare_output(self, "map", lambda now: map_estimate(now) or empty_map())
+        self._state.declare_output(self, "map", lambda now: map_estimate(now) or NO_MAP)
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
