@@ -53,10 +53,6 @@ if TYPE_CHECKING:
 LEAST_SPACING = 0.05
 EXIT_CODES = {"complete": 0, "budget": 0, "battery": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
 
-# So many more objects come before somebody looks for garbage among them: while libraries are imported there is none,
-# and to look takes a quarter of a second.
-GARBAGE = 50_000
-
 # Commands that a signal ends with all that they have written; others it ends at once.
 WRITING = ("explore", "compare", "fork", "slam", "figures")
 # Address space that a command needs at least, bytes: its libraries take two thirds of it.
@@ -518,7 +514,9 @@ def figures(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
-    gc.set_threshold(GARBAGE)
+    # Objects before somebody looks for garbage among them: what libraries are imported to is none, and takes a quarter of
+    # a second to be looked through as often as usual.
+    gc.set_threshold(50_000)
     interruption.clear()
     interruption.first = interruption.again = signal.default_int_handler
     try:

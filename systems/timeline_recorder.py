@@ -189,8 +189,11 @@ class TimelineRecorder(LeafSystem):
             if is_made and not everything and (now < self._whole_due.get(name, now) or not self._IsDue(name, now)):
                 continue
             message = self._Get(context, name)
-            if message is None or message is self._newest.get(name):
+            before = self._newest.get(name)
+            if message is None or message is before:
                 continue
+            if isinstance(before, MapEstimate) and before.stage == message.stage == 0:
+                continue  # Until there is a view the map is made anew at every look.
             if everything or self._IsDue(name, now):
                 self._newest[name] = message
                 self._WriteMessage(name, message, now, context)

@@ -15,7 +15,7 @@ import gc
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,7 +130,7 @@ def run_mission(
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
             later is told in the log and in the result.
     """
-    with open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder, folder.logging(), _without_garbage():
+    with open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder, folder.logging():
         write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         if record and robot.world_known:
@@ -138,6 +138,11 @@ def run_mission(
                 _of_world.warning(line)
         title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:
+            # What there is so far is not looked through for garbage meanwhile, again and again; what is left of all that
+            # comes now, such as a figure's megabytes, is collected at the end.
+            gc.freeze()
+            stack.callback(gc.unfreeze)
+            stack.callback(gc.collect)
             writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name)) if record else None
             timeline = None
             if record:
@@ -173,18 +178,6 @@ def run_mission(
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent, mission)
-
-
-@contextlib.contextmanager
-def _without_garbage() -> Iterator[None]:
-    """What there is so far is not looked through for garbage meanwhile, again and again; what is left of all that came
-    later, such as a figure's megabytes, is collected at the end."""
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.collect()
-        gc.unfreeze()
 
 
 class _Keeper:

@@ -16,8 +16,6 @@ from tfg_drake.storage.trajectory import poses_at
 
 # The scanner's view counts from poses this far apart, m or rad, whichever comes first.
 STEP, TURN = 0.25, 0.25
-# What lies this much beyond the range is looked at, too, m: a sum is rounded.
-_SLACK = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,18 +72,16 @@ def scan_coverage(
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     rows = _samples(X_WB)
     walls = np.ascontiguousarray(walls)
-    # Of a large building only the strip within range is looked at, across its longer side.
+    # Of a large building only the strip within range, and a bit, is looked at, across its longer side.
     axis = int(np.argmax(np.ptp(p_WC, axis=0)))
     cells = p_WC[np.argsort(p_WC[:, axis])]
-    strips = np.searchsorted(cells[:, axis], X_WB[rows, axis, None] + (scan_range + _SLACK) * np.array([-1.0, 1.0]))
-    unseen, left = np.ones(len(cells), dtype=np.bool_), len(cells)
+    strips = np.searchsorted(cells[:, axis], X_WB[rows, axis, None] + (scan_range + 1e-6) * np.array([-1.0, 1.0]))
+    unseen = np.ones(len(cells), dtype=np.bool_)
     share = np.empty(len(rows))
     for k, (pose, (first, end)) in enumerate(zip(X_WB[rows], strips.tolist(), strict=True)):
         near = first + np.flatnonzero(unseen[first:end])
-        seen = near[_seen(pose, cells[near], walls, scan_range, field_of_view)]
-        unseen[seen] = False
-        left -= len(seen)
-        share[k] = 1.0 - left / len(cells)
+        unseen[near] = ~_seen(pose, cells[near], walls, scan_range, field_of_view)
+        share[k] = 1.0 - np.count_nonzero(unseen) / len(cells)
     return rows, share
 
 
