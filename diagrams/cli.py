@@ -514,8 +514,8 @@ def figures(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
-    # Objects before somebody looks for garbage among them: what libraries are imported to is none, and takes a quarter of
-    # a second to be looked through as often as usual.
+    # So many objects come before somebody looks for garbage among them: importing libraries makes none, and to look
+    # as often as usual takes a quarter of a second.
     gc.set_threshold(50_000)
     interruption.clear()
     interruption.first = interruption.again = signal.default_int_handler

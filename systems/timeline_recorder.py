@@ -31,7 +31,7 @@ from tfg_drake.simulation.people import People, places_at
 from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.storage.timeline import TimelineWriter
-from tfg_drake.systems.ports import declare_message_input, eval_message
+from tfg_drake.systems.ports import declare_message_input, eval_optional
 
 # Poses a simulated second, and how many of them to a scan and to a look at what changes seldom: the page draws what
 # lies between.
@@ -165,8 +165,7 @@ class TimelineRecorder(LeafSystem):
         return EventStatus.Succeeded()
 
     def _Get(self, context: Context, name: str) -> Any:
-        port = self._inputs[name]
-        return eval_message(port, context, _MESSAGES[name]) if port.HasValue(context) else None
+        return eval_optional(self._inputs[name], context, _MESSAGES[name])
 
     def _Record(self, context: Context, everything: bool) -> None:
         now = context.get_time()

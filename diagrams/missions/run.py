@@ -138,8 +138,8 @@ def run_mission(
                 _of_world.warning(line)
         title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:
-            # What there is so far is not looked through for garbage meanwhile, again and again; what is left of all that
-            # comes now, such as a figure's megabytes, is collected at the end.
+            # What there is so far is not looked through for garbage again and again. What is left of all that comes
+            # now, such as a figure's megabytes, is collected at the end.
             gc.freeze()
             stack.callback(gc.unfreeze)
             stack.callback(gc.collect)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib
 import numpy as np
 
 from tfg_drake.messages import FloatArray
@@ -32,6 +31,8 @@ def css(colour: Colour) -> str:
 
 def gain_colours(share: FloatArray) -> FloatArray:
     """Colours (n, 3) in [0, 1] for shares (n,) of the best gain: pale for none, deep for the best, even to the eye."""
+    import matplotlib  # A mission needs it at its end only.
+
     return np.asarray(matplotlib.colormaps["magma_r"](0.08 + 0.77 * share))[:, :3]
 
 
