@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
+from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import rotation, wrap_angle
 from tfg_drake.messages import FloatArray
@@ -21,19 +22,6 @@ SURFACE_TOLERANCE = 0.25
 def rmse(error: FloatArray) -> float:
     """Root of the mean squared length of the rows of error (n, d); nan without rows."""
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))) if len(error) else float("nan")
-
-
-def align(p_AP: FloatArray, p_BP: FloatArray) -> FloatArray:
-    """The pose X_AB (3,) that brings points p_BP (n, 2) closest to p_AP (n, 2), least squares, without scale.
-
-    Horn (1987) and Umeyama (1991), planar. Without points: the identity.
-    """
-    if not len(p_AP):
-        return np.zeros(3)
-    mean_A, mean_B = p_AP.mean(axis=0), p_BP.mean(axis=0)
-    a, b = p_AP - mean_A, p_BP - mean_B
-    theta = float(np.arctan2(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]), np.sum(a * b)))
-    return np.append(mean_A - rotation(theta) @ mean_B, theta)
 
 
 def landmark_rmse(p_ML: FloatArray, p_ML_true: FloatArray) -> float:

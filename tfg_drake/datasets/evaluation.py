@@ -9,9 +9,10 @@ import itertools
 
 import numpy as np
 
-from tfg_drake.comparison.metrics import align, rmse
+from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 
 # True poses farther apart than this leave the time between them without truth, s.

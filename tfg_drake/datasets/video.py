@@ -15,8 +15,8 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.rows import read_table
+from tfg_drake.io.clock_unit import in_seconds
 from tfg_drake.messages import FloatArray, Odometry, TagDetections
-from tfg_drake.storage.clock_unit import in_seconds
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.frames import FrameError, frames
 from tfg_drake.vision.mount import CameraMount

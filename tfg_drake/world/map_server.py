@@ -13,9 +13,9 @@ from scipy import ndimage
 
 from tfg_drake.bad_input import not_radians
 from tfg_drake.geometry.se2 import inverse, transform
+from tfg_drake.io.files import read_bytes
+from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.storage.files import read_bytes
-from tfg_drake.storage.yaml_text import parse_yaml
 from tfg_drake.vision.image import NO_IMAGE
 from tfg_drake.world.world import WorldError
 
