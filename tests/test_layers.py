@@ -76,6 +76,16 @@ def test_the_core_imports_in_its_order(name):
     assert not offenders(own, *(f"tfg_drake.{one}" for one in later))
 
 
+@pytest.mark.parametrize("folder", ["", "missions", "commands"])
+def test_diagrams_import_in_their_order(folder):
+    order = ["", "missions", "commands", "cli", "exploration"]
+    later = order[order.index(folder) + 1 :]
+    inside = [path for path in sources("diagrams") if path.parent == Path("diagrams", folder)]
+    inside = [path for path in inside if folder or path.stem not in order]
+    assert inside
+    assert not offenders(inside, *(f"tfg_drake.diagrams.{one}" for one in later))
+
+
 def test_systems_and_hardware_do_not_import_diagrams():
     assert not offenders(sources("systems", "hardware"), "tfg_drake.diagrams")
 
