@@ -11,7 +11,7 @@ import scipy.linalg
 
 from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.distance import point_distance
-from tfg_drake.geometry.se2 import rotation, wrap_angle
+from tfg_drake.geometry.se2 import transform, wrap_angle
 from tfg_drake.messages import FloatArray
 from tfg_drake.world.reachability import cut_walls
 
@@ -31,8 +31,7 @@ def landmark_rmse(p_ML: FloatArray, p_ML_true: FloatArray) -> float:
 
 def landmark_rmse_aligned(p_ML: FloatArray, p_ML_true: FloatArray) -> float:
     """RMSE, m, after the rigid transform that fits the estimates (n, 2) to the truth (n, 2) best."""
-    X = align(p_ML_true, p_ML)
-    return rmse(p_ML @ rotation(float(X[2])).T + X[:2] - p_ML_true)
+    return rmse(transform(align(p_ML_true, p_ML), p_ML) - p_ML_true)
 
 
 def anees(error: FloatArray, covariance: FloatArray) -> float:
