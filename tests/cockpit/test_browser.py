@@ -309,7 +309,7 @@ def test_there_is_a_scale_from_above(page):
     length, text = page(bar)
     assert f"{length:.3g} m" == text
     page.click("mode")
-    assert not page.driver.find_element("id", "scale").is_displayed()
+    page.until("return element('scale').hidden")  # by the next picture
     page.click("mode")
 
 
