@@ -31,19 +31,13 @@ hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=Tru
 hypothesis.settings.load_profile("tfg_drake")
 
 
-# Pages in a browser, which on a machine that does much else is late for a picture.
-IN_A_BROWSER = ("tests/cockpit/test_browser.py", "tests/systems/test_visualizer.py")
-
 # Whole missions and robots: begun first, so that none of them is left over when all else is done.
 LONG = ("tests/diagrams/", "tests/hardware/", "tests/integration/")
 
 
 def pytest_collection_modifyitems(items):
-    """The long ones first. A test in a browser gets a second and a third chance; no other test does."""
+    """The long ones first."""
     items.sort(key=lambda item: not item.nodeid.startswith(LONG))
-    for item in items:
-        if item.nodeid.startswith(IN_A_BROWSER):
-            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 @pytest.fixture(scope="session")
