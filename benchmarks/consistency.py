@@ -22,7 +22,7 @@ import numpy as np
 import reality
 import results
 
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.io.files import write_atomic
 
 # Scenario, row of reality.py, and how many seeds. All missions together take some 40 minutes of CPU.
 ROWS = {

@@ -20,9 +20,10 @@ from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
 from threadpoolctl import threadpool_limits
 
-from tfg_drake.comparison.metrics import align, landmark_rmse
+from tfg_drake.comparison.metrics import landmark_rmse
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld
+from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.simulation.differential_drive import THETA, X, Y

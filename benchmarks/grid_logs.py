@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 from scan_logs import ScanLog, load_breezyslam, load_carmen
 from threadpoolctl import threadpool_limits
 
-from tfg_drake.comparison.metrics import align
 from tfg_drake.config import GridConfig, OdometryConfig
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.alignment import align
 from tfg_drake.grid import gmapping
 from tfg_drake.messages import FloatArray, GridMap
 

@@ -496,7 +496,7 @@ def figures(
         show("loading")
         wait_for_kernels(show)
 
-        from tfg_drake.diagrams.missions.figures import write_figures, write_tables
+        from tfg_drake.diagrams.commands.figures import write_figures, write_tables
 
         def on_stage(stage: int, time: float) -> bool:
             show(f"the mission to draw: stage {stage}, {time:.0f} s")

@@ -39,7 +39,7 @@ from tfg_drake.config import (
     TagConfig,
     TagSensorConfig,
 )
-from tfg_drake.storage.yaml_text import dump_yaml, parse_yaml
+from tfg_drake.io.yaml_text import dump_yaml, parse_yaml
 from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
 from tfg_drake.world.world import World, WorldError, check_world

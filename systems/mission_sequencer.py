@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
@@ -58,18 +57,11 @@ class MissionSequencer(LeafSystem):
         super().__init__()
         self._max_speed, self._glance_period = robot.max_speed, glance_period
 
-        def asked(name: str, kind: type) -> Callable[[Context], Any]:
-            port = declare_message_input(self, name)
-            return lambda context: eval_message(port, context, kind)
-
-        mapped = [asked(name, kind) for name, kind in maps.items()]
-        self._ask: Mapping[str, Callable[[Context], object]] = {
-            "mapped_stage": lambda context: min(newest(context).stage for newest in mapped),
-            "goal": asked("goal", GoalChoice),
-            "path": asked("path", Path),
-            "path_status": asked("path_status", PathStatus),
-            "follower": asked("follower_status", FollowerStatus),
-        }
+        self._maps = [(declare_message_input(self, name), kind) for name, kind in maps.items()]
+        self._goal = declare_message_input(self, "goal")
+        self._path = declare_message_input(self, "path")
+        self._path_status = declare_message_input(self, "path_status")
+        self._follower = declare_message_input(self, "follower_status")
         self._hazards = declare_message_input(self, "hazards")
         self._pause = self.DeclareVectorInputPort("pause", 1)
         self._enable = self.DeclareVectorInputPort("enable", 1)
@@ -82,10 +74,13 @@ class MissionSequencer(LeafSystem):
         status = self._status(context)
         if status.phase == "done":
             return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
-        inputs = _Inputs(
-            self._ask,
-            context,
+        inputs = MissionInputs(
             time=context.get_time(),
+            follower=lambda: eval_message(self._follower, context, FollowerStatus),
+            goal=lambda: eval_message(self._goal, context, GoalChoice),
+            path=lambda: eval_message(self._path, context, Path),
+            path_status=lambda: eval_message(self._path_status, context, PathStatus),
+            mapped_stage=lambda: min(eval_message(port, context, kind).stage for port, kind in self._maps),
             max_speed=self._max_speed,
             glance_period=self._glance_period,
             bumper=eval_message(self._hazards, context, Hazards).bumper != 0,
@@ -98,17 +93,6 @@ class MissionSequencer(LeafSystem):
             return EventStatus.DidNothing()
         self._status.set(state, updated)
         return EventStatus.Succeeded()
-
-
-class _Inputs(MissionInputs):
-    """What the sequencer sees; a message is asked for when the phase is interested in it."""
-
-    def __init__(self, ask: Mapping[str, Callable[[Context], object]], context: Context, **known: object) -> None:
-        self.__dict__.update(known, _ask=ask, _context=context)
-
-    def __getattr__(self, name: str) -> object:
-        value = self.__dict__[name] = self.__dict__["_ask"][name](self._context)
-        return value
 
 
 def _flag(port, context: Context, default: bool) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
+from tfg_drake.geometry.motion import advance
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.safety.scan_watch import HELD, no_watch, watched
@@ -22,7 +23,6 @@ from tfg_drake.safety.velocity_filter import (
     held,
     stopped,
 )
-from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message

@@ -31,32 +31,13 @@ hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=Tru
 hypothesis.settings.load_profile("tfg_drake")
 
 
-# What talks in real time to emulated robots, sensors, browsers and other processes.
-REAL_TIME = (
-    "tests/cockpit/",
-    "tests/diagrams/commands/test_kobuki.py",
-    "tests/diagrams/commands/test_ros.py",
-    "tests/diagrams/commands/test_view.py",
-    "tests/diagrams/test_cli.py",
-    "tests/diagrams/test_hardware_station.py",
-    "tests/diagrams/test_robot_option.py",
-    "tests/hardware/",
-    "tests/integration/test_real_robot.py",
-    "tests/systems/test_visualizer.py",
-)
-
-
 # Whole missions and robots: begun first, so that none of them is left over when all else is done.
 LONG = ("tests/diagrams/", "tests/hardware/", "tests/integration/")
 
 
 def pytest_collection_modifyitems(items):
-    """A test in real time gets a second and a third chance: on a machine that does much else, a process at its other
-    end may have to wait for longer than a robot may be silent. No other test does."""
+    """The long ones first."""
     items.sort(key=lambda item: not item.nodeid.startswith(LONG))
-    for item in items:
-        if item.nodeid.startswith(REAL_TIME):
-            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 @pytest.fixture(scope="session")

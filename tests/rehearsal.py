@@ -25,8 +25,8 @@ from numba.core.dispatcher import Dispatcher
 from tfg_drake import kernels
 from tfg_drake.config import GAINS
 from tfg_drake.diagrams import cli
+from tfg_drake.diagrams.commands.figures import write_figures
 from tfg_drake.diagrams.methods import METHODS
-from tfg_drake.diagrams.missions.figures import write_figures
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.scenario import LoadScenario

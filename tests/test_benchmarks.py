@@ -1,11 +1,8 @@
 """Benchmarks that watch a mission from within still see what they are to measure."""
 
-import math
 import runpy
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -40,24 +37,6 @@ def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:
     rows = [line.split() for line in run("chance_constraint.py", *arguments).splitlines()[1:]]
     assert [(row[0], float(row[1])) for row in rows] == [("point", 0.1), ("point", 0.01), ("path", 0.1), ("path", 0.01)]
     assert all(int(row[2]) >= 2 and int(row[3]) > 50 for row in rows)
-
-
-def test_robot_faults_tells_when_the_wheels_are_told_to_stand(monkeypatch) -> None:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    names = runpy.run_path(str(BENCHMARKS / "robot_faults.py"))
-    moving, ahead, stands_after = (names[name] for name in ("moving", "ahead", "stands_after"))
-
-    def stood(*commands: tuple[float, float, float], how: Callable[..., bool] = moving) -> float:
-        return stands_after(SimpleNamespace(commands=lambda: list(commands)), how, 10.0, 12.0)
-
-    drives, stands, backs = (9.9, 0.3, 0.0), (10.4, 0.0, 0.0), (10.2, -0.1, 0.4)
-    assert stood(drives, stands) == pytest.approx(0.4)
-    assert stood(drives, stands, (10.6, 0.1, 0.0), (10.8, 0.0, 0.0)) == pytest.approx(0.8)
-    # Nobody tells it to stand, or only when it is over.
-    assert stood(drives) == stood(drives, (12.5, 0.0, 0.0)) == math.inf
-    assert stood((9.9, 0.0, 0.0), stands) == 0.0
-    assert stood(drives, backs) == math.inf
-    assert stood(drives, backs, how=ahead) == pytest.approx(0.2)
 
 
 def test_gains_compares_every_formula_with_the_exact_one(run) -> None:

@@ -10,6 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LAYERS = ("systems", "diagrams", "hardware")
+# The core, lowest first: each imports only what is before it. The robot's own part can know nothing of the world.
+BASE = ("bad_input", "messages", "config", "io", "kernels", "geometry")
+ROBOT = ("vision", "slam", "tfg", "mission", "planning", "safety", "grid")
+BEYOND = ("world", "simulation", "mapfile", "storage", "pictures", "comparison", "datasets", "cockpit")
+CORE = BASE + ROBOT + BEYOND
 
 
 @functools.cache
@@ -57,6 +62,28 @@ def test_the_core_imports_neither_drake_nor_a_layer_above():
     # The front door names what is behind it; tests/test_public_api.py sees to it that it is imported when asked for.
     core = [path for path in sources("tfg_drake") if path != Path("tfg_drake/__init__.py")]
     assert not offenders(core, "pydrake", *(f"tfg_drake.{layer}" for layer in LAYERS))
+
+
+def test_the_order_of_the_core_names_all_of_it():
+    inside = {path.parts[1].removesuffix(".py") for path in sources("tfg_drake")} - {"__init__"}
+    assert sorted(CORE) == sorted(inside)
+
+
+@pytest.mark.parametrize("name", CORE)
+def test_the_core_imports_in_its_order(name):
+    own = [path for path in sources("tfg_drake") if path.parts[1].removesuffix(".py") == name]
+    later = CORE[CORE.index(name) + 1 :]
+    assert not offenders(own, *(f"tfg_drake.{one}" for one in later))
+
+
+@pytest.mark.parametrize("folder", ["", "missions", "commands"])
+def test_diagrams_import_in_their_order(folder):
+    order = ["", "missions", "commands", "cli", "exploration"]
+    later = order[order.index(folder) + 1 :]
+    inside = [path for path in sources("diagrams") if path.parent == Path("diagrams", folder)]
+    inside = [path for path in inside if folder or path.stem not in order]
+    assert inside
+    assert not offenders(inside, *(f"tfg_drake.diagrams.{one}" for one in later))
 
 
 def test_systems_and_hardware_do_not_import_diagrams():

@@ -130,7 +130,7 @@ def test_a_type_checker_sees_the_types_and_a_misspelling(clone, tmp_path, kind):
     command = [sys.executable, "-m", "mypy", "--strict", *python, "--config-file", "", "script.py"]
     alone = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")}
     said = subprocess.run(command, cwd=tmp_path, env=alone, capture_output=True, text=True, check=False).stdout
-    assert '3: note: Revealed type is "tfg_drake.diagrams.missions.exploration.Exploration"' in said
+    assert '3: note: Revealed type is "tfg_drake.diagrams.exploration.Exploration"' in said
     assert '4: note: Revealed type is "tfg_drake.messages.MapEstimate | None"' in said
     assert '5: note: Revealed type is "tfg_drake.storage.run.Run"' in said
     assert '6: note: Revealed type is "pydrake.systems.analysis.Simulator"' in said

@@ -22,14 +22,13 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tfg_drake.diagrams.missions.exploration import explore
-    from tfg_drake.diagrams.missions.fork import fork
+    from tfg_drake.diagrams.exploration import explore, fork
     from tfg_drake.storage.run import load_run
 else:
     # Each is imported when it is asked for: without Drake the package is to be of use, too.
     _WHERE = {
-        "explore": "tfg_drake.diagrams.missions.exploration",
-        "fork": "tfg_drake.diagrams.missions.fork",
+        "explore": "tfg_drake.diagrams.exploration",
+        "fork": "tfg_drake.diagrams.exploration",
         "load_run": "tfg_drake.storage.run",
     }
 

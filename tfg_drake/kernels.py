@@ -31,7 +31,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.io.files import write_atomic
 
 PACKAGE = Path(__file__).parent
 TABLE = PACKAGE / "kernels.txt"

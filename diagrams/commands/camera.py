@@ -243,7 +243,7 @@ def _write(picture: Image, path: Path) -> None:
     """Whole or not at all: somebody may be looking at the file before."""
     import PIL.Image
 
-    from tfg_drake.storage.files import write_atomic
+    from tfg_drake.io.files import write_atomic
 
     buffer = io.BytesIO()
     with writing(f"--out {path}"):

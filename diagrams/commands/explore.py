@@ -119,7 +119,7 @@ def open_robot(
         yield SIMULATED, scenario
         return
 
-    from tfg_drake.diagrams.real_robot import OpenRobot, Rehearse
+    from tfg_drake.diagrams.missions.real_robot import OpenRobot, Rehearse
     from tfg_drake.hardware.keyboard import HELP
 
     if name.startswith("replay:"):

@@ -12,7 +12,7 @@ import typer
 
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, wait_for_kernels, writing
 from tfg_drake.diagrams.commands.screen import Screen
-from tfg_drake.storage.files import of_run
+from tfg_drake.io.files import of_run
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
@@ -68,11 +68,11 @@ def export(
 ) -> None:
     """Write a map in another format, by the suffix of OUT."""
     from tfg_drake.cockpit.page import export_page, viewer_script
+    from tfg_drake.io.files import write_atomic
     from tfg_drake.mapfile.g2o import g2o_text
     from tfg_drake.mapfile.landmark_table import landmark_csv
     from tfg_drake.mapfile.summary import map_rows
     from tfg_drake.pictures.figure import draw_map
-    from tfg_drake.storage.files import write_atomic
 
     suffix = out.suffix.lower()
     if suffix not in SUFFIXES:
@@ -107,7 +107,7 @@ def _load(path: Path) -> SavedMap:
 @contextlib.contextmanager
 def _timeline(saved: SavedMap, path: Path) -> Iterator[Path]:
     """A file, deleted afterwards, with the timeline that the page shows of a map."""
-    from tfg_drake.mapfile.map_timeline import write_map_timeline
+    from tfg_drake.pictures.map_timeline import write_map_timeline
     from tfg_drake.storage.timeline import FILE_NAME
 
     with tempfile.TemporaryDirectory() as folder:

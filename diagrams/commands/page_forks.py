@@ -12,7 +12,7 @@ from typing import Any
 
 from tfg_drake.diagrams.commands.fork import difference_rows
 from tfg_drake.diagrams.methods import METHODS
-from tfg_drake.storage.files import FileError, read_object
+from tfg_drake.io.files import FileError, read_object
 from tfg_drake.storage.timeline import FILE_NAME
 
 

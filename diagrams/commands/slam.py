@@ -25,13 +25,13 @@ from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
 from tfg_drake.diagrams.missions.run_folder import open_run_folder
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import save_map, saved_map
 from tfg_drake.messages import replace
 from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
-from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import write_tum
 from tfg_drake.tfg.graph import empty_graph, empty_map
 

@@ -68,7 +68,7 @@ def advise(
     ),
 ) -> None:
     """Say where to hang tags so that the robot knows best where it is, the most useful first."""
-    from tfg_drake.storage.files import write_atomic
+    from tfg_drake.io.files import write_atomic
 
     if (run is None) == (world is None):
         bad_input("tags advise: name either the folder of a mission or --world FILE")

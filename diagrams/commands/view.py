@@ -12,7 +12,7 @@ from tfg_drake.diagrams.commands.page import open_page
 from tfg_drake.diagrams.commands.page_forks import PageForks, can_fork
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.diagrams.missions.run_folder import claimed
-from tfg_drake.storage.files import of_run, read_bytes, reading
+from tfg_drake.io.files import of_run, read_bytes, reading
 from tfg_drake.storage.timeline import FILE_NAME, MAGIC
 
 _FILMS = {".gif": write_gif, ".mp4": write_mp4}

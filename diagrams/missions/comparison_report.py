@@ -19,10 +19,10 @@ from tfg_drake.diagrams.missions.errors import EVERY
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import load_grid
+from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.figure_file import write_formats
-from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import read_tum
 from tfg_drake.world.reachability import make_grid, reachable_cells
 

@@ -47,7 +47,7 @@ class KnownWorld:
         """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
         segments = _mapped_surfaces(mission.X_WM, tfg, mission.grid)
         return {
-            **_landmarks(
+            **landmark_figures(
                 self._world, self.reachable, estimate, mission.grid is None, mission.X_WM, mission.camera.sigma[0]
             ),
             **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
@@ -100,7 +100,7 @@ def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
     return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
 
 
-def _landmarks(
+def landmark_figures(
     world: World,
     reachable: BoolArray,
     estimate: MapEstimate | None,
@@ -108,7 +108,13 @@ def _landmarks(
     X_WM: FloatArray,
     yaw_sigma: float,
 ) -> dict[str, Any]:
-    """yaw_sigma: rad, of the camera's yaw, on which hangs how the map lies in the world, X_WM (3,)."""
+    """How many of the tags are mapped, and how well.
+
+    Args:
+        world: with the true tags; reachable (n,): those of them that can be seen from where the robot can be.
+        estimate: the map, None where there is none; maps_landmarks: whether the method makes one.
+        X_WM: (3,) pose of the map frame. yaw_sigma: rad, of the camera's yaw, which turns the map as a whole.
+    """
     mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
     trusted = ~estimate.is_doubtful if estimate is not None else np.zeros(0, dtype=np.bool_)
     counted = trusted & np.isin(mapped, world.tag_ids[reachable])

@@ -7,17 +7,14 @@ the robot has looked round there.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.diagrams.commands.command_line import make_kernels_ready
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
@@ -193,32 +190,3 @@ def check_same(run: Run, stages: Sequence[dict[str, Any]], stage: int) -> None:
                 f"{run.folder}: its stage {before['stage']} comes out otherwise now: it was made by another version"
                 f" ({version}); explore its scenario.yaml anew and fork that"
             )
-
-
-def fork(
-    run: Run | str | Path, stage: int, *, goal: Sequence[float] | None = None, candidate: int | None = None
-) -> Simulator:
-    """A simulator of a run at a stage, its goal chosen and not yet driven to, to go on with.
-
-    Args:
-        run: the folder of a simulated run, or what `load_run` read of it.
-        stage: which, from 1 on.
-        goal: (2,) in W, m: drive there instead, to the reachable place next to it, and look round.
-        candidate: or to the candidate of this number, 1 for that with the most gain.
-
-    The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. Whatever
-    was asked for is driven to while the simulator is advanced. Without a goal or candidate it ends as the run did, to
-    the bit.
-
-    Raises:
-        ForkError: the run cannot be forked there; see `forkable` and `Fork`.
-    """
-    make_kernels_ready()
-    run, scenario = forkable(run, stage)
-    mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
-    change = Fork(stage, goal, candidate)
-    mission.begin(change.monitor(mission, stops=True))
-    if mission.advance(math.inf):
-        raise ForkError(f"stage {stage}: the mission ended before it")
-    check_same(run, mission.stages, stage)
-    return mission.simulator

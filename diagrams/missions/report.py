@@ -15,10 +15,10 @@ from tfg_drake.diagrams.missions.errors import KnownWorld, path_length, pose_err
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.run_folder import RunFolder
 from tfg_drake.grid.saved_grid import save_grid
+from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
-from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.trajectory import write_tum
 
 SCHEMA = 1

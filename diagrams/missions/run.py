@@ -32,10 +32,10 @@ from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import save_grid
+from tfg_drake.io.files import write_atomic
 from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
-from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter

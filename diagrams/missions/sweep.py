@@ -32,8 +32,8 @@ from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
-from tfg_drake.storage.files import FileError, read_object, write_atomic
 
 # How often an interrupt is looked for, s.
 _POLL = 0.2

@@ -22,9 +22,9 @@ ROOT = HERE.parents[1]
 FIRST = ("tfg_drake", "tfg_drake.systems", "tfg_drake.diagrams")
 # What a mission from Python needs, by the name under which `tfg_drake` has it.
 API = {
-    "explore": "tfg_drake.diagrams.missions.exploration",
+    "explore": "tfg_drake.diagrams.exploration",
     "load_run": "tfg_drake.storage.run",
-    "fork": "tfg_drake.diagrams.missions.fork",
+    "fork": "tfg_drake.diagrams.exploration",
 }
 START = """tfg_drake
 =========

@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from shapely.geometry import LineString, MultiLineString, Point
 
 from tfg_drake.comparison import metrics
@@ -21,23 +19,14 @@ def test_landmark_rmse():
     assert np.isnan(metrics.landmark_rmse(np.zeros((0, 2)), np.zeros((0, 2))))
 
 
-@settings(deadline=None, max_examples=50)
-@given(st.tuples(*[st.floats(-20, 20)] * 2, st.floats(-3.1, 3.1)), st.integers(2, 30))
-def test_alignment_undoes_any_rigid_transform(pose, n):
-    p = np.random.default_rng(n).uniform(-10, 10, (n, 2))
-    X_AB = np.array(pose)
-    np.testing.assert_allclose(metrics.align(transform(X_AB, p), p), X_AB, atol=1e-9)
-    assert metrics.landmark_rmse_aligned(p, transform(X_AB, p)) == pytest.approx(0.0, abs=1e-9)
+def test_a_moved_map_has_an_aligned_rmse_of_zero():
+    p = RANDOM.uniform(-10, 10, (30, 2))
+    assert metrics.landmark_rmse_aligned(p, transform(np.array([3.0, -20.0, 2.0]), p)) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_alignment_has_no_scale_and_is_the_least_squares_optimum():
+def test_the_aligned_rmse_has_no_scale():
     truth = RANDOM.uniform(-5, 5, (20, 2))
-    estimate = 1.1 * truth + RANDOM.normal(0.0, 0.2, (20, 2))
-    best = metrics.landmark_rmse_aligned(estimate, truth)
-    assert best > 0.1
-    X = metrics.align(truth, estimate)
-    for change in RANDOM.normal(0.0, 0.05, (200, 3)):
-        assert metrics.rmse(transform(X + change, estimate) - truth) >= best
+    assert metrics.landmark_rmse_aligned(1.1 * truth + RANDOM.normal(0.0, 0.2, (20, 2)), truth) > 0.1
 
 
 def test_anees_and_landmark_nees_against_loops():

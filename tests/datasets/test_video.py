@@ -8,7 +8,7 @@ import pytest
 from tests.mutations import assert_refused_or_read
 from tests.vision.rendering import cv2  # noqa: F401
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.datasets.video import _poses
+from tfg_drake.datasets.video import read_poses
 
 STAMPS = 0.1 * np.arange(40)
 X_OB = np.column_stack([np.cos(STAMPS), np.sin(STAMPS), 0.5 + STAMPS / 2.0])
@@ -26,7 +26,7 @@ X_OB = np.column_stack([np.cos(STAMPS), np.sin(STAMPS), 0.5 + STAMPS / 2.0])
 )
 def test_the_same_drive_in_many_files(name, told, shared_data):
     folder = shared_data("reports") / "odometry"
-    stamps, poses, notes = _poses(folder / name)
+    stamps, poses, notes = read_poses(folder / name)
     good = np.loadtxt(folder / "good.tum")
     np.testing.assert_allclose(stamps, good[:, 0], atol=1e-6)
     np.testing.assert_allclose(poses, np.column_stack([good[:, 1:3], np.zeros(len(good))]), atol=1e-6)
@@ -53,7 +53,7 @@ def tum(length=1.0, unit=1.0, order=range(8), separator=" ", header=""):
 @pytest.mark.parametrize("name", ["odometry.tum", "odometry.csv"])
 def test_quaternions_of_any_length_and_order(tmp_path, text, name):
     (tmp_path / name).write_text(text)
-    stamps, poses, notes = _poses(tmp_path / name)
+    stamps, poses, notes = read_poses(tmp_path / name)
     np.testing.assert_allclose(stamps, STAMPS, atol=1e-6)
     np.testing.assert_allclose(poses, X_OB, atol=1e-6)
     assert bool(notes) == (text != tum())
@@ -63,7 +63,7 @@ def test_a_quaternion_without_length_is_refused(tmp_path):
     (tmp_path / "odometry.tum").write_text(tum(length=0.0))
     complaint = f"{tmp_path}/odometry.tum: the quaternion at 0.000 s has no length; leave its row out"
     with pytest.raises(DatasetError, match="^" + re.escape(complaint)):
-        _poses(tmp_path / "odometry.tum")
+        read_poses(tmp_path / "odometry.tum")
 
 
 @pytest.mark.parametrize("wrapped", [False, True])
@@ -76,14 +76,14 @@ def test_headings_in_degrees_are_refused(tmp_path, wrapped, rate):
 
     heading = rate * 0.1 * np.arange(200)
     write(heading, np.pi)
-    assert len(_poses(tmp_path / "odometry.csv")[0]) == 200
+    assert len(read_poses(tmp_path / "odometry.csv")[0]) == 200
     write(np.degrees(heading), 180.0)
     with pytest.raises(DatasetError, match=r"the heading turns by \d+\.?\d* rad/s on average; write radians, not degr"):
-        _poses(tmp_path / "odometry.csv")
+        read_poses(tmp_path / "odometry.csv")
 
 
 @pytest.mark.slow
 def test_mutated_odometry_is_refused_or_read(tmp_path):
     file = tmp_path / "odometry.tum"
     file.write_text(tum(header="time x y z qx qy qz qw\n"))
-    assert_refused_or_read(file, lambda: _poses(file), DatasetError, count=1000)
+    assert_refused_or_read(file, lambda: read_poses(file), DatasetError, count=1000)

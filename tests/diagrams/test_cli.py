@@ -18,8 +18,8 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams import cli
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
+from tfg_drake.io.files import FileError
 from tfg_drake.mission.interruption import TOGETHER
-from tfg_drake.storage.files import FileError
 
 
 @pytest.mark.parametrize(

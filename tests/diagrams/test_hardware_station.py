@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 import tfg_drake
 from tests.hardware.fake_robot import FakeDevice, base_state
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
-from tfg_drake.diagrams.real_robot import DevicesOf
+from tfg_drake.diagrams.missions.real_robot import DevicesOf
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.hardware.device import DeviceError

@@ -18,7 +18,7 @@ from tfg_drake.diagrams.scenario import (
     Scenario,
     ScenarioError,
 )
-from tfg_drake.storage.yaml_text import dump_yaml
+from tfg_drake.io.yaml_text import dump_yaml
 from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_tags
 from tfg_drake.world.world import odd_tags
 

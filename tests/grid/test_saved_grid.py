@@ -5,8 +5,8 @@ import pytest
 
 from tests.mutations import assert_refused_or_read
 from tfg_drake.grid.saved_grid import load_grid, save_grid
+from tfg_drake.io.files import FileError
 from tfg_drake.messages import GridMap
-from tfg_drake.storage.files import FileError
 
 
 @pytest.fixture

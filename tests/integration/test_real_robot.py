@@ -1,73 +1,18 @@
 """`explore --robot` against an emulated robot in real time, from the first connection to the wheels' last stop."""
 
 import json
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
 
+from tests.integration.robot_explorer import Explorer, moves, stands
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.hardware.emulation.emulator import Emulator
 from tfg_drake.storage.trajectory import read_tum
 
 WORLD = MakeWorld(LoadScenario("house").world)
-
-
-class Explorer:
-    """`tfg-drake explore --robot kobuki` in a process, whose lines are awaited and whose keys are pressed."""
-
-    def __init__(self, emulator, folder, max_time):
-        host, port = emulator.sensors
-        source = f"socket:{host}:{port}"
-        arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--out", str(folder)]
-        arguments += ["--headless", "--max-time", str(max_time)]
-        arguments += ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", "--robot", "kobuki", *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        self.lines = []
-
-    def wait_for(self, words, goes_on=False):
-        """goes_on: a base that was locked meanwhile, as a busy machine may have it, is enabled anew."""
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip())
-            if words in line:
-                return
-            if goes_on and "until it is enabled anew" in line:
-                self.press("e")
-        pytest.fail("\n".join(["the explorer ended before it said " + words, *self.lines]))
-
-    def press(self, key):
-        self.process.stdin.write(key)
-        self.process.stdin.flush()
-
-
-def _moves(emulator, since):
-    """Waits until the wheels have been told to turn: how long that takes a busy machine may not matter."""
-    end = time.monotonic() + 20.0
-    while time.monotonic() < end:
-        if any(when >= since and one.speed for when, one in list(emulator.commands)):
-            return
-        time.sleep(0.05)
-    pytest.fail("the robot does not move")
-
-
-def _stands(emulator, since):
-    """Waits until the wheels have been told to stand for half a second; when they were told so."""
-    end = time.monotonic() + 20.0
-    while time.monotonic() < end:
-        moving = [when for when, one in list(emulator.commands) if one.speed]
-        if time.monotonic() - max([since, *moving]) > 0.8:
-            return max([since, *moving])
-        time.sleep(0.05)
-    pytest.fail("the robot does not stand")
 
 
 @pytest.fixture(scope="module")
@@ -86,15 +31,15 @@ def mission(tmp_path_factory):
         explorer.wait_for("nothing moves before it is enabled")
         marks["start"] = emulator.base.pose
         press("enabled", "e", 0.5)
-        _moves(emulator, marks["enabled"][0])
+        moves(emulator, marks["enabled"][0])
         press("stopped", " ", 2.0)
-        marks["stood"] = _stands(emulator, marks["stopped"][0])
+        marks["stood"] = stands(emulator, marks["stopped"][0])
         press("again", "e", 1.0)
-        _moves(emulator, marks["again"][0])
+        moves(emulator, marks["again"][0])
         press("paused", "p", 1.5)
-        marks["stood again"] = _stands(emulator, marks["paused"][0])
+        marks["stood again"] = stands(emulator, marks["paused"][0])
         press("resumed", "p", 1.0)
-        _moves(emulator, marks["resumed"][0])
+        moves(emulator, marks["resumed"][0])
         press("ended", "q", 1.0)
         explorer.wait_for("files")
         assert explorer.process.wait(60.0) == 130  # as Ctrl-C ends it
@@ -146,7 +91,7 @@ def _drives(emulator, explorer):
     begin = time.monotonic()
     time.sleep(0.5)
     explorer.press("e")
-    _moves(emulator, begin)
+    moves(emulator, begin)
 
 
 def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
@@ -159,11 +104,11 @@ def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
         emulator.base.wheel_drop = 2
         explorer.wait_for("the base stands until it is enabled anew: a wheel hangs", goes_on=True)
         emulator.base.wheel_drop = 0
-        over = _stands(emulator, time.monotonic())
+        over = stands(emulator, time.monotonic())
         time.sleep(1.0)
         assert not any(when > over and one.speed for when, one in list(emulator.commands))
         explorer.press("e")
-        _moves(emulator, over)
+        moves(emulator, over)
         emulator.base.battery = 138
         explorer.wait_for("the battery is low, 13.8 V", goes_on=True)
         explorer.wait_for("files", goes_on=True)

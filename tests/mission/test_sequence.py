@@ -26,15 +26,15 @@ def goal(stage: int, verdict: str = "goal", node: int | None = None, latest_arri
 
 
 def inputs(time: float, **changes) -> MissionInputs:
-    base = MissionInputs(
-        time=time,
-        follower=FollowerStatus(time, 0, False, False),
-        goal=goal(0),
-        path=Path(0, 0, np.zeros((0, 2))),
-        path_status=PathStatus(0, True),
-        mapped_stage=0,
-    )
-    return dataclasses.replace(base, **changes)
+    asked = {
+        "follower": FollowerStatus(time, 0, False, False),
+        "goal": goal(0),
+        "path": Path(0, 0, np.zeros((0, 2))),
+        "path_status": PathStatus(0, True),
+        "mapped_stage": 0,
+    }
+    asked |= {name: changes.pop(name) for name in asked if name in changes}
+    return MissionInputs(time, **{name: (lambda value=value: value) for name, value in asked.items()}, **changes)
 
 
 def following(time: float = 10.0):
@@ -61,6 +61,31 @@ def test_one_stage_runs_through_every_phase():
     assert step(status, inputs(9.0, follower=FollowerStatus(9.0, 0, True, False))) is status
     status = step(status, inputs(9.5, follower=FollowerStatus(9.5, 1, True, False)))
     assert (status.phase, status.stage, status.since) == ("observe", 1, 9.5)
+
+
+@pytest.mark.parametrize(
+    ("phase", "asked"),
+    [
+        ("observe", {"follower"}),
+        ("map", {"mapped_stage"}),
+        ("choose", {"goal"}),
+        ("plan", {"path", "goal"}),
+        ("follow", {"follower", "goal", "path_status"}),
+        ("paused", set()),
+    ],
+)
+def test_a_phase_asks_only_for_what_it_is_interested_in(phase, asked):
+    """A map or a goal that nobody waits for would be computed 16 times a second."""
+    named = set()
+
+    def noting(name, ask):
+        return lambda: named.add(name) or ask()
+
+    seen = inputs(5.0, pause=phase == "paused")
+    kinds = "follower", "goal", "path", "path_status", "mapped_stage"
+    seen = dataclasses.replace(seen, **{name: noting(name, getattr(seen, name)) for name in kinds})
+    step(dataclasses.replace(initial_status(), phase=phase, resume_phase="map", stage=3), seen)
+    assert named == asked
 
 
 def test_a_turn_reported_done_before_the_phase_settled_is_the_last_one_and_ignored():

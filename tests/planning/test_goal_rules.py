@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.expected_gains import ExpectedGains
-from tfg_drake.planning.goal_rules import _shortest_order, gain_per_time, nearest_frontier, stops, tour
+from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, shortest_order, stops, tour
 from tfg_drake.planning.information_gain import Gains
 
 
@@ -33,7 +33,7 @@ def test_the_order_of_a_tour_is_the_shortest_of_those_that_end_alike(count, seed
         return time[0, order[0] + 1] + sum(time[a + 1, b + 1] for a, b in itertools.pairwise(order))
 
     last = int(rng.integers(count))
-    found = _shortest_order(time[0, 1:], time[1:, 1:].copy(), last)
+    found = shortest_order(time[0, 1:], time[1:, 1:].copy(), last)
     assert sorted(found) == list(range(count))
     orders = [order for order in itertools.permutations(range(count)) if order[-1] == last]
     assert found[-1] == last

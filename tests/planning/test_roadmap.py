@@ -27,7 +27,7 @@ from tfg_drake.planning.roadmap import (
     EFFORTS,
     SPACING,
     RoadmapParameters,
-    _chords,
+    chords,
     components,
     empty_roadmap,
     extend,
@@ -536,14 +536,14 @@ def test_the_way_driven_is_kept_by_chords_that_do_not_cut_its_corners():
     quarter = np.linspace(0.0, np.pi / 2, 40)
     way = np.vstack([np.stack([np.linspace(-2.0, 0.0, 21), np.full(21, -0.5)], axis=1),
                      0.5 * np.stack([np.sin(quarter), -np.cos(quarter)], axis=1)])  # fmt: skip
-    picks = _chords(way)
+    picks = chords(way)
     assert picks[[0, -1]].tolist() == [0, len(way) - 1]
     ends = way[picks]
     assert point_distance(way, np.hstack([ends[:-1], ends[1:]])).max() <= CHORD + 1e-9
     length = np.hypot(*np.diff(ends, axis=0).T)
     assert length.max() <= SPACING + 1e-9
     assert len(picks) < 12
-    assert _chords(way[:1]).tolist() == [0, 0]
+    assert chords(way[:1]).tolist() == [0, 0]
 
 
 def test_a_tight_bend_once_driven_can_be_driven_back():

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tfg_drake.config import ScanConfig
+from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import LaserScan, replace
 from tfg_drake.safety.corridor import touch_distance
 from tfg_drake.safety.seen_space import CELL, MEMORY, nothing_seen, open_distance, remembered
-from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 
 RADIUS, SCAN = 0.18, ScanConfig()

@@ -5,6 +5,7 @@ import pytest
 
 from tests.arrays import frozen
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
+from tfg_drake.geometry.motion import advance
 from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
 from tfg_drake.safety.scan_watch import no_watch, watched
 from tfg_drake.safety.velocity_filter import (
@@ -167,7 +168,7 @@ def test_free_distance_ahead_and_on_an_arc():
     # A left turn of radius 1 meets a single return when the disc round the arc's end touches it.
     post = LaserScan(0.0, np.array([np.arctan2(0.5, 1.0)]), np.array([np.hypot(0.5, 1.0)]), 10.0, 0.0)
     distance = free(post, np.zeros(3), 1.0)
-    end = drive.advance(np.zeros(3), 1.0, 1.0, distance)
+    end = advance(np.zeros(3), 1.0, 1.0, distance)
     assert np.hypot(1.0 - end[0], 0.5 - end[1]) == pytest.approx(0.18, abs=1e-9)
     assert free(post, np.zeros(3), -1.0) == np.inf
     assert free(post, np.zeros(3), 0.0) == np.inf

@@ -22,14 +22,6 @@ def drive_for(state, command, walls, duration, robot=ROBOT):
     return np.array(states)
 
 
-def test_advance_is_the_exact_arc():
-    # A quarter of a circle of radius 1, to the left.
-    assert drive.advance(np.zeros(3), 1.0, 1.0, np.pi / 2) == pytest.approx([1, 1, np.pi / 2], abs=1e-14)
-    assert drive.advance(np.array([1.0, 2.0, np.pi / 2]), 0.5, 0.0, 2.0) == pytest.approx([1, 3, np.pi / 2])
-    there = drive.advance(np.array([1.0, 2.0, 3.0]), 0.5, -0.7, 2.0)
-    assert drive.advance(there, 0.5, -0.7, -2.0) == pytest.approx([1, 2, 3], abs=1e-14)
-
-
 def test_velocity_follows_within_limits():
     states = drive_for(drive.initial_state(np.zeros(3), NO_WALLS, ROBOT), [9.0, -9.0], NO_WALLS, 3.0)
     speeds, turn_rates = states[:, drive.SPEED], states[:, drive.TURN_RATE]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig
+from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import compose, inverse
-from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt, swept
 
 CONFIG = ScanConfig()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import OdometryConfig, OdometryRealityConfig
+from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import between
-from tfg_drake.simulation.differential_drive import advance
 from tfg_drake.simulation.odometry import TIME, initial_state, integrate, message, run_errors
 
 START = np.array([3.0, -2.0, 2.5])

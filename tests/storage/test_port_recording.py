@@ -20,10 +20,11 @@ from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import CompressionType, Writer
 
 from tests.mutations import assert_refused_or_read
+from tfg_drake.io import files
+from tfg_drake.io.files import most_unpacked
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 from tfg_drake.planning.requested_goal import RequestedGoal
-from tfg_drake.storage import files, port_recording
-from tfg_drake.storage.files import most_unpacked
+from tfg_drake.storage import port_recording
 from tfg_drake.storage.port_recording import (
     COMMAND,
     ENABLED,

@@ -10,9 +10,9 @@ import pytest
 
 import tfg_drake
 from tests.mutations import assert_refused_or_read
+from tfg_drake.io.files import FileError
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
-from tfg_drake.storage.files import FileError
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
 from tfg_drake.storage.run import RunError
 from tfg_drake.storage.trajectory import write_tum

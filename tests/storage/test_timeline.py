@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.mutations import assert_refused_or_read
-from tfg_drake.storage import files
+from tfg_drake.io import files
 from tfg_drake.storage import timeline as module
 from tfg_drake.storage.rows import Table
 from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, encoded, read_timeline

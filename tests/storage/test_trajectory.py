@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.mutations import assert_refused_or_read
-from tfg_drake.storage.files import FileError
+from tfg_drake.io.files import FileError
 from tfg_drake.storage.trajectory import read_tum, write_tum
 
 

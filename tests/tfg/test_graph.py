@@ -21,9 +21,9 @@ from tfg_drake.tfg.frontier import (
 )
 from tfg_drake.tfg.graph import (
     UnmappedSightings,
-    _explored,
     empty_graph,
     empty_map,
+    explored_elsewhere,
     no_sightings,
     note_sightings,
     resolve,
@@ -431,7 +431,7 @@ def test_a_frontier_is_explored_half_a_metre_inside_of_what_another_arm_saw(two_
     p, outward = np.array([[4.6, 3.0], [4.4, 3.0], [5.2, 3.0]]), np.tile([-1.0, 0.0], (3, 1))
     points = place_points(points_of(0, p, outward, np.ones(3)), np.zeros((1, 3)))
     stars = Stars(np.array([0, 4]), square, np.array([[3.0, 3.0]]))
-    assert _explored(points, stars, two_rooms.estimate).tolist() == [False, True, False]
+    assert explored_elsewhere(points, stars, two_rooms.estimate).tolist() == [False, True, False]
 
 
 def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:

@@ -11,7 +11,7 @@ from shapely.geometry import LineString, box
 from shapely.ops import polygonize, unary_union
 
 from tfg_drake.world.load import furnish, load_map
-from tfg_drake.world.map_server import _borders, load_map_server
+from tfg_drake.world.map_server import borders, load_map_server
 from tfg_drake.world.start import draw_start
 from tfg_drake.world.vectormap import load_vectormap
 from tfg_drake.world.world import WorldError, check_world
@@ -145,7 +145,7 @@ def test_slanted_walls_become_straight_and_stay_within_a_cell(tmp_path):
 def test_blocks_that_touch_at_a_corner_are_kept_apart():
     free = np.zeros((8, 8), dtype=bool)
     free[1:4, 1:4] = free[4:7, 4:7] = True
-    assert sorted(len(line) for line in _borders(free)) == [13, 13]
+    assert sorted(len(line) for line in borders(free)) == [13, 13]
 
 
 def test_unknown_cells_are_walls_and_specks_keep_their_width(tmp_path):

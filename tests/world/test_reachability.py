@@ -4,13 +4,13 @@ from shapely.geometry import LineString, Point
 
 from tfg_drake.world.reachability import (
     CELL,
-    _second_faces,
     cut_walls,
     free_cells,
     make_grid,
     reachable_cells,
     reachable_surface,
     reachable_tags,
+    second_faces,
 )
 from tfg_drake.world.world import World
 
@@ -105,7 +105,7 @@ def test_reachable_surface():
 def test_two_faces_of_a_thick_wall_count_once():
     points = np.array([[0.025, 0.0], [0.075, 0.0], [0.025, 0.2], [0.075, 0.3], [0.0, 0.1]])
     normals = np.array([[0.0, 1.0], [0.0, 1.0], [0.0, -1.0], [0.0, 1.0], [1.0, 0.0]])
-    np.testing.assert_array_equal(_second_faces(points, normals), [False, False, True, False, False])
+    np.testing.assert_array_equal(second_faces(points, normals), [False, False, True, False, False])
 
 
 def test_cut_walls():

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.io.files import write_atomic
 
 # Software rendering, no network, no questions.
 OPTIONS = """--headless=new --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader

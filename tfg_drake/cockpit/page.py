@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from tfg_drake.io.files import write_atomic
 from tfg_drake.pictures.palette import DARK, LIGHT, css, gain_colours
-from tfg_drake.storage.files import write_atomic
 from tfg_drake.storage.timeline import MAGIC, TimelineError
 
 FILE_NAME = "mission.html"

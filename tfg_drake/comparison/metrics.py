@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
+from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.distance import point_distance
-from tfg_drake.geometry.se2 import rotation, wrap_angle
+from tfg_drake.geometry.se2 import transform, wrap_angle
 from tfg_drake.messages import FloatArray
 from tfg_drake.world.reachability import cut_walls
 
@@ -23,19 +24,6 @@ def rmse(error: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))) if len(error) else float("nan")
 
 
-def align(p_AP: FloatArray, p_BP: FloatArray) -> FloatArray:
-    """The pose X_AB (3,) that brings points p_BP (n, 2) closest to p_AP (n, 2), least squares, without scale.
-
-    Horn (1987) and Umeyama (1991), planar. Without points: the identity.
-    """
-    if not len(p_AP):
-        return np.zeros(3)
-    mean_A, mean_B = p_AP.mean(axis=0), p_BP.mean(axis=0)
-    a, b = p_AP - mean_A, p_BP - mean_B
-    theta = float(np.arctan2(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]), np.sum(a * b)))
-    return np.append(mean_A - rotation(theta) @ mean_B, theta)
-
-
 def landmark_rmse(p_ML: FloatArray, p_ML_true: FloatArray) -> float:
     """RMSE of estimated against true landmarks, both (n, 2) in M, m."""
     return rmse(p_ML - p_ML_true)
@@ -43,8 +31,7 @@ def landmark_rmse(p_ML: FloatArray, p_ML_true: FloatArray) -> float:
 
 def landmark_rmse_aligned(p_ML: FloatArray, p_ML_true: FloatArray) -> float:
     """RMSE, m, after the rigid transform that fits the estimates (n, 2) to the truth (n, 2) best."""
-    X = align(p_ML_true, p_ML)
-    return rmse(p_ML @ rotation(float(X[2])).T + X[:2] - p_ML_true)
+    return rmse(transform(align(p_ML_true, p_ML), p_ML) - p_ML_true)
 
 
 def anees(error: FloatArray, covariance: FloatArray) -> float:

@@ -9,9 +9,10 @@ import itertools
 
 import numpy as np
 
-from tfg_drake.comparison.metrics import align, rmse
+from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
 
 # True poses farther apart than this leave the time between them without truth, s.
@@ -67,9 +68,6 @@ def landmark_error(truth: GroundTruth, ids: IntArray, p_ML: FloatArray) -> Landm
     p_W, p_M = truth.p_WL[in_truth], p_ML[in_map]
     X_WM = align(p_W, p_M)
     fits = _consensus(p_W, p_M)
-    if fits.all():
-        error = rmse(se2.transform(X_WM, p_M) - p_W)
-        return LandmarkError(error, X_WM, common, np.empty(0, dtype=np.int64), error, ())
     X_fit = align(p_W[fits], p_M[fits])
     p_fit = se2.transform(X_fit, p_M)
     return LandmarkError(

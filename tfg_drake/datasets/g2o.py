@@ -17,8 +17,8 @@ from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
+from tfg_drake.io.files import write_atomic
 from tfg_drake.messages import FloatArray
-from tfg_drake.storage.files import write_atomic
 
 # Ids and numbers after each tag.
 _FORMAT = {

@@ -20,8 +20,8 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import GREATEST, find_file, found_file, parse_numbers, read_text
+from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, IntArray, Odometry
-from tfg_drake.storage.yaml_text import parse_yaml
 from tfg_drake.vision.calibration import calibration_of
 from tfg_drake.vision.tag_position import tag_positions
 

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.storage.files import read_bytes
+from tfg_drake.io.files import read_bytes
 
 # The longest text that is read, bytes; the longest public log that we know of has 10 MB.
 _LONGEST = 64 * 2**20

@@ -15,8 +15,8 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.rows import read_table
+from tfg_drake.io.clock_unit import in_seconds
 from tfg_drake.messages import FloatArray, Odometry, TagDetections
-from tfg_drake.storage.clock_unit import in_seconds
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.frames import FrameError, frames
 from tfg_drake.vision.mount import CameraMount
@@ -106,7 +106,7 @@ def load_video(
             del seen[0]
         messages = _standing(seen)
         return Recording(name, messages, tuple(seen), wandering(), None, tuple(notes), PIECE_TIME)
-    stamps, X_OB, mended = _poses(odometry)
+    stamps, X_OB, mended = read_poses(odometry)
     notes += mended
     inside = [one for one in seen if stamps[0] <= one.stamp <= stamps[-1]]
     if not any(len(one.ids) for one in inside):
@@ -131,7 +131,7 @@ def _moving(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
     return tuple(Odometry(float(t), X, V) for t, X, V in zip(stamps, X_OB, V_B, strict=True))
 
 
-def _poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+def read_poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
     """Stamps (n,), s, poses (n, 3), and what was mended in the file."""
     table, mended = read_table(path, _TUM, _PLANAR)
     stamps, told = in_seconds(table[:, 0])

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tfg_drake.io.files import read_arrays, reading, write_atomic
 from tfg_drake.messages import GridMap
-from tfg_drake.storage.files import read_arrays, reading, write_atomic
 
 
 def save_grid(path: Path, grid: GridMap, *, final: bool = True) -> None:

@@ -43,7 +43,7 @@ T = TypeVar("T")
 # Numbers in a row of an array without rows, at most.
 _WIDEST = 16
 
-_SCALARS: dict[Any, Any] = {float: np.float64, int: np.int64, bool: np.bool_}
+SCALARS: dict[Any, Any] = {float: np.float64, int: np.int64, bool: np.bool_}
 _NAMES = {"f": "numbers", "i": "integers", "b": "truth values", "U": "text"}
 
 
@@ -77,12 +77,13 @@ def from_arrays(kind: type[T], arrays: Mapping[str, Array], registry: Registry) 
 
 
 @functools.cache
-def _hints(kind: type) -> dict[str, Any]:
+def hints_of(kind: type) -> dict[str, Any]:
+    """The annotations of a dataclass's fields by their names."""
     hints = typing.get_type_hints(kind)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
 
 
-def _optional(hint: Any) -> Any | None:
+def optional_of(hint: Any) -> Any | None:
     """X of X | None, None for any other annotation."""
     if typing.get_origin(hint) not in (types.UnionType, typing.Union):
         return None
@@ -92,7 +93,7 @@ def _optional(hint: Any) -> Any | None:
     return inner[0]
 
 
-def _element(hint: Any) -> Any | None:
+def element_of(hint: Any) -> Any | None:
     """X of tuple[X, ...], None for any other annotation."""
     arguments = typing.get_args(hint)
     if typing.get_origin(hint) is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
@@ -100,7 +101,7 @@ def _element(hint: Any) -> Any | None:
     return None
 
 
-def _dtype(hint: Any) -> np.dtype[Any] | None:
+def dtype_of(hint: Any) -> np.dtype[Any] | None:
     """The type of an array's entries, None for an annotation of anything else."""
     if typing.get_origin(hint) is not np.ndarray:
         return None
@@ -157,11 +158,11 @@ class _Writer:
         for message in messages:
             if type(message) is not kind:
                 raise TypeError(f"{path or 'the tree'} must be a {kind.__name__}, not {type(message).__name__}")
-        for name, hint in _hints(kind).items():
+        for name, hint in hints_of(kind).items():
             self._values(hint, [getattr(one, name) for one in messages], f"{path}.{name}" if path else name, single)
 
     def _values(self, hint: Any, values: Sequence[Any], path: str, single: bool) -> None:
-        inner, element = _optional(hint), _element(hint)
+        inner, element = optional_of(hint), element_of(hint)
         if inner is not None:
             present = np.array([value is not None for value in values], dtype=np.bool_)
             self._put(f"{path}@present", present, single)
@@ -173,14 +174,14 @@ class _Writer:
                     raise TypeError(f"{path} must be a tuple, not {type(value).__name__}")
             self._put(f"{path}@count", np.array([len(value) for value in values], dtype=np.int64), single)
             self.fields(element, [one for value in values for one in value], path, single=False)
-        elif (dtype := _dtype(hint)) is not None:
+        elif (dtype := dtype_of(hint)) is not None:
             self._arrays(dtype, values, path, single)
-        elif hint in _SCALARS or hint is str:
+        elif hint in SCALARS or hint is str:
             allowed: Any = {float: (float, int), int: int, bool: bool, str: str}[hint]
             for value in values:
                 if not isinstance(value.item() if isinstance(value, np.generic) else value, allowed):
                     raise TypeError(f"{path} must be a {hint.__name__}, not {type(value).__name__}")
-            self._put(path, np.array(values, dtype=_SCALARS.get(hint, np.str_)), single)
+            self._put(path, np.array(values, dtype=SCALARS.get(hint, np.str_)), single)
         else:
             self.fields(hint, values, path, single)
 
@@ -217,7 +218,7 @@ class _Reader:
     def fields(self, kind: type, count: int, path: str, single: bool) -> list[Any]:
         _check_class(kind, self._registry, path)
         columns: dict[str, list[Any]] = {}
-        for name, hint in _hints(kind).items():
+        for name, hint in hints_of(kind).items():
             columns[name] = self._values(hint, count, f"{path}.{name}" if path else name, single)
         shapes = self._registry[kind]
         for row in range(count):
@@ -230,7 +231,7 @@ class _Reader:
         return [kind(**{name: column[row] for name, column in columns.items()}) for row in range(count)]
 
     def _values(self, hint: Any, count: int, path: str, single: bool) -> list[Any]:
-        inner, element = _optional(hint), _element(hint)
+        inner, element = optional_of(hint), element_of(hint)
         if inner is not None:
             present: BoolArray = self._column(f"{path}@present", np.dtype(np.bool_), count, single)
             if single and not present[0]:
@@ -244,10 +245,10 @@ class _Reader:
             elements = self.fields(element, int(counts.sum()), path, single=False)
             ends = np.cumsum(counts)
             return [tuple(elements[end - size : end]) for size, end in zip(counts, ends, strict=True)]
-        if (dtype := _dtype(hint)) is not None:
+        if (dtype := dtype_of(hint)) is not None:
             return self._arrays(dtype, count, path, single)
-        if hint in _SCALARS or hint is str:
-            column = self._column(path, np.dtype(_SCALARS.get(hint, np.str_)), count, single)
+        if hint in SCALARS or hint is str:
+            column = self._column(path, np.dtype(SCALARS.get(hint, np.str_)), count, single)
             return list(column.tolist())
         return self.fields(hint, count, path, single)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
+from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, TfgMap, message, replace
 from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel
@@ -22,7 +23,6 @@ from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_graph, 
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.range_scale import RangeScale
-from tfg_drake.storage.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces

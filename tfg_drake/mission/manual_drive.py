@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 
 from tfg_drake.config import RobotConfig
+from tfg_drake.io.files import FileError, read_text
 from tfg_drake.messages import message
-from tfg_drake.storage.files import FileError, read_text
 
 FORWARD, BACK, LEFT, RIGHT, HALT, LOOK, END = "forward", "back", "left", "right", "halt", "look", "end"
 KEYS = {

@@ -6,6 +6,7 @@ One pure step function over an immutable status (Sec. III-B of the paper: goal p
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -41,17 +42,19 @@ NOT_ENABLED = "the base is not enabled: whoever operates it enables it"
 class MissionInputs:
     """What the sequencer sees at one instant.
 
-    time: s. follower, view, path, path_status: the newest messages. mapped_stage: views in the map and in all that is
-    made of it. max_speed: the robot's, m/s. glance_period: s, as explorer.glance_period. bumper: the base reports
-    contact. pause, enable, stop: the operator's inputs.
+    time: s. follower, goal, path, path_status: each asks for the newest message. mapped_stage: asks for the number of
+    views in the map and in all that is made of it. max_speed: the robot's, m/s. glance_period: s, as
+    explorer.glance_period. bumper: the base reports contact. pause, enable, stop: the operator's inputs.
+
+    Asking may have the message computed: a phase asks only for what it is interested in.
     """
 
     time: float
-    follower: FollowerStatus
-    goal: GoalChoice
-    path: Path
-    path_status: PathStatus
-    mapped_stage: int
+    follower: Callable[[], FollowerStatus]
+    goal: Callable[[], GoalChoice]
+    path: Callable[[], Path]
+    path_status: Callable[[], PathStatus]
+    mapped_stage: Callable[[], int]
     max_speed: float = 0.5
     glance_period: float = 0.0
     bumper: bool = False
@@ -97,8 +100,9 @@ def _end(status: MissionStatus, inputs: MissionInputs, outcome: str, reason: str
 
 
 def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
-    fresh = inputs.follower.stamp > status.since + STATUS_LATENCY
-    return _begin(status, inputs, "map", changes=0) if fresh and inputs.follower.turn_done else status
+    follower = inputs.follower()
+    fresh = follower.stamp > status.since + STATUS_LATENCY
+    return _begin(status, inputs, "map", changes=0) if fresh and follower.turn_done else status
 
 
 def _glance(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
@@ -110,27 +114,27 @@ def _glance(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 def _map(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     stage = status.stage + 1
-    if inputs.mapped_stage != stage:
+    if inputs.mapped_stage() != stage:
         return status
     return _begin(status, inputs, "choose", stage=stage, replans=status.replans if status.moving else 0)
 
 
 def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
-    goal = inputs.goal
+    goal = inputs.goal()
     if goal.stage != status.stage:
         return status
     if goal.verdict == "look":
         return _begin(status, inputs, "observe")
     if goal.node >= 0:
-        points = inputs.path.points
+        points = inputs.path().points
         other = status.moving and len(points) and np.hypot(*(goal.p_MG - points[-1])) > OTHER_GOAL
         return _begin(status, inputs, "plan", changes=status.changes + bool(other))
     return _end(status, inputs, goal.verdict, goal.reason)
 
 
 def _plan(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
-    path = inputs.path
-    if inputs.goal.spent:
+    path = inputs.path()
+    if inputs.goal().spent:
         return _begin(status, inputs, "map")
     if path.stage != status.stage or path.id <= status.path_id:
         return status
@@ -140,14 +144,14 @@ def _plan(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 
 def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
-    follower = inputs.follower
+    follower, goal = inputs.follower(), inputs.goal()
     if follower.path_id == status.path_id and follower.arrived:
-        if inputs.goal.verdict != "goal":
-            return _end(status, inputs, inputs.goal.verdict, f"{inputs.goal.reason} The robot is where it began.")
+        if goal.verdict != "goal":
+            return _end(status, inputs, goal.verdict, f"{goal.reason} The robot is where it began.")
         return _begin(status, inputs, "observe", failures=0)
-    if inputs.time > inputs.goal.latest_arrival:
+    if inputs.time > goal.latest_arrival:
         return _begin(status, inputs, "observe")
-    if inputs.goal.spent:
+    if goal.spent:
         return _begin(status, inputs, "map", failures=0)
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     if not (late or _held_up(status, inputs)):
@@ -159,17 +163,18 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
     """Whether something is in the way, or the base does not move for whatever reason."""
-    follower = inputs.follower
+    follower = inputs.follower()
     return _seen_or_felt(status, inputs) or (follower.path_id == status.path_id and follower.stalled)
 
 
 def _seen_or_felt(status: MissionStatus, inputs: MissionInputs) -> bool:
-    blocked = inputs.path_status.path_id == status.path_id and not inputs.path_status.free
+    path_status = inputs.path_status()
+    blocked = path_status.path_id == status.path_id and not path_status.free
     return blocked or (inputs.bumper and inputs.time > status.since + BUMPER_PATIENCE)
 
 
 def _glance_due(status: MissionStatus, inputs: MissionInputs) -> bool:
-    follower = inputs.follower
+    follower = inputs.follower()
     # A glance begins the bumper's patience anew: a robot that pushes against something would glance and push for ever.
     if inputs.bumper or status.changes >= MAX_CHANGES:
         return False
@@ -178,7 +183,7 @@ def _glance_due(status: MissionStatus, inputs: MissionInputs) -> bool:
     if follower.left > LAST_GLANCE:
         return inputs.time - status.since >= inputs.glance_period
     # Once a way: a path that began nearer than this was planned after that glance.
-    return _length(inputs.path) > LAST_GLANCE
+    return _length(inputs.path()) > LAST_GLANCE
 
 
 def _length(path: Path) -> float:
@@ -186,7 +191,7 @@ def _length(path: Path) -> float:
 
 
 def _overdue(status: MissionStatus, inputs: MissionInputs) -> bool:
-    return inputs.time - status.since > 60.0 + PATIENCE * _length(inputs.path) / inputs.max_speed
+    return inputs.time - status.since > 60.0 + PATIENCE * _length(inputs.path()) / inputs.max_speed
 
 
 def _give_up_goal(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from tfg_drake.storage.files import write_atomic
+from tfg_drake.io.files import write_atomic
 
 # Those that a paper's figure is written in.
 FORMATS = (".png", ".pdf")

@@ -80,7 +80,7 @@ def tour(
     between = to_nodes[:, chosen]
     value = np.full(len(time), -np.inf)
     arrival = 0.0
-    order = _shortest_order(time[chosen], between, int(np.argmax(time[chosen])))
+    order = shortest_order(time[chosen], between, int(np.argmax(time[chosen])))
     for before, k in zip([-1, *order[:-1]], order, strict=True):
         arrival += (time[chosen[k]] if before < 0 else between[before, k]) + stay
         value[chosen[k]] = -arrival
@@ -136,7 +136,7 @@ def _times_to(sources: IntArray, nodes: IntArray, roadmap: Roadmap, speed: float
 
 
 @njit(cache=True)
-def _shortest_order(first: FloatArray, between: FloatArray, last: int) -> list[int]:
+def shortest_order(first: FloatArray, between: FloatArray, last: int) -> list[int]:
     """The order in which to visit n places so that the one to be the last is reached soonest: first (n,) s to each from
     the start, between (n, n) s. By dynamic programming over subsets (Held and Karp)."""
     n = len(first)

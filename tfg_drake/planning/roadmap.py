@@ -348,7 +348,7 @@ def _proposals(
 
 
 @njit(cache=True)
-def _chords(way: FloatArray) -> IntArray:
+def chords(way: FloatArray) -> IntArray:
     """Points of a way (d, 2), m, whose chords stray from it by CHORD at most and are SPACING long at most; its last."""
     picks, count, length = np.zeros(len(way) + 1, dtype=np.int64), 1, 0.0
     for i in range(1, len(way)):
@@ -382,7 +382,7 @@ def _travelled_nodes(
     chain = view[None]
     if len(driven) and np.hypot(*(driven[-1] - estimate.X_MD[:2])) < 0.5:
         chain = np.vstack([driven, view])
-        chain = chain[_chords(chain)]
+        chain = chain[chords(chain)]
     room = clearance(np.hstack([chain, chain]), segments, 1.0)
     near_enough = np.clip(room - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE)
     way = _standing_for(chain, near_enough, nodes)

@@ -8,11 +8,11 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import RobotConfig, SafetyConfig
+from tfg_drake.geometry.motion import advance
 from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry
 from tfg_drake.safety.corridor import touch_distance
 from tfg_drake.safety.scan_watch import ScanWatch
 from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
-from tfg_drake.simulation.differential_drive import advance
 
 # Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
 # (0: none) and the time left to it (s), the speed that the base has then, which brakes no harder than it can (m/s), and

@@ -12,6 +12,7 @@ from numba import njit
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.distance import nearest_on_segment
+from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray
 
@@ -36,17 +37,6 @@ _STANDS = 1e-4
 
 # Nothing but its wheels moves the base.
 UNMOVED = np.zeros(4)
-
-
-@njit(cache=True)
-def advance(pose: FloatArray, speed: float, turn_rate: float, duration: float) -> FloatArray:
-    """The pose (3,) after an arc at constant speed (m/s) and turn rate (rad/s); exact; duration (s) may be negative."""
-    half = 0.5 * turn_rate * duration
-    chord = speed * duration * (math.sin(half) / half if abs(half) > 1e-8 else 1.0)
-    heading = pose[2] + half
-    theta = pose[2] + 2.0 * half
-    theta = math.pi - (math.pi - theta) % (2.0 * math.pi)
-    return np.array([pose[0] + chord * math.cos(heading), pose[1] + chord * math.sin(heading), theta])
 
 
 @njit(cache=True)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.comparison.metrics import align
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Observation, replace
 from tfg_drake.slam.keyframe_graph import WITNESSES, Keyframe, KeyframeGraph, rows_of
 from tfg_drake.slam.map_solver import solve

@@ -1,1 +1,1 @@
-"""Files: written atomically, recordings of ports, trajectories, YAML with one line an error."""
+"""Recordings of ports, timelines, trajectories, and runs as arrays."""

@@ -31,6 +31,7 @@ from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from tfg_drake.io.files import FileError, most_unpacked, of_run, reading
 from tfg_drake.messages import (
     FloatArray,
     Hazards,
@@ -46,7 +47,6 @@ from tfg_drake.messages import (
 from tfg_drake.messages import Path as PathMessage
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage import foxglove
-from tfg_drake.storage.files import FileError, most_unpacked, of_run, reading
 
 FILE_NAME = "ports.mcap"
 # Of a killed program no more than so much is lost, s.

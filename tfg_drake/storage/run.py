@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tfg_drake.io.files import FileError, read_object, read_text, reading
 from tfg_drake.mapfile.saved_map import SavedMap, load_map
 from tfg_drake.messages import FloatArray, TagDetections
-from tfg_drake.storage.files import FileError, read_object, read_text, reading
 from tfg_drake.storage.port_recording import PortRecording, read_recording
 from tfg_drake.storage.trajectory import read_tum
 

@@ -30,7 +30,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.storage.files import FileError, most_unpacked, of_run, reading
+from tfg_drake.io.files import FileError, most_unpacked, of_run, reading
 from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
 
 FILE_NAME = "timeline.tfg"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tfg_drake.io.files import FileError, read_text, reading, write_atomic
 from tfg_drake.messages import FloatArray
-from tfg_drake.storage.files import FileError, read_text, reading, write_atomic
 
 
 def write_tum(path: Path, stamps: FloatArray, X_WB: FloatArray) -> None:

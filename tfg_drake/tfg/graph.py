@@ -257,7 +257,7 @@ class _Newest:
         (f,) m."""
 
         def open_still(points: FrontierPoints) -> BoolArray:
-            explored = inside_any(points.p, *self.star.polygons) | _explored(points, self.stars, self.estimate)
+            explored = inside_any(points.p, *self.star.polygons) | explored_elsewhere(points, self.stars, self.estimate)
             return self._theirs(points) | ~explored
 
         return _merge(
@@ -493,7 +493,7 @@ def _live_frontiers(
     return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
-def _explored(points: FrontierPoints, stars: Stars, estimate: MapEstimate) -> BoolArray:
+def explored_elsewhere(points: FrontierPoints, stars: Stars, estimate: MapEstimate) -> BoolArray:
     """Which frontier points (f,) are explored, because another arm of a closed loop has seen free space there: the
     point and the place MOST_DRIFT behind it lie inside the stars, and the landmarks there are known jointly."""
     explored = inside_any(points.p, *stars.polygons)

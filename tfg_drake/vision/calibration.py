@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from tfg_drake.io.files import read_bytes, write_atomic
+from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, message
-from tfg_drake.storage.files import read_bytes, write_atomic
-from tfg_drake.storage.yaml_text import parse_yaml
 
 # By their names in files. Coefficients: k1, k2, p1, p2[, k3[, k4, k5, k6[, s1 .. s4[, tx, ty]]]] of Brown's model, k1
 # to k4 of Kannala and Brandt's.

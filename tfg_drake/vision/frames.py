@@ -15,9 +15,9 @@ import numpy as np
 import PIL.Image
 
 from tfg_drake.bad_input import BadInput
+from tfg_drake.io.clock_unit import UNITS, clock_unit
+from tfg_drake.io.files import read_bytes
 from tfg_drake.messages import FloatArray
-from tfg_drake.storage.clock_unit import UNITS, clock_unit
-from tfg_drake.storage.files import read_bytes
 from tfg_drake.vision.image import NO_IMAGE, Image, eight_bits
 
 # After what silence a stream is given up, s.

@@ -13,9 +13,9 @@ from scipy import ndimage
 
 from tfg_drake.bad_input import not_radians
 from tfg_drake.geometry.se2 import inverse, transform
+from tfg_drake.io.files import read_bytes
+from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.storage.files import read_bytes
-from tfg_drake.storage.yaml_text import parse_yaml
 from tfg_drake.vision.image import NO_IMAGE
 from tfg_drake.world.world import WorldError
 
@@ -83,7 +83,7 @@ def load_map_server(path: Path) -> OccupancyMap:
         raise WorldError(
             f"{path}: image: {sides} sides of its cells are wall, at most {_MOST_SIDES} are read; is it a map of walls?"
         )
-    polylines = [_outline(line) for line in _borders(free)]
+    polylines = [_outline(line) for line in borders(free)]
     corners = _distinct(np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in polylines])) * resolution
     X_WI = np.array(origin, dtype=float)
     walls = np.column_stack([transform(X_WI, corners[:, :2]), transform(X_WI, corners[:, 2:])])
@@ -176,7 +176,7 @@ def _levels(file: Path) -> tuple[IntArray, int, BoolArray]:
             return pixels[:, :, 0], 255, pixels[:, :, 1] > 0
 
 
-def _borders(free: BoolArray) -> list[IntArray]:
+def borders(free: BoolArray) -> list[IntArray]:
     """Closed polylines (k + 1, 2) of cell corners (column, row), free cells on the left.
 
     Where two free cells touch at a corner only, the polylines keep them apart.

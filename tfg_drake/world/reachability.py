@@ -174,7 +174,7 @@ def reachable_surface(world: World, grid: Grid, reachable: BoolArray, scan_range
             world.walls, points[candidates], side * normals[candidates], cells, scan_range, 0.5 * np.pi
         )
     points, normals = points[seen], normals[seen]
-    return points[~_second_faces(points, normals)]
+    return points[~second_faces(points, normals)]
 
 
 def cut_walls(walls: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -214,7 +214,7 @@ def _beside(walls: FloatArray, grid: Grid, connected: BoolArray, points: FloatAr
     return result
 
 
-def _second_faces(points: FloatArray, normals: FloatArray) -> BoolArray:
+def second_faces(points: FloatArray, normals: FloatArray) -> BoolArray:
     """Marks (n,) every piece that lies straight behind an earlier parallel one, nearer than FACE_GAP."""
     second = np.zeros(len(points), dtype=np.bool_)
     if not len(points):

@@ -10,9 +10,9 @@ import pytest
 
 from tests.cameras import pinhole
 from tests.vision.rendering import cv2, render
-from tfg_drake.comparison.metrics import align
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.video import load_video
+from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.storage.trajectory import read_tum, write_tum

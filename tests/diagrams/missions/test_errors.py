@@ -5,7 +5,7 @@ import pytest
 
 from tests.diagrams.rooms import room
 from tfg_drake.diagrams.methods import FindMethod
-from tfg_drake.diagrams.missions.errors import _landmarks, online_pose_anees
+from tfg_drake.diagrams.missions.errors import landmark_figures, online_pose_anees
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import replace
@@ -31,7 +31,7 @@ def figures(doubtful, yaw_sigma=0.0):
         landmark_covariance=np.tile(0.01**2 * np.eye(2), (4, 1, 1)),
         doubtful=np.array(doubtful, dtype=np.int64),
     )
-    return _landmarks(WORLD, np.ones(3, dtype=bool), estimate, True, np.zeros(3), yaw_sigma)
+    return landmark_figures(WORLD, np.ones(3, dtype=bool), estimate, True, np.zeros(3), yaw_sigma)
 
 
 def test_the_errors_are_those_of_landmarks_that_are_not_doubtful():
@@ -55,7 +55,7 @@ def test_an_uncertain_yaw_turns_the_map():
 
 
 def test_before_the_first_view_there_is_nothing():
-    assert _landmarks(WORLD, np.ones(3, dtype=bool), None, True, np.zeros(3), 0.0)["landmarks_mapped"] == 0
+    assert landmark_figures(WORLD, np.ones(3, dtype=bool), None, True, np.zeros(3), 0.0)["landmarks_mapped"] == 0
 
 
 def test_the_online_poses_are_judged_by_what_was_said_then():

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import tfg_drake
+from tfg_drake.diagrams.exploration import fork
 from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, fork
+from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus
 

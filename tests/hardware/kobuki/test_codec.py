@@ -164,7 +164,6 @@ def test_a_frame_behind_a_false_length_is_found():
 
 
 def test_garbled_frames_are_not_accepted():
-    # In small what benchmarks/kobuki_fuzz.py does.
     rng = random.Random(1)
     for _ in range(10_000):
         frame = bytearray(encode(p.Current(rng.randrange(256), 2), p.DockInfrared(1, 2, 3)))

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import between
 from tfg_drake.hardware.kobuki import odometry as o
 from tfg_drake.hardware.kobuki.payloads import BaseControl, CoreSensors, Inertia
-from tfg_drake.simulation.differential_drive import advance
 
 CORE = CoreSensors(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 165, 0)
 PERIOD = 0.02

@@ -70,7 +70,7 @@ class Timeline {
     while (start + 4 <= joined.length) {
       const length = new DataView(joined.buffer, joined.byteOffset + start, 4).getUint32(0, true);
       if (start + 4 + length > joined.length) break;
-      const most = Math.max(2 ** 26, 32 * this.read) - this.unpacked; // as in tfg_drake/storage/files.py
+      const most = Math.max(2 ** 26, 32 * this.read) - this.unpacked; // as in tfg_drake/io/files.py
       const buffer = await inflated(joined.subarray(start + 4, start + 4 + length), most);
       this.unpacked += buffer.byteLength;
       this.block(buffer);

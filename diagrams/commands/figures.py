@@ -15,11 +15,11 @@ from tfg_drake.diagrams.commands.compare import run_sweep
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
+from tfg_drake.io.files import write_atomic
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.pictures.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg
 from tfg_drake.planning.candidates import GoalParameters
-from tfg_drake.storage.files import write_atomic
 
 # The stage whose gains are drawn, half-way: much is known, much is open.
 GAIN_STAGE = 60

@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 
-from tfg_drake.diagrams.real_robot import Bounded
+from tfg_drake.diagrams.missions.real_robot import Bounded
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits

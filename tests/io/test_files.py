@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from tfg_drake.storage import files
-from tfg_drake.storage.files import FileError, most_unpacked, of_run, read_arrays, read_object, read_text, reading
+from tfg_drake.io import files
+from tfg_drake.io.files import FileError, most_unpacked, of_run, read_arrays, read_object, read_text, reading
 
 
 def test_a_file_of_a_run_is_named_by_itself_or_by_the_folder(tmp_path):

@@ -24,9 +24,9 @@ from tfg_drake.diagrams.methods import MethodError
 from tfg_drake.diagrams.mission_diagram import ConnectStation
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario, ScenarioError
 from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.io.yaml_text import dump_yaml
 from tfg_drake.mapfile.saved_map import load_map, restored_estimate
 from tfg_drake.messages import replace
-from tfg_drake.storage.yaml_text import dump_yaml
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.prm_planner import PrmPlanner

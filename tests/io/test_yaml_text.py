@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from tfg_drake.storage.yaml_text import YamlError, dump_yaml, parse_yaml
+from tfg_drake.io.yaml_text import YamlError, dump_yaml, parse_yaml
 
 
 def test_plain_yaml_is_read():

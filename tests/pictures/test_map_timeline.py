@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tfg_drake.mapfile.map_timeline import write_map_timeline
+from tfg_drake.pictures.map_timeline import write_map_timeline
 from tfg_drake.storage.timeline import read_timeline
 
 

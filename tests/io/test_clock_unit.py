@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.storage.clock_unit import UNITS, clock_unit, in_seconds
+from tfg_drake.io.clock_unit import UNITS, clock_unit, in_seconds
 
 
 @pytest.mark.parametrize("unit", UNITS)

@@ -1,4 +1,4 @@
-"""A mission from Python, with each Drake object at hand: `tfg_drake.explore`."""
+"""Missions from Python, with each Drake object at hand: `tfg_drake.explore`, `tfg_drake.fork`."""
 
 from __future__ import annotations
 
@@ -23,15 +23,17 @@ from tfg_drake.diagrams.commands.explore import check_kept, kernels_needed, rema
 from tfg_drake.diagrams.commands.page import open_page
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.hardware_station import Bounded
-from tfg_drake.diagrams.methods import FindMethod, Method, MethodError
+from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
+from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
 from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.real_robot import DevicesOf, Rehearse, RobotOf
 from tfg_drake.diagrams.missions.run import RunResult, run_mission
 from tfg_drake.diagrams.parts import CheckFactory, Factory, MakePart
-from tfg_drake.diagrams.real_robot import DevicesOf, Rehearse, RobotOf
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import PrepareScenario, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.messages import FloatArray, MapEstimate, MissionStatus, TfgMap
+from tfg_drake.storage.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -151,6 +153,35 @@ def explore(
     if result.mission.failure is not None:
         raise result.mission.failure
     return Exploration(result.mission, name, result)
+
+
+def fork(
+    run: Run | str | Path, stage: int, *, goal: Sequence[float] | None = None, candidate: int | None = None
+) -> Simulator:
+    """A simulator of a run at a stage, its goal chosen and not yet driven to, to go on with.
+
+    Args:
+        run: the folder of a simulated run, or what `load_run` read of it.
+        stage: which, from 1 on.
+        goal: (2,) in W, m: drive there instead, to the reachable place next to it, and look round.
+        candidate: or to the candidate of this number, 1 for that with the most gain.
+
+    The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. Whatever
+    was asked for is driven to while the simulator is advanced. Without a goal or candidate it ends as the run did, to
+    the bit.
+
+    Raises:
+        ForkError: the run cannot be forked there; see `forkable` and `Fork`.
+    """
+    make_kernels_ready()
+    run, scenario = forkable(run, stage)
+    mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
+    change = Fork(stage, goal, candidate)
+    mission.begin(change.monitor(mission, stops=True))
+    if mission.advance(math.inf):
+        raise ForkError(f"stage {stage}: the mission ended before it")
+    check_same(run, mission.stages, stage)
+    return mission.simulator
 
 
 def _robot_of(station: Diagram, scenario: Scenario, enable: bool) -> tuple[Robot, Scenario]:
