@@ -7,9 +7,11 @@ import math
 
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
+from tfg_drake.geometry.read_only import read_only_arguments
+from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_gains import ExpectedGains
@@ -164,26 +166,9 @@ def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
     nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    return np.asarray(_apart(points, np.append(tfg.star_centers, p_MD[None], axis=0), np.append(turned, True)))
-
-
-@njit(cache=True)
-def _apart(points: FloatArray, places: FloatArray, is_done: BoolArray) -> BoolArray:
-    """Which of the points (n, 2) have none of those places (k, 2) that are done with (k,) within APART, nor MOST_LOOKS
-    of any but the last."""
-    apart = np.ones(len(points), dtype=np.bool_)
-    grid, near = segment_grid(np.hstack((places, places))), np.empty(len(places), dtype=np.int64)
-    for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
-        looks = 0
-        for k in range(rows_in_box(grid, x - APART, x + APART, y - APART, y + APART, near)):
-            j = near[k]
-            if (places[j, 0] - x) ** 2 + (places[j, 1] - y) ** 2 < APART * APART:
-                looks += j < len(places) - 1
-                if is_done[j] or looks >= MOST_LOOKS:
-                    apart[i] = False
-                    break
-    return apart
+    done = cKDTree(np.append(tfg.star_centers[turned], p_MD[None], axis=0))
+    looks = cKDTree(tfg.star_centers).query_ball_point(points, APART, return_length=True)
+    return np.asarray((done.query(points)[0] >= APART) & (looks < MOST_LOOKS))
 
 
 def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
@@ -253,6 +238,7 @@ def _each_seen(
     return _lengths_seen(points, frontiers.offsets, frontiers.index, *of_frontier)
 
 
+@read_only_arguments
 @njit(cache=True)
 def _lengths_seen(
     points: FloatArray,

@@ -166,13 +166,10 @@ def solved_by_cholesky(C: FloatArray, W: FloatArray) -> float:
     return log_C
 
 
-@njit(cache=True)
 def to_arrival(X_MD: FloatArray, points: FloatArray) -> FloatArray:
     """F (c, 3, 3): what an error of the departure pose X_MD, (x, y) in M and theta, makes at an arrival at each point
     (c, 2), m in M."""
-    F = np.zeros((len(points), 3, 3))
-    for i in range(3):
-        F[:, i, i] = 1.0
+    F = np.tile(np.eye(3), (len(points), 1, 1))
     F[:, 0, 2], F[:, 1, 2] = X_MD[1] - points[:, 1], points[:, 0] - X_MD[0]
     return F
 
@@ -185,7 +182,7 @@ def arrival_covariance(F: FloatArray, arrival: Arrival, covariance: FloatArray) 
 
 
 @njit(cache=True)
-def _terms(
+def terms(
     points: FloatArray,
     F: FloatArray,
     known_offsets: IntArray,
@@ -326,34 +323,20 @@ def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
     M = [[0, I], [I, S_xx]] by an error of the map and one of the pose.
     """
     F = to_arrival(arrival.X_MD, points)
-    log, T, B = _terms(
-        points,
-        F,
-        known.offsets,
-        known.rows,
-        known.p_ML,
-        known.covariance,
-        new.offsets,
-        new.rows,
-        new.p_MU,
-        new.number,
-        new.prior_sigma,
-        new.reach,
-        noise,
-    )
+    log, T, B = terms(points, F, *known, *new, noise)
     S_xx, S_x_given_L = arrival_covariance(F, arrival, known.covariance)
     N = np.concatenate([np.broadcast_to(np.eye(3), S_xx.shape), S_xx], axis=1)  # the last three columns of M
     inner = np.eye(6) + np.concatenate([T[:, :, 3:], T @ N], axis=2)  # I + T M
     S_x_given_z = S_xx - N.transpose(0, 2, 1) @ np.linalg.solve(inner, T @ N)
 
-    log_known = log[:, 0] + _log_det(inner)
+    log_known = log[:, 0] + log_det(inner)
     prices = np.stack([S_x_given_L @ B[:, 0], S_x_given_L @ (B[:, 0] + B[:, 1]), S_x_given_z @ B[:, 2]])
-    price_known, price_all, log_localised = _log_det(np.eye(3) + prices)
+    price_known, price_all, log_localised = log_det(np.eye(3) + prices)
     exploitation = 0.5 * (log_known - price_known)
     exploration = 0.5 * (log[:, 1] + log_localised - price_all + price_known)
     return np.stack([exploitation, exploration, 0.5 * log.sum(axis=1) - exploitation - exploration], axis=1)
 
 
-def _log_det(A: FloatArray) -> FloatArray:
+def log_det(A: FloatArray) -> FloatArray:
     """log|A|, (...), of matrices (..., k, k)."""
     return np.asarray(np.linalg.slogdet(A)[1])

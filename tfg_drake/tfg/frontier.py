@@ -15,6 +15,7 @@ from numba import njit
 
 from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, enter
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.geometry.turned import turned
@@ -335,6 +336,7 @@ def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
     return np.asarray(most_within(p, others, np.ones(len(others), dtype=np.int64), distance) == 0)
 
 
+@read_only_arguments
 @njit(cache=True)
 def most_within(points: FloatArray, others: FloatArray, number: IntArray, distance: float) -> IntArray:
     """The largest number (n,) that any of the others (m, d), each with a number (m,), has within distance of each of
