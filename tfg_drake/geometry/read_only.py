@@ -1,15 +1,18 @@
-"""Kernels compiled once, whatever arrays they are called with."""
+"""Kernels compiled once, whichever arrays they are called with."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
-def read_only_arguments(kernel: Callable[..., Any]) -> Callable[..., Any]:
+
+def read_only_arguments(kernel: Callable[_P, _R]) -> Callable[_P, _R]:
     """The kernel called with contiguous, read-only views of its arrays, as messages hold them.
 
     numba compiles a kernel anew for arrays that are writable or lie otherwise in memory.
@@ -17,12 +20,14 @@ def read_only_arguments(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(kernel)
     def call(*arguments: Any) -> Any:
-        return kernel(*[_read_only(one) if isinstance(one, np.ndarray) else one for one in arguments])
+        return cast(Callable[..., Any], kernel)(*map(_read_only, arguments))
 
-    return call
+    return cast(Callable[_P, _R], call)
 
 
-def _read_only(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    view = np.ascontiguousarray(array).view()
+def _read_only(argument: Any) -> Any:
+    if not isinstance(argument, np.ndarray):
+        return argument
+    view = np.ascontiguousarray(argument).view()
     view.flags.writeable = False
     return view

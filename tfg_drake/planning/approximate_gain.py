@@ -34,7 +34,7 @@ def limit_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
     pose is taken to be independent of the landmarks.
     """
     F = to_arrival(arrival.X_MD, points)
-    log, T, B = terms(points, F, *known, *new, noise)
+    log, T, B = terms(points, F, known, new, noise)
     _, S = arrival_covariance(F, arrival, known.covariance)  # Pi^-1
     B_known, B_given_map = B[:, 0], T[:, 3:, 3:]
     price_given_map, price_known, price_all = log_det(
@@ -53,7 +53,7 @@ def paper_gain(points: FloatArray, known: Known, new: New, noise: FloatArray) ->
     without the factor of one half and without a prior of the pose. Only the second Sigma_o is added: without it the
     determinant is negative more often than not. Where B is singular, with fewer than two tags in view, nothing.
     """
-    log, T, B = terms(points, np.tile(np.eye(3), (len(points), 1, 1)), *known, *new, noise)
+    log, T, B = terms(points, np.tile(np.eye(3), (len(points), 1, 1)), known, new, noise)
     expected = np.append(0, np.cumsum(new.number[new.rows] > 0.0))[new.offsets]
     seen = np.diff(known.offsets) + np.diff(expected) >= 2
     seen &= np.linalg.det(B[:, 0] + B[:, 1]) > 0.0

@@ -6,11 +6,9 @@ import dataclasses
 import math
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
@@ -234,25 +232,7 @@ def _each_seen(
     points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor: TagSensorConfig
 ) -> tuple[FloatArray, FloatArray]:
     """Of each entry of `frontiers` the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
-    of_frontier = tfg.frontiers, tfg.frontier_length, frontier_reach(sensor)
-    return _lengths_seen(points, frontiers.offsets, frontiers.index, *of_frontier)
-
-
-@read_only_arguments
-@njit(cache=True)
-def _lengths_seen(
-    points: FloatArray,
-    offsets: IntArray,
-    index: IntArray,
-    frontiers: FloatArray,
-    frontier_length: FloatArray,
-    reach: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    seen, total = np.empty(len(index)), np.zeros(len(points))
-    for i in range(len(points)):
-        for k in range(offsets[i], offsets[i + 1]):
-            f = index[k]
-            distance = math.hypot(frontiers[f, 0] - points[i, 0], frontiers[f, 1] - points[i, 1])
-            seen[k] = frontier_length[f] * share_seen(distance, reach)
-            total[i] += seen[k]
-    return seen, total
+    point = np.repeat(np.arange(len(points)), frontiers.count)
+    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
+    seen = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
+    return seen, np.bincount(point, weights=seen, minlength=len(points)).astype(np.float64)
