@@ -62,7 +62,7 @@ def watched(
     X_OB: (3,) odometry where it was taken. at_rest: no wheel turns. radius: of the robot, m. least_range: m, nearer the
     scanner sees nothing.
     """
-    same = len(scan.ranges) > 0 and np.array_equal(scan.ranges, watch.content.ranges, equal_nan=True)
+    same = len(scan.ranges) > 0 and scan.ranges.tobytes() == watch.content.ranges.tobytes()  # nan is nan
     content, X_OC = (watch.content, watch.X_OC) if same else (scan, X_OB)
     X_OC = X_OB if at_rest else X_OC
     believed, reach = watch.believed, _REACH_SHARE * scan.range_max
