@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import SegmentGrid, cell_range, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray
 
@@ -77,6 +78,7 @@ def segment_segment_distance(
     return math.sqrt(_square_between(ax, ay, bx, by, cx, cy, dx, dy))
 
 
+@read_only_arguments
 @njit(cache=True)
 def point_distance(points: FloatArray, segments: FloatArray) -> FloatArray:
     """Distance (n,), m, from each point (n, 2) to the nearest segment (m, 4); inf without segments."""
@@ -130,6 +132,7 @@ def room_beside(
     return best
 
 
+@read_only_arguments
 @njit(cache=True)
 def clearance(edges: FloatArray, segments: FloatArray, reach: float) -> FloatArray:
     """Distance (e,), m, from each edge (e, 4) to the nearest segment (m, 4), 0 where they cross, and no more than reach
@@ -177,6 +180,7 @@ def crossed(
     return -1
 
 
+@read_only_arguments
 @njit(cache=True)
 def enter(edges: FloatArray, segments: FloatArray) -> BoolArray:
     """Which edges (e, 4) run through a segment (m, 4) from its front, on its left, to its back, (e,)."""

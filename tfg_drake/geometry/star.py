@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry.distance import segment_segment_distance, side_of
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
@@ -151,6 +152,7 @@ def line_in_stars(
     return True
 
 
+@read_only_arguments
 @njit(cache=True)
 def lines_in_stars(lines: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
     """As line_in_stars, of lines (n, 4), (n,); star polygons as in `inside_any`."""
@@ -162,21 +164,16 @@ def lines_in_stars(lines: FloatArray, star_offsets: IntArray, star_vertices: Flo
     return inside
 
 
-@njit(cache=True)
 def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
     """Which points (n, 2) lie inside at least one star polygon, (n,).
 
     Star j has the vertices star_vertices[star_offsets[j]:star_offsets[j + 1]]; star_offsets is (k + 1,), star_vertices
     (v, 2), in the frame of the points, m. A point exactly on an edge may fall on either side.
     """
-    index = star_index(star_offsets, star_vertices)
-    near = np.empty(len(index[1][4]), dtype=np.int64)
-    result = np.zeros(len(points), dtype=np.bool_)
-    for i in range(len(points)):
-        result[i] = in_a_star(points[i, 0], points[i, 1], star_offsets, star_vertices, index, near)
-    return result
+    return np.asarray(lines_in_stars(np.hstack([points, points]), star_offsets, star_vertices))
 
 
+@read_only_arguments
 @njit(cache=True)
 def inspected(
     points: FloatArray,
@@ -212,6 +209,7 @@ def inspected(
     return result
 
 
+@read_only_arguments
 @njit(cache=True)
 def looked_through(
     offsets: IntArray,

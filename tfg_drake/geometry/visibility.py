@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray
 
 
@@ -68,13 +69,18 @@ def cast_rays(segments: FloatArray, origin: FloatArray, angles: FloatArray, rang
     return ranges
 
 
-@njit(cache=True)
 def line_of_sight(segments: FloatArray, p_from: FloatArray, p_to: FloatArray, tolerance: float = 1e-3) -> BoolArray:
     """Whether each point can be seen from p_from; touching a segment counts as blocked.
 
     segments: (m, 4) m, m >= 0. p_from: (2,) m. p_to: (n, 2) m. tolerance: m, by which each line is shortened at the
     p_to end, so that the surface a point lies on does not hide it. Returns (n,) bool.
     """
+    return np.asarray(_in_sight(segments, p_from, p_to, tolerance))
+
+
+@njit(cache=True)
+def in_sight(segments: FloatArray, p_from: FloatArray, p_to: FloatArray, tolerance: float) -> BoolArray:
+    """As line_of_sight, for other kernels."""
     n = p_to.shape[0]
     visible = np.ones(n, dtype=np.bool_)
     farthest = 0.0
@@ -95,6 +101,9 @@ def line_of_sight(segments: FloatArray, p_from: FloatArray, p_to: FloatArray, to
                 visible[j] = False
                 break
     return visible
+
+
+_in_sight = read_only_arguments(in_sight)
 
 
 def disc_distances(discs: FloatArray, origin: FloatArray, angles: FloatArray) -> FloatArray:

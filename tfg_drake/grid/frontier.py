@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -60,26 +59,6 @@ def next_to_unknown(cells: CellArray) -> BoolArray:
     return np.asarray((cells == FREE) & beside)
 
 
-@njit(cache=True)
-def _wave(free: BoolArray, row: int, column: int) -> BoolArray:
-    """The free cells (h, w) that a wave from one of them reaches over sides of cells: at corners it would leak."""
-    height, width = free.shape
-    reached = np.zeros_like(free)
-    queue = np.empty(free.size, dtype=np.int64)
-    queue[0], head, tail = row * width + column, 0, 1
-    reached[row, column] = True
-    while head < tail:
-        i, j = queue[head] // width, queue[head] % width
-        head += 1
-        for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            a, b = i + di, j + dj
-            if 0 <= a < height and 0 <= b < width and free[a, b] and not reached[a, b]:
-                reached[a, b] = True
-                queue[tail] = a * width + b
-                tail += 1
-    return reached
-
-
 def _wave_from(cells: CellArray, row: int, column: int) -> BoolArray:
     """The wave's cells (h, w) from the free cell nearest to the robot's: the map may have moved under it."""
     free: BoolArray = cells == FREE
@@ -88,7 +67,9 @@ def _wave_from(cells: CellArray, row: int, column: int) -> BoolArray:
         if len(where) == 0:
             return free
         row, column = where[np.argmin(((where - (row, column)) ** 2).sum(axis=1))]
-    return np.asarray(_wave(free, row, column))
+    # Over sides of cells: at corners a wave would leak.
+    label, _ = ndimage.label(free)
+    return np.asarray(label == label[row, column])
 
 
 def find_frontiers(grid: GridMap, cells: CellArray, p_MB: FloatArray, least_length: float) -> list[Frontier]:

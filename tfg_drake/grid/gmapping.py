@@ -18,6 +18,7 @@ from numba import njit
 
 from tfg_drake.config import GridConfig, OdometryConfig
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.grid.occupancy import TileMaps, empty_maps, insert_scan, log_odds, probability, reach_of
 from tfg_drake.grid.scan_matcher import end_points, propose
 from tfg_drake.messages import (
@@ -294,6 +295,7 @@ def _motion_covariance(state: GmappingState, X_MU: FloatArray) -> FloatArray:
     return np.asarray(R @ covariance @ np.swapaxes(R, 1, 2))
 
 
+@read_only_arguments
 @njit(cache=True)
 def _accumulate(
     noise: FloatArray, jacobian: FloatArray, X_UB: FloatArray, increment: FloatArray, dt: float, model: FloatArray

@@ -6,10 +6,10 @@ import dataclasses
 import math
 
 import numpy as np
-from numba import njit
+from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
+from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_gains import ExpectedGains
@@ -164,26 +164,9 @@ def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
     nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    return np.asarray(_apart(points, np.append(tfg.star_centers, p_MD[None], axis=0), np.append(turned, True)))
-
-
-@njit(cache=True)
-def _apart(points: FloatArray, places: FloatArray, is_done: BoolArray) -> BoolArray:
-    """Which of the points (n, 2) have none of those places (k, 2) that are done with (k,) within APART, nor MOST_LOOKS
-    of any but the last."""
-    apart = np.ones(len(points), dtype=np.bool_)
-    grid, near = segment_grid(np.hstack((places, places))), np.empty(len(places), dtype=np.int64)
-    for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
-        looks = 0
-        for k in range(rows_in_box(grid, x - APART, x + APART, y - APART, y + APART, near)):
-            j = near[k]
-            if (places[j, 0] - x) ** 2 + (places[j, 1] - y) ** 2 < APART * APART:
-                looks += j < len(places) - 1
-                if is_done[j] or looks >= MOST_LOOKS:
-                    apart[i] = False
-                    break
-    return apart
+    done = cKDTree(np.append(tfg.star_centers[turned], p_MD[None], axis=0))
+    looks = cKDTree(tfg.star_centers).query_ball_point(points, APART, return_length=True)
+    return np.asarray((done.query(points)[0] >= APART) & (looks < MOST_LOOKS))
 
 
 def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
@@ -249,24 +232,7 @@ def _each_seen(
     points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor: TagSensorConfig
 ) -> tuple[FloatArray, FloatArray]:
     """Of each entry of `frontiers` the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
-    of_frontier = tfg.frontiers, tfg.frontier_length, frontier_reach(sensor)
-    return _lengths_seen(points, frontiers.offsets, frontiers.index, *of_frontier)
-
-
-@njit(cache=True)
-def _lengths_seen(
-    points: FloatArray,
-    offsets: IntArray,
-    index: IntArray,
-    frontiers: FloatArray,
-    frontier_length: FloatArray,
-    reach: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    seen, total = np.empty(len(index)), np.zeros(len(points))
-    for i in range(len(points)):
-        for k in range(offsets[i], offsets[i + 1]):
-            f = index[k]
-            distance = math.hypot(frontiers[f, 0] - points[i, 0], frontiers[f, 1] - points[i, 1])
-            seen[k] = frontier_length[f] * share_seen(distance, reach)
-            total[i] += seen[k]
-    return seen, total
+    point = np.repeat(np.arange(len(points)), frontiers.count)
+    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
+    seen = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
+    return seen, np.bincount(point, weights=seen, minlength=len(points)).astype(np.float64)

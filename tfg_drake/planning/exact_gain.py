@@ -77,13 +77,15 @@ def whitened(d: FloatArray, noise: FloatArray) -> FloatArray:
     return G
 
 
-@njit(cache=True)
 def share_seen(distance: FloatArray | float, reach: FloatArray) -> FloatArray:
     """How much of what a frontier point stands for is seen from a distance (m): the depth of view left behind it.
 
     distance: (n,) or a number, m. reach: as in New.
     """
     return np.minimum(1.0, np.maximum(0.0, (reach[0] - distance) / reach[1]))  # type: ignore[no-any-return]
+
+
+_share_seen = njit(cache=True)(share_seen)  # for kernels
 
 
 @njit(cache=True)
@@ -135,7 +137,7 @@ def new_terms(x: float, y: float, c: int, new: New, noise: FloatArray) -> tuple[
     variance = new.prior_sigma * new.prior_sigma
     for u in new.rows[new.offsets[c] : new.offsets[c + 1]]:
         dx, dy = new.p_MU[u, 0] - x, new.p_MU[u, 1] - y
-        count = new.number[u] * share_seen(math.sqrt(dx * dx + dy * dy), new.reach)
+        count = new.number[u] * _share_seen(math.sqrt(dx * dx + dy * dy), new.reach)
         if count == 0.0:
             continue
         g00, g01, g10, g11 = _whitened(dx, dy, noise)
@@ -166,13 +168,10 @@ def solved_by_cholesky(C: FloatArray, W: FloatArray) -> float:
     return log_C
 
 
-@njit(cache=True)
 def to_arrival(X_MD: FloatArray, points: FloatArray) -> FloatArray:
     """F (c, 3, 3): what an error of the departure pose X_MD, (x, y) in M and theta, makes at an arrival at each point
     (c, 2), m in M."""
-    F = np.zeros((len(points), 3, 3))
-    for i in range(3):
-        F[:, i, i] = 1.0
+    F = np.tile(np.eye(3), (len(points), 1, 1))
     F[:, 0, 2], F[:, 1, 2] = X_MD[1] - points[:, 1], points[:, 0] - X_MD[0]
     return F
 
@@ -182,6 +181,15 @@ def arrival_covariance(F: FloatArray, arrival: Arrival, covariance: FloatArray) 
     F_T = F.transpose(0, 2, 1)
     of_arrival = F @ covariance[-3:, -3:] @ F_T + arrival.odometry
     return of_arrival, F @ arrival.departure_given_map @ F_T + arrival.odometry
+
+
+def terms(
+    points: FloatArray, F: FloatArray, known: Known, new: New, noise: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of each candidate: log|C| and log|D| (c, 2); T (c, 6, 6) = W^T C^-1 W, W = [G S_Lx, K], by known landmarks; and
+    (c, 3, 3, 3) K^T K by known, K^T K and K^T D^-1 K by new ones. F: (c, 3, 3). C, G, K, D: `known_terms`, `new_terms`.
+    """
+    return _terms(points, F, *known, *new, noise)  # type: ignore[arg-type]
 
 
 @njit(cache=True)
@@ -200,10 +208,8 @@ def _terms(
     reach: FloatArray,
     noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of each candidate: log|C| and log|D| (c, 2); T (c, 6, 6) = W^T C^-1 W, W = [G S_Lx, K], by known landmarks; and
-    (c, 3, 3, 3) K^T K by known, K^T K and K^T D^-1 K by new ones. F: (c, 3, 3). C, G, K, D: `known_terms`, `new_terms`.
-    Known and New are passed field by field: numba dispatches on arrays many times quicker than on named tuples.
-    """
+    """As terms. Known and New are passed field by field: numba dispatches on arrays many times quicker than on named
+    tuples."""
     known = Known(known_offsets, known_rows, p_ML, covariance)
     new = New(new_offsets, new_rows, p_MU, number, prior_sigma, reach)
     logs, T, B = np.zeros((len(points), 2)), np.zeros((len(points), 6, 6)), np.zeros((len(points), 3, 3, 3))
@@ -313,7 +319,7 @@ def most_gain(
         for u in new_rows[new_offsets[c] : new_offsets[c + 1]]:
             dx, dy = p_MU[u, 0] - x, p_MU[u, 1] - y
             r = math.sqrt(dx * dx + dy * dy)
-            count, r = number[u] * share_seen(r, reach), max(r, 0.05)
+            count, r = number[u] * _share_seen(r, reach), max(r, 0.05)
             sigma = max(noise[0] + noise[1] * r, noise[2])
             most[c, 1] += 0.5 * count * math.log((1.0 + variance / sigma**2) * (1.0 + variance / (r * noise[3]) ** 2))
     return most
@@ -326,34 +332,20 @@ def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
     M = [[0, I], [I, S_xx]] by an error of the map and one of the pose.
     """
     F = to_arrival(arrival.X_MD, points)
-    log, T, B = _terms(
-        points,
-        F,
-        known.offsets,
-        known.rows,
-        known.p_ML,
-        known.covariance,
-        new.offsets,
-        new.rows,
-        new.p_MU,
-        new.number,
-        new.prior_sigma,
-        new.reach,
-        noise,
-    )
+    log, T, B = terms(points, F, known, new, noise)
     S_xx, S_x_given_L = arrival_covariance(F, arrival, known.covariance)
     N = np.concatenate([np.broadcast_to(np.eye(3), S_xx.shape), S_xx], axis=1)  # the last three columns of M
     inner = np.eye(6) + np.concatenate([T[:, :, 3:], T @ N], axis=2)  # I + T M
     S_x_given_z = S_xx - N.transpose(0, 2, 1) @ np.linalg.solve(inner, T @ N)
 
-    log_known = log[:, 0] + _log_det(inner)
+    log_known = log[:, 0] + log_det(inner)
     prices = np.stack([S_x_given_L @ B[:, 0], S_x_given_L @ (B[:, 0] + B[:, 1]), S_x_given_z @ B[:, 2]])
-    price_known, price_all, log_localised = _log_det(np.eye(3) + prices)
+    price_known, price_all, log_localised = log_det(np.eye(3) + prices)
     exploitation = 0.5 * (log_known - price_known)
     exploration = 0.5 * (log[:, 1] + log_localised - price_all + price_known)
     return np.stack([exploitation, exploration, 0.5 * log.sum(axis=1) - exploitation - exploration], axis=1)
 
 
-def _log_det(A: FloatArray) -> FloatArray:
+def log_det(A: FloatArray) -> FloatArray:
     """log|A|, (...), of matrices (..., k, k)."""
     return np.asarray(np.linalg.slogdet(A)[1])

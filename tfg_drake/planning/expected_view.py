@@ -10,6 +10,7 @@ from numba import njit
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import crossed, segments_cross
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.sectors import sector_of, segments_by_sector
 from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
@@ -69,6 +70,7 @@ class Visibility:
         return Visibility(offsets, self.index[row])
 
 
+@read_only_arguments
 @njit(cache=True)
 def visible_targets(
     points: FloatArray,

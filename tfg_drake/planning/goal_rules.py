@@ -10,10 +10,11 @@ import functools
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.information_gain import Gains
-from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
+from tfg_drake.planning.shortest_ways import shortest_ways
 
 # Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
 TOUR_GOALS = 11
@@ -130,11 +131,11 @@ def _times_to(sources: IntArray, nodes: IntArray, roadmap: Roadmap, speed: float
     """Seconds (k, n) between nodes (k,) of the roadmap and others (n,), by the shortest way."""
     a, b = roadmap.edges.T
     length = np.maximum(np.hypot(*(roadmap.points[a] - roadmap.points[b]).T), 1e-9)
-    joined, at_once = neighbours(roadmap.edges, len(roadmap.points)), np.zeros(1)
-    ways = [Ways(*shortest_ways(*joined, length, source, at_once)) for source in sources[:, None]]
-    return np.array([way.cost[nodes] for way in ways]) / speed
+    joined = roadmap.edges, len(roadmap.points), length
+    return np.array([shortest_ways(*joined, source, np.zeros(1))[0][nodes] for source in sources[:, None]]) / speed
 
 
+@read_only_arguments
 @njit(cache=True)
 def shortest_order(first: FloatArray, between: FloatArray, last: int) -> list[int]:
     """The order in which to visit n places so that the one to be the last is reached soonest: first (n,) s to each from

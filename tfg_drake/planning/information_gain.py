@@ -170,12 +170,7 @@ class Turns:
             estimate.covariance,
             sensor.range,
             sensor.max_incidence,
-            new.offsets,
-            new.rows,
-            new.p_MU,
-            new.number,
-            new.prior_sigma,
-            new.reach,
+            *new,  # type: ignore[arg-type]
             self._noise,
         )
         return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=np.zeros(len(points)))

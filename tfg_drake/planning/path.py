@@ -9,6 +9,7 @@ from numba import njit
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance, room_beside
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.star import line_in_stars, star_index
@@ -68,25 +69,17 @@ def lines_between(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.hstack(np.broadcast_arrays(np.atleast_2d(a), np.atleast_2d(b)))
 
 
-@njit(cache=True)
 def _insert(points: FloatArray, step: float) -> FloatArray:
     """A polyline (n, 2) with extra points on its pieces, at intervals of at most step, m."""
-    count = np.ones(len(points), dtype=np.int64)
-    for i in range(len(points) - 1):
-        length = math.hypot(points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1])
-        count[i] = max(1, math.ceil(length / step - 1e-9))
-    more, n = np.empty((count.sum(), 2)), 0
-    for i in range(len(points)):
-        for k in range(count[i]):
-            more[n] = points[i]
-            if k > 0:
-                dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
-                length = math.hypot(dx, dy)
-                along = k * (length / count[i])
-                more[n, 0] += dx / length * along
-                more[n, 1] += dy / length * along
-            n += 1
-    return more
+    pieces = np.diff(points, axis=0)
+    length = np.hypot(pieces[:, 0], pieces[:, 1])
+    count = np.maximum(1, np.ceil(length / step - 1e-9).astype(np.int64))
+    piece = np.repeat(np.arange(len(count)), count)
+    k = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count)
+    more, between = points[piece], k > 0
+    piece, k = piece[between], k[between]
+    more[between] += pieces[piece] / length[piece, None] * (k * (length / count)[piece])[:, None]
+    return np.vstack([more, points[-1:]])
 
 
 def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float) -> FloatArray:
@@ -130,6 +123,7 @@ def _shortest(
     return kept[:count]
 
 
+@read_only_arguments
 @njit(cache=True)
 def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> FloatArray:
     """A polyline (n, 2) with its corners replaced by parabolas, as large as the clearance (see shortcut) allows."""

@@ -112,16 +112,23 @@ def _speed_limit(points: FloatArray, progress: float, max_speed: float, turn_rat
 
 @njit(cache=True)
 def _aim(
-    points: FloatArray, X_MB: FloatArray, speed: float, progress: float
-) -> tuple[float, float, float, float, float]:
+    points: FloatArray,
+    X_MB: FloatArray,
+    speed: float,
+    progress: float,
+    max_speed: float,
+    turn_rate: float,
+    braking: float,
+) -> tuple[float, float, float, float, float, float]:
     """Progress (m) made by now, what is left of the path, m, where the point steered for is from the robot, m along M's
-    axes, and the error of the heading to it, rad."""
+    axes, the error of the heading to it, rad, and `_speed_limit`, m/s."""
     progress, length = _project(points, X_MB[0], X_MB[1], progress, SEARCH)
     ahead = min(max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN), LOOK_AHEAD_MAX)
     px, py, _ = _at(points, progress + ahead)
     dx, dy = px - X_MB[0], py - X_MB[1]
     error = math.atan2(dy, dx) - X_MB[2]
-    return progress, length - progress, dx, dy, math.atan2(math.sin(error), math.cos(error))
+    limit = _speed_limit(points, progress, max_speed, turn_rate, braking)
+    return progress, length - progress, dx, dy, math.atan2(math.sin(error), math.cos(error)), limit
 
 
 def _turn_towards(error: float, robot: RobotConfig) -> float:
@@ -143,7 +150,8 @@ def follow(
     """
     if len(points) < 2:
         return PathCommand(0.0, 0.0, 0.0, False, True)
-    progress, remaining, dx, dy, error = _aim(points, X_MB, speed, progress)
+    turn_rate, braking = TURNING_SHARE * robot.max_turn_rate, BRAKING_SHARE * robot.max_acceleration
+    progress, remaining, dx, dy, error, limit = _aim(points, X_MB, speed, progress, robot.max_speed, turn_rate, braking)
     if remaining < ARRIVED:
         return PathCommand(0.0, 0.0, progress, False, True)
     # So near the end a robot that drives must not turn for a point beside it, only for one behind it.
@@ -152,14 +160,7 @@ def follow(
     if abs(error) > (TURN_BELOW if turning else turn_above):
         return PathCommand(0.0, _turn_towards(error, robot), progress, True, False, remaining)
     curvature = 2.0 * math.sin(error) / max(math.hypot(dx, dy), 1e-3)
-    limit = _speed_limit(
-        points,
-        progress,
-        robot.max_speed,
-        TURNING_SHARE * robot.max_turn_rate,
-        BRAKING_SHARE * robot.max_acceleration,
-    )
-    limit = min(limit, TURNING_SHARE * robot.max_turn_rate / max(abs(curvature), 1e-9))
+    limit = min(limit, turn_rate / max(abs(curvature), 1e-9))
     return PathCommand(limit, limit * curvature, progress, False, False, remaining)
 
 

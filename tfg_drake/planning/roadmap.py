@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.sparse import coo_array, csr_matrix
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from tfg_drake.config import (
     NODE_MARGIN,
@@ -24,7 +24,6 @@ from tfg_drake.config import (
     RobotConfig,
     TagSensorConfig,
 )
-from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
@@ -394,51 +393,28 @@ def _travelled_nodes(
     return chain[new], edges[edges[:, 0] < edges[:, 1]], end
 
 
-@njit(cache=True)
 def _standing_for(chain: FloatArray, near_enough: FloatArray, nodes: FloatArray) -> IntArray:
     """The node (c,) that stands for each point of a chain (c, 2): the nearest of the nodes (n, 2) or of those made
     before it, if it is near enough (c,), m, or a new one, n, n + 1, ..."""
-    stand, made, count = np.empty(len(chain), dtype=np.int64), np.empty((len(chain), 2)), 0
-    for i in range(len(chain)):
-        x, y = chain[i, 0], chain[i, 1]
-        nearest, best = -1, np.inf
-        for n in range(len(nodes)):
-            square = (nodes[n, 0] - x) ** 2 + (nodes[n, 1] - y) ** 2
-            if square < best:
-                nearest, best = n, square
-        for k in range(count):
-            square = (made[k, 0] - x) ** 2 + (made[k, 1] - y) ** 2
-            if square < best:
-                nearest, best = len(nodes) + k, square
-        if math.sqrt(best) >= near_enough[i]:
-            nearest = len(nodes) + count
-            made[count] = chain[i]
-            count += 1
-        stand[i] = nearest
+    stand = np.empty(len(chain), dtype=np.int64)
+    for i, p in enumerate(chain):
+        square = (nodes[:, 0] - p[0]) ** 2 + (nodes[:, 1] - p[1]) ** 2
+        stand[i] = int(np.argmin(square)) if len(nodes) else 0
+        if math.sqrt(square.min(initial=np.inf)) >= near_enough[i]:
+            stand[i], nodes = len(nodes), np.vstack([nodes, p])
     return stand
 
 
-@njit(cache=True)
 def _nearest_edges(points: FloatArray, first_new: int) -> IntArray:
     """Edges (e, 2), smaller node first, from each node first_new... to its nearest neighbours among all points."""
-    edges = np.empty(((len(points) - first_new) * NEIGHBOURS, 2), dtype=np.int64)
-    neighbours, squares, count = np.empty(NEIGHBOURS, dtype=np.int64), np.empty(NEIGHBOURS), 0
+    edges = [np.zeros((0, 2), dtype=np.int64)]
     for i in range(first_new, len(points)):
-        found = 0
-        for j in range(len(points)):
-            square = (points[j, 0] - points[i, 0]) ** 2 + (points[j, 1] - points[i, 1]) ** 2
-            if j == i or square >= EDGE_LENGTH * EDGE_LENGTH or (found == NEIGHBOURS and square >= squares[found - 1]):
-                continue
-            place = found if found < NEIGHBOURS else found - 1
-            found = place + 1
-            while place > 0 and squares[place - 1] > square:
-                squares[place], neighbours[place] = squares[place - 1], neighbours[place - 1]
-                place -= 1
-            squares[place], neighbours[place] = square, j
-        for k in range(found):
-            edges[count, 0], edges[count, 1] = min(i, neighbours[k]), max(i, neighbours[k])
-            count += 1
-    return edges[:count]
+        square = (points[:, 0] - points[i, 0]) ** 2 + (points[:, 1] - points[i, 1]) ** 2
+        square[i] = np.inf
+        near = np.flatnonzero(square < EDGE_LENGTH * EDGE_LENGTH)
+        near = near[np.argsort(square[near], kind="stable")[:NEIGHBOURS]]
+        edges.append(np.stack([np.minimum(i, near), np.maximum(i, near)], axis=1))
+    return np.concatenate(edges)
 
 
 def extend(
@@ -663,16 +639,11 @@ def _needed(
     return needed & ~keeps
 
 
-@njit(cache=True)
 def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
-    """The connected component (count,) of each node under some (e,) of the edges (e, 2), by the number of its first
-    node."""
-    first = np.arange(count)
-    for e in range(len(edges)):
-        if which[e]:
-            connect(first, edges[e, 0], edges[e, 1])
-    component_labels(first)
-    return first
+    """The connected component (count,) of each node under some (e,) of the edges (e, 2)."""
+    a, b = edges[which].T
+    graph = coo_array((np.ones(len(a), dtype=np.bool_), (a, b)), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def within(points: FloatArray, place: FloatArray, reach: float) -> BoolArray:

@@ -10,6 +10,7 @@ from numba import njit
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability
 from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
@@ -24,7 +25,7 @@ from tfg_drake.planning.roadmap import (
     in_free_space,
     room_needed,
 )
-from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
+from tfg_drake.planning.shortest_ways import Ways, shortest_ways
 
 # The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
 # the building that is too narrow.
@@ -75,7 +76,9 @@ def routes(
         room = np.full(len(edges), np.inf)
         room[is_open] = clearance(state.points[edges.nodes[is_open]].reshape(-1, 4), obstacles, COMFORT)
         has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + OBSTACLE_MARGIN)
-    length, weight = _weights(state.points, edges.nodes, has, is_open)
+    ends = state.points[edges.nodes]
+    length = np.hypot(*(ends[:, 0] - ends[:, 1]).T)
+    weight = np.where(is_open, _weight(length, has), np.inf)
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
     links_weight = _weight(links_length, links_has)
@@ -87,7 +90,7 @@ def routes(
         risk[forced] = 0.0
         ways = _cheapest_within(planner.collision_probability, risk, edges.nodes, weight, links, links_weight, n)
     else:
-        ways = Ways(*shortest_ways(*neighbours(edges.nodes, n), weight, links, links_weight))
+        ways = Ways(*shortest_ways(edges.nodes, n, weight, links, links_weight))
     stop = robot.max_speed / robot.max_acceleration
     speed = robot.max_speed, robot.max_turn_rate
     length, time = _travel(state.points, X_MB, ways.predecessor, ways.order, *speed, stop)
@@ -95,22 +98,9 @@ def routes(
     return Routes(ways.cost, ways.predecessor, length, time)
 
 
-@njit(cache=True)
-def _weight(length: FloatArray | float, gap: FloatArray | float) -> FloatArray:
+def _weight(length: FloatArray, gap: FloatArray) -> FloatArray:
     """What edges of a length (e,), m, with a clearance of gap (e,), m, cost, (e,), m."""
     return np.maximum(length, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
-
-
-@njit(cache=True)
-def _weights(points: FloatArray, edges: IntArray, gap: FloatArray, is_open: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Length, m, and cost of edges (e, 2) between points (n, 2), m, (e,) and (e,): inf of those that are not open."""
-    length, weight = np.empty(len(edges)), np.full(len(edges), np.inf)
-    for e in range(len(edges)):
-        a, b = edges[e, 0], edges[e, 1]
-        length[e] = math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1])
-        if is_open[e]:
-            weight[e] = _weight(length[e], gap[e])
-    return length, weight
 
 
 def _cheapest_within(
@@ -131,7 +121,7 @@ def _cheapest_within(
     for detour in RISK_LENGTHS:
         costs = detour * risk / probability
         weights = weight + costs[: len(edges)], links, links_weight + costs[len(edges) :]
-        ways = Ways(*shortest_ways(*neighbours(edges, n), *weights))
+        ways = Ways(*shortest_ways(edges, n, *weights))
         kept = _risk_to(ways, risk) <= probability
         if kept.sum() > most:
             cost, predecessor = np.where(kept, ways.cost, np.inf), np.where(kept, ways.predecessor, -1)
@@ -156,6 +146,7 @@ def _edge_risk(length: FloatArray, gap: FloatArray, sigma: FloatArray, radius: f
     return np.where(gap < COMFORT, risk, 0.0)
 
 
+@read_only_arguments
 @njit(cache=True)
 def _travel(
     points: FloatArray,
@@ -244,7 +235,7 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
         nodes = state.edges.nodes[fits & beyond[state.edges.nodes].any(axis=1)]
         doors = np.unique(nodes[reachable[nodes]])
         length = np.hypot(*(state.points[nodes[:, 0]] - state.points[nodes[:, 1]]).T)
-        from_doors = Ways(*shortest_ways(*neighbours(nodes, len(entry)), length, doors, np.zeros(len(doors))))
+        from_doors = Ways(*shortest_ways(nodes, len(entry), length, doors, np.zeros(len(doors))))
         for i in from_doors.order:
             if beyond[i]:
                 entry[i] = entry[from_doors.predecessor[i]]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import heapq
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import FloatArray, IntArray
 
 
@@ -25,7 +27,7 @@ class Ways(NamedTuple):
 
 
 @njit(cache=True)
-def neighbours(edges: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+def _neighbours(edges: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
     """What edges (e, 2) join each of count nodes to: (offsets (count + 1,), nodes (2e,), edges (2e,)), node i by the
     edges[offsets[i]:offsets[i + 1]] to the nodes row for row."""
     offsets = np.zeros(count + 1, dtype=np.int64)
@@ -46,24 +48,25 @@ def neighbours(edges: IntArray, count: int) -> tuple[IntArray, IntArray, IntArra
     return offsets, nodes, by
 
 
+@read_only_arguments
 @njit(cache=True)
 def shortest_ways(
-    offsets: IntArray, beside: IntArray, by: IntArray, weight: FloatArray, sources: IntArray, start: FloatArray
+    edges: IntArray, count: int, weight: FloatArray, sources: IntArray, start: FloatArray
 ) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-    """The Ways to all nodes along edges, either way, of positive weight (e,), inf for those that are closed, from
-    sources (s,), each of which it costs start (s,) to begin at. offsets, beside, by: the `neighbours`."""
-    count = len(offsets) - 1
+    """The Ways to count nodes along edges (e, 2), either way, of positive weight (e,), inf for those that are closed,
+    from sources (s,), each of which it costs start (s,) to begin at."""
+    offsets, beside, by = _neighbours(edges, count)
     cost, predecessor, step = np.full(count, np.inf), np.full(count, -1), np.full(count, -1)
     order, reached = np.empty(count, dtype=np.int64), 0
-    # A heap: every node once for each time that its cost fell.
-    heap, due, size = np.empty(len(beside) + len(sources), dtype=np.int64), np.empty(len(beside) + len(sources)), 0
+    # Every node once for each time that its cost fell.
+    heap = [(0.0, 0)]
+    heap.pop()
     for s in range(len(sources)):
         if start[s] < cost[sources[s]]:
             cost[sources[s]], predecessor[sources[s]], step[sources[s]] = start[s], count, len(weight) + s
-            size = _pushed(heap, due, size, sources[s], start[s])
-    while size > 0:
-        node, here = heap[0], due[0]
-        size = _popped(heap, due, size)
+            heapq.heappush(heap, (start[s], sources[s]))
+    while len(heap) > 0:
+        here, node = heapq.heappop(heap)
         if here > cost[node]:
             continue
         order[reached] = node
@@ -72,33 +75,5 @@ def shortest_ways(
             other, there = beside[k], here + weight[by[k]]
             if there < cost[other]:
                 cost[other], predecessor[other], step[other] = there, node, by[k]
-                size = _pushed(heap, due, size, other, there)
+                heapq.heappush(heap, (there, other))
     return cost, predecessor, step, order[:reached]
-
-
-@njit(cache=True)
-def _pushed(heap: IntArray, due: FloatArray, size: int, node: int, cost: float) -> int:
-    """The size of a heap of nodes, the first of which is due first, with another one in it."""
-    at = size
-    while at > 0 and due[(at - 1) // 2] > cost:
-        heap[at], due[at] = heap[(at - 1) // 2], due[(at - 1) // 2]
-        at = (at - 1) // 2
-    heap[at], due[at] = node, cost
-    return size + 1
-
-
-@njit(cache=True)
-def _popped(heap: IntArray, due: FloatArray, size: int) -> int:
-    """The size of the heap without its first node."""
-    size -= 1
-    node, cost = heap[size], due[size]
-    at, child = 0, 1
-    while child < size:
-        if child + 1 < size and due[child + 1] < due[child]:
-            child += 1
-        if due[child] >= cost:
-            break
-        heap[at], due[at] = heap[child], due[child]
-        at, child = child, 2 * child + 1
-    heap[at], due[at] = node, cost
-    return size

@@ -6,12 +6,9 @@ met now, and what it tells must change where the robot moves. Rays that are lost
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numba import njit
 
-from tfg_drake.geometry.se2 import between
+from tfg_drake.geometry.se2 import between, wrap_angle
 from tfg_drake.messages import FloatArray, LaserScan, message
 from tfg_drake.safety.seen_space import SeenSpace, nothing_seen, remembered
 
@@ -65,7 +62,7 @@ def watched(
     X_OB: (3,) odometry where it was taken. at_rest: no wheel turns. radius: of the robot, m. least_range: m, nearer the
     scanner sees nothing.
     """
-    same = _same(scan.ranges, watch.content.ranges) and len(scan.ranges) > 0
+    same = len(scan.ranges) > 0 and scan.ranges.tobytes() == watch.content.ranges.tobytes()  # nan is nan
     content, X_OC = (watch.content, watch.X_OC) if same else (scan, X_OB)
     X_OC = X_OB if at_rest else X_OC
     believed, reach = watch.believed, _REACH_SHARE * scan.range_max
@@ -82,66 +79,36 @@ def watched(
 def _shows(before: LaserScan, scan: LaserScan, X_SB: FloatArray, least: float, reach: float) -> bool:
     """Whether a scan taken at X_SB (3,) in the frame of the one before meets enough of what that one met; what lies
     nearer than least (m) or farther than reach (m) is not expected."""
-    met = _returns(scan.ranges)
+    met = np.count_nonzero(np.isfinite(scan.ranges))
     # No more is expected than was met then.
-    if met >= _SHOWN_SHARE * _returns(before.ranges):
+    if met >= _SHOWN_SHARE * np.count_nonzero(np.isfinite(before.ranges)):
         return True
     expected = _in_view(before.angles, before.ranges, X_SB, least, reach)
     return expected < _LEAST_SHOWN or bool(met >= _SHOWN_SHARE * expected)
 
 
-@njit(cache=True)
-def _same(ranges: FloatArray, others: FloatArray) -> bool:
-    """Whether two scans say the same; nan is nan."""
-    if len(ranges) != len(others):
-        return False
-    for k in range(len(ranges)):
-        if ranges[k] != others[k] and not (math.isnan(ranges[k]) and math.isnan(others[k])):
-            return False
-    return True
+def _moved(angles: FloatArray, ranges: FloatArray, X_SB: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bearing (n,), rad, and range (n,), m, from B of points at these angles and ranges from S."""
+    dx, dy = ranges * np.cos(angles) - X_SB[0], ranges * np.sin(angles) - X_SB[1]
+    return wrap_angle(np.arctan2(dy, dx) - X_SB[2]), np.hypot(dx, dy)
 
 
-@njit(cache=True)
-def _returns(ranges: FloatArray) -> int:
-    """How many rays met something."""
-    count = 0
-    for k in range(len(ranges)):
-        count += math.isfinite(ranges[k])
-    return count
-
-
-@njit(cache=True)
-def _moved(angle: float, distance: float, X_SB: FloatArray) -> tuple[float, float]:
-    """Bearing (rad) and range (m) from B of a point at this angle and distance from S."""
-    dx, dy = distance * math.cos(angle) - X_SB[0], distance * math.sin(angle) - X_SB[1]
-    bearing = math.atan2(dy, dx) - X_SB[2]
-    return math.pi - (math.pi - bearing) % (2.0 * math.pi), math.hypot(dx, dy)
-
-
-@njit(cache=True)
 def _in_view(angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, least: float, reach: float) -> int:
     """How many returns of a scan the same scanner sees from B, between two ranges (m)."""
-    count = 0
-    for k in range(len(ranges)):
-        if ranges[k] < np.inf:
-            bearing, distance = _moved(angles[k], ranges[k], X_SB)
-            count += angles[0] <= bearing <= angles[-1] and least < distance < reach
-    return count
+    met = np.isfinite(ranges)
+    bearing, distance = _moved(angles[met], ranges[met], X_SB)
+    seen = (bearing >= angles[0]) & (bearing <= angles[-1])
+    return int(np.count_nonzero(seen & (distance > least) & (distance < reach)))
 
 
-@njit(cache=True)
 def _should_differ(angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, reach: float) -> bool:
     """Whether a scan from B would have to say something else than the same scan from S did."""
-    compared, wrong = 0, 0
-    for k in range(len(ranges)):
-        if not ranges[k] < reach:
-            continue
-        bearing, distance = _moved(angles[k], ranges[k], X_SB)
-        n = np.searchsorted(angles, bearing)
-        if not 0 < n < len(angles):
-            continue
-        n -= bearing - angles[n - 1] < angles[n] - bearing
-        if ranges[n] < np.inf:
-            compared += 1
-            wrong += abs(ranges[n] - distance) > _WRONG
-    return compared >= _LEAST_SHOWN and wrong > _WRONG_SHARE * compared
+    near = ranges < reach
+    bearing, distance = _moved(angles[near], ranges[near], X_SB)
+    n = np.searchsorted(angles, bearing)
+    within = (n > 0) & (n < len(angles))
+    n, bearing, distance = n[within], bearing[within], distance[within]
+    n -= bearing - angles[n - 1] < angles[n] - bearing
+    met = ranges[n] < np.inf
+    wrong = np.abs(ranges[n[met]] - distance[met]) > _WRONG
+    return len(wrong) >= _LEAST_SHOWN and bool(np.count_nonzero(wrong) > _WRONG_SHARE * len(wrong))

@@ -142,7 +142,8 @@ def stopped(state: FloatArray, robot: RobotConfig, period: float) -> FloatArray:
     """The filter's state (STATE_SIZE,) one period (s) later where the base is told to stand: it still brakes."""
     after = np.array(state)
     after[[SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT]] = 0.0
-    after[BASE_SPEED] = _towards(float(state[BASE_SPEED]), 0.0, robot.max_acceleration * period)
+    step = robot.max_acceleration * period
+    after[BASE_SPEED] -= min(step, max(-step, after[BASE_SPEED]))
     return after
 
 
@@ -304,7 +305,8 @@ def _facing(pose: FloatArray, speed: float) -> FloatArray:
 
 def held(watch: ScanWatch, X_OB: FloatArray, speed: float, robot: RobotConfig, safety: SafetyConfig) -> bool:
     """Whether the base at X_OB (3,) may not drive straight on at a speed (m/s) because it has not seen its way."""
-    ahead, near = _facing(X_OB, speed), safety.stop_distance
+    # A base that backs away drives ahead the other way round.
+    ahead, near = X_OB + np.array([0.0, 0.0, 0.0 if speed >= 0.0 else math.pi]), safety.stop_distance
     return not watch.doubt and open_distance(watch.space, ahead, 0.0, robot.radius, near, watch.newest) <= near
 
 

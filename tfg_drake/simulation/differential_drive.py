@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.geometry.distance import nearest_on_segment
+from tfg_drake.geometry.distance import nearest_on_segment, point_distance
 from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray
@@ -39,11 +39,10 @@ _STANDS = 1e-4
 UNMOVED = np.zeros(4)
 
 
-@njit(cache=True)
 def pose_at(state: FloatArray, time: float) -> FloatArray:
     """Pose X_WB, forward speed and turn rate (5,) at a time (s) in the step at whose end the state holds."""
     pose = advance(state[X : THETA + 1], state[SPEED], state[TURN_RATE], time - state[TIME])
-    return np.array([pose[0], pose[1], pose[2], state[SPEED], state[TURN_RATE]])
+    return np.concatenate([pose, state[SPEED : TURN_RATE + 1]])
 
 
 @njit(cache=True)
@@ -70,10 +69,9 @@ def _deepest(walls: FloatArray, x: float, y: float, reach: float) -> tuple[float
     return least, px, py
 
 
-@njit(cache=True)
 def clearance(walls: FloatArray, x: float, y: float, radius: float) -> float:
     """Distance (m) from the outline of a disc at (x, y) to the nearest wall; inf without walls, negative inside one."""
-    return _deepest(walls, x, y, np.inf)[0] - radius
+    return float(point_distance(np.array([[x, y]]), walls)[0]) - radius
 
 
 @njit(cache=True)

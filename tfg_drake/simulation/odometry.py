@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from tfg_drake.config import OdometryConfig, OdometryRealityConfig
 from tfg_drake.messages import FloatArray, Odometry
@@ -21,56 +20,6 @@ TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE, AT_REST, UNCOUNTED = 0, 1, 4, 7, 8, 9
 STATE_SIZE = 11
 # Motion below this turns no encoder by a tick, m and rad.
 TICK = 1e-5
-
-
-@njit(cache=True)
-def _wrap(angle: float) -> float:
-    return float(math.pi - (math.pi - angle) % (2.0 * math.pi))
-
-
-@njit(cache=True)
-def _integrate(
-    state: FloatArray,
-    stamp: float,
-    pose: FloatArray,
-    moved: FloatArray,
-    errors: FloatArray,
-    normal: FloatArray,
-    distance_noise: float,
-    gyro_noise: float,
-    ticks_per_metre: float,
-) -> FloatArray:
-    duration = stamp - state[TIME]
-    if duration <= 0.0:
-        return state.copy()
-    dx, dy = pose[0] - state[TRUTH], pose[1] - state[TRUTH + 1]
-    cosine, sine = math.cos(state[TRUTH + 2]), math.sin(state[TRUTH + 2])
-    # The wheels notice only what is not done to the base from outside, and the gyro not every turn of that.
-    along, across = cosine * dx + sine * dy - moved[0], cosine * dy - sine * dx - moved[1]
-    turned = _wrap(pose[2] - state[TRUTH + 2] - moved[2] + moved[3])
-    scale = 1.0 + errors[0]
-    slip = distance_noise * math.sqrt(math.hypot(along, across)) * normal[0]
-    ahead, uncounted = scale * along + slip, 0.0
-    if ticks_per_metre > 0.0:
-        rolled = state[UNCOUNTED] + ahead
-        ahead = math.floor(rolled * ticks_per_metre) / ticks_per_metre
-        uncounted = rolled - ahead
-    aside = scale * across
-    turn = (1.0 + errors[2]) * turned + errors[1] * duration
-    turn += gyro_noise * math.sqrt(duration) * normal[1]
-
-    after = np.empty(STATE_SIZE)
-    after[TIME], after[UNCOUNTED] = stamp, uncounted
-    after[TRUTH : TRUTH + 3] = pose[:3]
-    cosine, sine = math.cos(state[INTEGRATED + 2]), math.sin(state[INTEGRATED + 2])
-    after[INTEGRATED] = state[INTEGRATED] + cosine * ahead - sine * aside
-    after[INTEGRATED + 1] = state[INTEGRATED + 1] + sine * ahead + cosine * aside
-    after[INTEGRATED + 2] = _wrap(state[INTEGRATED + 2] + turn)
-    after[SPEED] = scale * pose[3]
-    after[TURN_RATE] = turn / duration
-    still = math.hypot(along, across) < TICK and abs(_wrap(turned - moved[3])) < TICK
-    after[AT_REST] = 1.0 if still else 0.0
-    return after
 
 
 def run_errors(standard_normal: FloatArray, config: OdometryConfig) -> FloatArray:
@@ -103,14 +52,36 @@ def integrate(
     do besides: distance comes in whole ticks, and grows in turns, where wheels slip. Before any time has passed the
     state stays as it is.
     """
-    ticks_per_metre = 0.0
+    duration = stamp - float(state[TIME])
+    if duration <= 0.0:
+        return state.copy()
+    scale_error, gyro_bias, gyro_scale = errors.tolist()
     if reality is not None:
-        ticks_per_metre = reality.ticks_per_metre
-        errors = errors + np.array([reality.slip_per_turn_rate * abs(pose[4]), 0.0, 0.0])
-    after: FloatArray = _integrate(
-        state, stamp, pose, moved, errors, standard_normal, config.distance_noise, config.gyro_noise, ticks_per_metre
-    )
-    return after
+        scale_error += reality.slip_per_turn_rate * abs(float(pose[4]))
+    x, y, theta, east, north, heading = state[TRUTH : INTEGRATED + 3].tolist()
+    ahead_moved, aside_moved, turn_moved, turn_noticed = moved.tolist()
+    dx, dy = float(pose[0]) - x, float(pose[1]) - y
+    cosine, sine = math.cos(theta), math.sin(theta)
+    # The wheels notice only what is not done to the base from outside, and the gyro not every turn of that.
+    along, across = cosine * dx + sine * dy - ahead_moved, cosine * dy - sine * dx - aside_moved
+    turned = _wrap(float(pose[2]) - theta - turn_moved + turn_noticed)
+    scale, way = 1.0 + scale_error, float(np.hypot(along, across))
+    ahead, uncounted = scale * along + config.distance_noise * math.sqrt(way) * float(standard_normal[0]), 0.0
+    if reality is not None and reality.ticks_per_metre > 0.0:
+        rolled = float(state[UNCOUNTED]) + ahead
+        ahead = math.floor(rolled * reality.ticks_per_metre) / reality.ticks_per_metre
+        uncounted = rolled - ahead
+    aside = scale * across
+    turn = (1.0 + gyro_scale) * turned + gyro_bias * duration
+    turn += config.gyro_noise * math.sqrt(duration) * float(standard_normal[1])
+    cosine, sine = math.cos(heading), math.sin(heading)
+    X_OB = east + cosine * ahead - sine * aside, north + sine * ahead + cosine * aside, _wrap(heading + turn)
+    still = way < TICK and abs(_wrap(turned - turn_noticed)) < TICK
+    return np.array([stamp, *pose[:3], *X_OB, scale * float(pose[3]), turn / duration, still, uncounted])
+
+
+def _wrap(angle: float) -> float:
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
 def initial_state(X_WS: FloatArray) -> FloatArray:

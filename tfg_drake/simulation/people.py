@@ -12,10 +12,11 @@ import dataclasses
 import math
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order
 
-from tfg_drake.geometry.distance import clearance, point_segment_distance
+from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
 from tfg_drake.world.reachability import CELL, Grid, free_cells, make_grid, reachable_cells
 from tfg_drake.world.world import World, WorldError
@@ -165,7 +166,7 @@ def step(
     soon = robot[:2] + FORESIGHT * max(robot[3], 0.0) * np.array([math.cos(robot[2]), math.sin(robot[2])])
 
     def gap_at(p: FloatArray) -> float:
-        return point_segment_distance(p[0], p[1], robot[0], robot[1], soon[0], soon[1]) - touching
+        return float(point_distance(p[None], np.concatenate([robot[:2], soon[:2]])[None])[0]) - touching
 
     for i, (place, _speed, stands, how_long, mind) in enumerate(uniform):
         gap = gap_at(p_WP[i])
@@ -259,34 +260,22 @@ def _centre(grid: Grid, cells: IntArray) -> FloatArray:
     return np.asarray(grid.p_WG + CELL * np.column_stack([column, row]))
 
 
-@njit(cache=True)
 def _shortest_way(free: BoolArray, begin: int, end: int, robot: FloatArray, apart: float) -> IntArray:
     """Flat indices of the free cells on a shortest way by their sides, from begin to end; none where there is no way.
 
     robot: (2,) column and row that the way keeps off, `apart` cells; begin may be nearer.
     """
-    rows, columns = free.shape
-    before = np.full(rows * columns, -1, dtype=np.int64)
-    queue = np.empty(rows * columns, dtype=np.int64)
+    row, column = np.indices(free.shape)
+    passable = free & (np.hypot(column - robot[0], row - robot[1]) >= apart)
+    passable.flat[[begin, end]] = True
+    cells = np.pad(np.where(passable, np.arange(free.size).reshape(free.shape), -1), 1, constant_values=-1)
+    beside = np.stack([cells[2:, 1:-1], cells[:-2, 1:-1], cells[1:-1, 2:], cells[1:-1, :-2]], axis=-1).reshape(-1, 4)
+    joined = beside >= 0
+    offsets = np.append(0, np.cumsum(joined.sum(axis=1)))
+    graph = csr_array((np.ones(offsets[-1]), beside[joined], offsets), shape=(free.size, free.size))
     # From the end, so that the way comes out from its beginning on.
-    queue[0], before[end], first, last = end, end, 0, 1
-    while before[begin] < 0:
-        if first == last:
-            return queue[:0].copy()
-        cell = queue[first]
-        first += 1
-        row, column = cell // columns, cell % columns
-        for side in range(4):
-            r, c = row + (side == 0) - (side == 1), column + (side == 2) - (side == 3)
-            near = r * columns + c
-            if not (0 <= r < rows and 0 <= c < columns and before[near] < 0 and free[r, c]):
-                continue
-            if near == begin or math.hypot(c - robot[0], r - robot[1]) >= apart:
-                before[near] = cell
-                queue[last] = near
-                last += 1
-    queue[0], count = begin, 1
-    while queue[count - 1] != end:
-        queue[count] = before[queue[count - 1]]
-        count += 1
-    return queue[:count].copy()
+    _, before = breadth_first_order(graph, end)
+    way = [begin]
+    while way[-1] != end and before[way[-1]] >= 0:
+        way.append(int(before[way[-1]]))
+    return np.array(way if way[-1] == end else [], dtype=np.int64)

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.geometry.visibility import disc_distances, line_of_sight
+from tfg_drake.geometry.visibility import disc_distances, in_sight
 from tfg_drake.messages import FloatArray, IntArray, TagDetections
 from tfg_drake.world.world import World
 
@@ -66,7 +66,7 @@ def visible_tags(
     normal, and with no wall in between. p_WT: (n, 2) m, facing: (n,) rad, of all tags. walls: (w, 4) m.
     """
     rows = _in_view(p_WT, facing, X_WB, range_max, field_of_view, max_incidence)
-    return rows[line_of_sight(walls, X_WB[:2], p_WT[rows], _ON_SURFACE)]
+    return rows[in_sight(walls, X_WB[:2], p_WT[rows], _ON_SURFACE)]
 
 
 @njit(cache=True)

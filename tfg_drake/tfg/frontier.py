@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, enter
@@ -332,21 +333,13 @@ def _off_surface(p: FloatArray, segments: FloatArray) -> BoolArray:
 
 def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
     """Which points (n, d) have none of the others (m, d) within distance, (n,)."""
-    return np.asarray(most_within(p, others, np.ones(len(others), dtype=np.int64), distance) == 0)
+    return np.asarray(cKDTree(others).query(p)[0] > distance)
 
 
-@njit(cache=True)
 def most_within(points: FloatArray, others: FloatArray, number: IntArray, distance: float) -> IntArray:
     """The largest number (n,) that any of the others (m, d), each with a number (m,), has within distance of each of
     the points (n, d); 0 where there is none."""
-    most = np.zeros(len(points), dtype=np.int64)
-    for i in range(len(points)):
-        for j in range(len(others)):
-            if number[j] <= most[i]:
-                continue
-            square = 0.0
-            for k in range(points.shape[1]):
-                square += (points[i, k] - others[j, k]) ** 2
-            if square <= distance * distance:
-                most[i] = number[j]
+    most, tree = np.zeros(len(points), dtype=np.int64), cKDTree(points)
+    for i in np.argsort(number):
+        most[tree.query_ball_point(others[i], distance)] = number[i]
     return most

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import BoolArray, FloatArray, LaserScan, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
 
 # Bins of 0.5 degrees.
 BINS = 720
@@ -65,16 +64,19 @@ def _sorted(values: FloatArray) -> FloatArray:
     return values
 
 
-@njit(cache=True)
-def _floating(ranges: FloatArray) -> BoolArray:
-    """Which rays of a scan (n,) stand alone between a nearer surface and a farther one: there is nothing there."""
+def _floating(ranges: FloatArray, rays: IntArray) -> BoolArray:
+    """Which rays of scans (n,), one after the other, stand alone between a nearer surface and a farther one: there is
+    nothing there. rays: (s,) of each scan."""
     result = np.zeros(len(ranges), dtype=np.bool_)
-    for k in range(2, len(ranges) - 2):
-        before, after = ranges[k] - ranges[k - 1], ranges[k + 1] - ranges[k]
-        if not (min(before, after) > FLOATS or max(before, after) < -FLOATS) or not math.isfinite(before + after):
-            continue
-        first, last = abs(ranges[k - 1] - ranges[k - 2]), abs(ranges[k + 2] - ranges[k + 1])
-        result[k] = first < ASLANT_SHARE * abs(before) and last < ASLANT_SHARE * abs(after)
+    with np.errstate(invalid="ignore"):
+        step = np.diff(ranges)
+        before, after, first, last = step[1:-2], step[2:-1], np.abs(step[:-3]), np.abs(step[3:])
+        alone = (np.minimum(before, after) > FLOATS) | (np.maximum(before, after) < -FLOATS)
+        result[2:-2] = alone & np.isfinite(before + after)
+        result[2:-2] &= (first < ASLANT_SHARE * np.abs(before)) & (last < ASLANT_SHARE * np.abs(after))
+    # The outermost two of a scan have no others on one side.
+    end = np.cumsum(rays)
+    result[np.concatenate([end - rays, end - rays + 1, end - 2, end - 1]).clip(0, len(ranges) - 1)] = False
     return result
 
 
@@ -140,10 +142,11 @@ def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatAr
     at = np.array([scan.stamp for scan in scans])
     heading = np.unwrap(X_AB[:, 2])
     poses = np.stack([np.interp(at, stamps, of) for of in (X_AB[:, 0], X_AB[:, 1], heading)])
-    x, y, turned = np.repeat(poses, [len(scan.angles) for scan in scans], axis=1)
+    rays = np.array([len(scan.angles) for scan in scans], dtype=np.int64)
+    x, y, turned = np.repeat(poses, rays, axis=1)
     angles = np.concatenate([np.zeros(0), *(scan.angles for scan in scans)])
     ranges = np.concatenate([np.zeros(0), *(scan.ranges for scan in scans)])
-    looked = ~np.isnan(ranges) & ~np.concatenate([np.zeros(0, dtype=np.bool_), *(_floating(s.ranges) for s in scans)])
+    looked = ~np.isnan(ranges) & ~_floating(ranges, rays)
     x, y, angles, ranges = x[looked], y[looked], angles[looked] + turned[looked], ranges[looked]
     hit = np.isfinite(ranges)
     reach = np.where(hit, ranges, range_max)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry.distance import point_segment_distance
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
@@ -41,20 +42,12 @@ def arc_length(polyline: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros(1), np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
 
 
-@njit(cache=True)
 def sub_polyline(polyline: FloatArray, start: float, stop: float) -> FloatArray:
     """The part of a polyline (v, 2) between two arc lengths start < stop, m."""
-    s = np.zeros(len(polyline))
-    for i in range(1, len(polyline)):
-        s[i] = s[i - 1] + np.hypot(polyline[i, 0] - polyline[i - 1, 0], polyline[i, 1] - polyline[i - 1, 1])
-    first = np.searchsorted(s, start + 1e-9, side="right")
-    last = max(first, np.searchsorted(s, stop - 1e-9))
-    part = np.empty((last - first + 2, 2))
-    part[1:-1] = polyline[first:last]
-    ends = np.array([start, stop])
-    for axis in range(2):
-        part[0, axis], part[-1, axis] = np.interp(ends, s, polyline[:, axis].copy())
-    return part
+    s = arc_length(polyline)
+    inner = polyline[np.searchsorted(s, start + 1e-9, side="right") : np.searchsorted(s, stop - 1e-9)]
+    first, last = np.stack([np.interp([start, stop], s, along) for along in polyline.T], axis=1)
+    return np.vstack([first, inner, last])
 
 
 @njit(cache=True)
@@ -90,6 +83,7 @@ def nearest(
     return owner, along, distance, normal
 
 
+@read_only_arguments
 @njit(cache=True)
 def sample(
     offsets: IntArray, vertices: FloatArray, spacing: float
@@ -194,7 +188,6 @@ def joined(
     return result
 
 
-@njit(cache=True)
 def uncovered_runs(
     owner: IntArray, is_covered: BoolArray, start: FloatArray, stop: FloatArray, least: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -203,19 +196,12 @@ def uncovered_runs(
 
     Stretches shorter than least (m) are left out.
     """
-    polyline, first, last = np.empty(len(owner), dtype=np.int64), np.empty(len(owner)), np.empty(len(owner))
-    count, begin = 0, -1
-    for i in range(len(owner)):
-        if is_covered[i]:
-            continue
-        if begin < 0:
-            begin = i
-        if i + 1 == len(owner) or is_covered[i + 1] or owner[i + 1] != owner[i]:
-            if stop[i] - start[begin] >= least:
-                polyline[count], first[count], last[count] = owner[i], start[begin], stop[i]
-                count += 1
-            begin = -1
-    return polyline[:count], first[:count], last[:count]
+    bare = ~is_covered
+    goes_on = bare[1:] & bare[:-1] & (owner[1:] == owner[:-1])
+    first = np.flatnonzero(bare & ~np.append(False, goes_on)[: len(bare)])
+    last = np.flatnonzero(bare & ~np.append(goes_on, False)[: len(bare)])
+    long = stop[last] - start[first] >= least
+    return owner[first[long]], start[first[long]], stop[last[long]]
 
 
 def taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
@@ -50,16 +48,12 @@ def _simplify(reach: FloatArray, limit: FloatArray, angles: FloatArray, toleranc
     return keep
 
 
-@njit(cache=True)
 def looked_round(star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray) -> BoolArray:
     """Which of k star polygons, packed as in `tfg_drake.geometry.star`, show a look all round, (k,)."""
+    star = np.repeat(np.arange(len(star_centers)), np.diff(star_offsets))
+    d = star_vertices - star_centers[star]
     all_round = np.ones(len(star_centers), dtype=np.bool_)
-    for j in range(len(star_centers)):
-        for v in range(star_offsets[j], star_offsets[j + 1]):
-            dx, dy = star_vertices[v, 0] - star_centers[j, 0], star_vertices[v, 1] - star_centers[j, 1]
-            if math.hypot(dx, dy) <= 1.5 * UNSEEN:
-                all_round[j] = False
-                break
+    all_round[star[np.hypot(d[:, 0], d[:, 1]) <= 1.5 * UNSEEN]] = False
     return all_round
 
 

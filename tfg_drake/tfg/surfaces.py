@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
@@ -441,32 +440,20 @@ def _refuted(
     return np.asarray(refuted)
 
 
-@njit(cache=True)
 def _seen_past(points: FloatArray, normals: FloatArray, ranges: FloatArray, range_max: float) -> FloatArray:
     """How much farther (n,), m along the normal, than REFUTED_DEPTH behind points (n, 2) with unit normals (n, 2) in A
     a panorama of ranges (b,), m, saw at least, in the point's bin and its neighbours; 0 where it did not.
 
     Surfaces nearly edge-on are let be: a thin wall shows nothing of itself there.
     """
-    bins = len(ranges)
-    reach = np.empty(bins)
-    for b in range(bins):
-        reach[b] = range_max if ranges[b] == np.inf else (0.0 if math.isnan(ranges[b]) else ranges[b])
-    depth = np.zeros(len(points))
-    for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
-        distance = math.hypot(x, y)
-        if distance >= range_max:
-            continue
-        cosine = abs(x * normals[i, 0] + y * normals[i, 1]) / max(distance, 1e-9)
-        if cosine < math.cos(REFUTED_INCIDENCE):
-            continue
-        b = min(int((math.atan2(y, x) % (2.0 * math.pi)) * bins / (2.0 * math.pi)), bins - 1)
-        least = np.inf
-        for k in range(b - REFUTED_BINS, b + REFUTED_BINS + 1):
-            least = min(least, reach[k % bins])
-        depth[i] = max(0.0, cosine * (least - REFUTED_DEPTH - distance))
-    return depth
+    bins, (x, y) = len(ranges), points.T
+    reach = np.nan_to_num(ranges, nan=0.0, posinf=range_max)
+    distance = np.hypot(x, y)
+    cosine = np.abs(x * normals[:, 0] + y * normals[:, 1]) / np.maximum(distance, 1e-9)
+    b = np.minimum((np.arctan2(y, x) % (2.0 * np.pi) * bins / (2.0 * np.pi)).astype(np.int64), bins - 1)
+    least = reach[(b[:, None] + np.arange(-REFUTED_BINS, REFUTED_BINS + 1)) % bins].min(axis=1)
+    judged = (distance < range_max) & (cosine >= math.cos(REFUTED_INCIDENCE))
+    return np.where(judged, np.maximum(0.0, cosine * (least - REFUTED_DEPTH - distance)), 0.0)
 
 
 def _segments(draft: _Draft, rows: list[int]) -> FloatArray:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -49,30 +48,6 @@ class Grid:
         return self.p_WG + CELL * np.column_stack([column, row])
 
 
-@njit(cache=True)
-def _mark_near(blocked, p_WG, cell, walls, clearance):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Sets blocked (rows, columns) where a cell's centre is nearer than clearance to a wall."""
-    rows, columns = blocked.shape
-    for k in range(walls.shape[0]):
-        ax, ay, bx, by = walls[k, 0], walls[k, 1], walls[k, 2], walls[k, 3]
-        dx, dy = bx - ax, by - ay
-        length_squared = dx * dx + dy * dy
-        c0 = max(0, int(np.floor((min(ax, bx) - clearance - p_WG[0]) / cell)))
-        c1 = min(columns - 1, int(np.ceil((max(ax, bx) + clearance - p_WG[0]) / cell)))
-        r0 = max(0, int(np.floor((min(ay, by) - clearance - p_WG[1]) / cell)))
-        r1 = min(rows - 1, int(np.ceil((max(ay, by) + clearance - p_WG[1]) / cell)))
-        for r in range(r0, r1 + 1):
-            y = p_WG[1] + cell * r
-            for c in range(c0, c1 + 1):
-                x = p_WG[0] + cell * c
-                t = 0.0
-                if length_squared > 0.0:
-                    t = min(1.0, max(0.0, ((x - ax) * dx + (y - ay) * dy) / length_squared))
-                ex, ey = ax + t * dx - x, ay + t * dy - y
-                if ex * ex + ey * ey < clearance * clearance:
-                    blocked[r, c] = True
-
-
 def make_grid(world: World) -> Grid:
     """The grid over the world's bounding box and 1 m more on every side, a cell's centre on the start."""
     points = np.concatenate([world.walls.reshape(-1, 2), world.p_WT, world.start[None, :2]])
@@ -85,9 +60,18 @@ def make_grid(world: World) -> Grid:
 
 def free_cells(grid: Grid, walls: FloatArray, clearance: float) -> BoolArray:
     """Cells (rows, columns) whose centre is at least `clearance` (m) from every wall (m, 4)."""
-    blocked = np.zeros(grid.shape, dtype=np.bool_)
-    _mark_near(blocked, grid.p_WG, CELL, np.ascontiguousarray(walls), clearance)
-    return ~blocked
+    free = np.ones(grid.shape, dtype=np.bool_)
+    for wall in walls:
+        (a, b), (dx, dy) = wall.reshape(2, 2), wall[2:] - wall[:2]
+        first = np.floor((np.minimum(a, b) - clearance - grid.p_WG) / CELL).astype(int).clip(0)
+        stop = np.ceil((np.maximum(a, b) + clearance - grid.p_WG) / CELL).astype(int).clip(-1) + 1
+        near = free[first[1] : stop[1], first[0] : stop[0]]
+        x = grid.p_WG[0] + CELL * (first[0] + np.arange(near.shape[1]))
+        y = grid.p_WG[1] + CELL * (first[1] + np.arange(near.shape[0])[:, None])
+        square = dx * dx + dy * dy
+        t = np.clip(((x - a[0]) * dx + (y - a[1]) * dy) / (square if square > 0.0 else 1.0), 0.0, 1.0)
+        near &= (a[0] + t * dx - x) ** 2 + (a[1] + t * dy - y) ** 2 >= clearance * clearance
+    return free
 
 
 def reachable_cells(grid: Grid, world: World, robot_radius: float) -> BoolArray:
