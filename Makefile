@@ -10,7 +10,7 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test test-slow lint format types check kernels docs results figures clean
+.PHONY: help demo test test-slow lint format types check docs results figures clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
@@ -49,9 +49,6 @@ types: $(VENV)/.test  ## mypy: strict for the core, relaxed for the Drake layers
 check: $(VENV)/.test  ## what continuous integration runs: tests, lint, types
 	@$(MAKE) --no-print-directory --jobs=2 suite lint types
 
-kernels: $(VENV)/.test  ## write anew which kernels the installation compiles, and for what types
-	$(BIN)/python tests/rehearsal.py --write
-
 docs: $(VENV)/.docs  ## build the reference from the docstrings, with the diagrams, into build/reference
 	$(BIN)/python docs/reference/build.py
 
@@ -70,7 +67,7 @@ install = $(require_python)@echo "installing into $(VENV), a minute or two the f
   $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip --disable-pip-version-check install -q -c constraints.txt -e
 
 # A program that finds its kernels compiled starts within seconds.
-compile = @$(BIN)/python -m tfg_drake.kernels
+compile = @$(BIN)/python -m tfg_drake.diagrams.warm_up
 
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(install) .

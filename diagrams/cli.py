@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tfg_drake import __version__, kernels
+from tfg_drake import __version__
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
@@ -179,39 +179,32 @@ def explore(
     explore_command.check_robot(robot, links, place, realtime_rate)
     if method == "manual":  # Nobody drives faster.
         realtime_rate = realtime_rate or 1.0
-    need = explore_command.kernels_needed(scenario, method, robot, [*place.values(), settings])
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
         show: Callable[[str], None] = stack.enter_context(Screen())
         show("loading")
         # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
-        compilation = None
-        if need == kernels.MISSION and not headless:
-            compilation = stack.enter_context(compiling_beside(need))
-        elif need == kernels.MISSION or _places_tags(world, tag_spacing, start):
-            wait_for_kernels(show, need)
+        warm_up = stack.enter_context(compiling_beside())
         from tfg_drake.diagrams.scenario import PrepareScenario
 
         loaded = PrepareScenario(scenario, settings or [], seed, world, tag_spacing, _start(start))
         if robot != "sim" and replayed is None:
             explore_command.link(loaded.hardware, robot, links)
         _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
-        cockpit = None
+        cockpit, real = None, explore_command.is_real(robot)
         if not headless:
             from tfg_drake.diagrams.commands.page import open_page
 
             name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
-            rate = None if explore_command.is_real(robot) else realtime_rate
+            rate = None if real else realtime_rate
             cockpit = page_stack.enter_context(open_page(name, host, page_port, rate=rate))
             show = explore_command.also_on_page(show, cockpit)
-        if compilation is not None:
-            explore_command.wait_for_beginning(compilation, show, interruption)
+        if warm_up is not None:
+            explore_command.wait_for_beginning(warm_up, show, interruption, real)
         explorer = _find_method(method, loaded)
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, robot, cockpit))
         if robot == "sim" and not loaded.world.tags:
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
-        if compilation is None:
-            wait_for_kernels(show, need)
 
         from tfg_drake.diagrams.missions import run
 
@@ -232,7 +225,7 @@ def explore(
                 out_dir=out,
                 on_progress=lambda progress: show(explore_command.progress_line(progress)),
                 interrupted=interruption,
-                kernels=compilation,
+                warm_up=None if real else warm_up,
             )
         stack.close()
         _tell(result)
@@ -317,8 +310,6 @@ def compare(
 
     with Screen() as show:
         show("loading")
-        if _places_tags(world, tag_spacing, start):
-            wait_for_kernels(show)
 
         from tfg_drake.diagrams.commands import compare as compare_command
         from tfg_drake.diagrams.missions import comparison_report
@@ -463,8 +454,6 @@ def slam(
     _make_ready(out)
     with Screen() as show:
         show("loading")
-        if dataset.exists():
-            wait_for_kernels(show)
 
         from tfg_drake.datasets.load import load_dataset
         from tfg_drake.diagrams.commands import slam as slam_command
@@ -618,11 +607,6 @@ def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:
         _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
     if seed is not None and not 0 <= seed < 2**31:
         _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
-
-
-def _places_tags(world: Path | None, tag_spacing: float | None, start: str | None) -> bool:
-    """Whether loading the scenario looks for what can be reached in its world, which calls kernels."""
-    return any([world, tag_spacing, start]) and (world is None or world.exists())
 
 
 def _check_spacing(tag_spacing: float | None) -> None:

@@ -19,7 +19,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from tfg_drake.diagrams.commands.command_line import make_kernels_ready
-from tfg_drake.diagrams.commands.explore import check_kept, kernels_needed, remarks_on_screen, run_name
+from tfg_drake.diagrams.commands.explore import check_kept, remarks_on_screen, run_name
 from tfg_drake.diagrams.commands.page import open_page
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.hardware_station import Bounded
@@ -107,8 +107,7 @@ def explore(
     if plant is not None and station is not None:
         raise TypeError("plant: is for the usual station; put it into the one that station= makes")
     named = "" if isinstance(scenario, Scenario) else str(scenario)
-    changed = [one is not None for one in (plant, station, world, tag_spacing, start)]
-    make_kernels_ready(kernels_needed(named, method, "sim", [own, settings, *changed]))
+    make_kernels_ready()
     loaded = PrepareScenario(scenario, settings, seed, world, tag_spacing, start)
     name = run_name(named or "mission", None if world is None else Path(world))
     explorer = FindMethod(method)

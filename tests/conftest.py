@@ -1,11 +1,11 @@
 """What every test shares."""
 
-import contextlib
 import dataclasses
 import fcntl
 import os
 import signal
-import time
+import subprocess
+import sys
 from pathlib import Path
 
 # Before anything loads BLAS, and for every process that a test starts: small dense operations are many times slower
@@ -18,13 +18,7 @@ import pytest
 
 from tfg_drake import kernels
 from tfg_drake.cockpit.browser import BrowserMissing, open_browser
-
-# All xdist workers share the kernels that the installation has compiled. Whoever starts them sees to it that none is of
-# sources of another day.
-kernels.choose_folder()
-if "PYTEST_XDIST_WORKER" not in os.environ and not kernels.are_compiled():
-    kernels.drop_stale()
-kernels.take_turns()
+from tfg_drake.diagrams.warm_up import MODULE
 
 # The same examples in every run, and no limit on an example's time: the first call of a kernel compiles it.
 hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=True)
@@ -42,13 +36,12 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(scope="session")
 def compiled():
-    """All kernels are compiled, by one of the workers: no command has to, or to say that it does."""
+    """The kernels of a mission are compiled, by one of the workers: no command has to, or to say that it does."""
+    kernels.folder().mkdir(parents=True, exist_ok=True)
     with (kernels.folder() / "tests.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not kernels.are_compiled():
-            with contextlib.closing(kernels.Compilation()) as compilation:
-                while not compilation.ended:
-                    time.sleep(0.1)
+            subprocess.run([sys.executable, "-m", MODULE], check=True, stdout=subprocess.DEVNULL)
 
 
 # Beside the project, where there is one; nothing of it is the project's own.
@@ -72,7 +65,6 @@ def shared_data():
 def call(capsys, monkeypatch):
     """tfg-drake with some arguments: its exit code, standard output and standard error, in which nothing that takes
     long on a busy machine is said meanwhile."""
-    # Not before it is known where the kernels are kept.
     from tfg_drake.diagrams import cli
     from tfg_drake.diagrams.commands import screen
 
@@ -93,7 +85,6 @@ def call(capsys, monkeypatch):
 @pytest.fixture(scope="session")
 def small_map():
     """Two views, four landmarks, an edge, a wall end, a loose surface, a frontier; X_WM = (5, 3, pi/2)."""
-    # Not before it is known where the kernels are kept.
     from tfg_drake.config import OdometryConfig
     from tfg_drake.mapfile.saved_map import saved_map
     from tfg_drake.messages import Observation, TfgMap

@@ -21,6 +21,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from tfg_drake.kernels import use_locator
+
 if TYPE_CHECKING:
     from tfg_drake.diagrams.exploration import explore, fork
     from tfg_drake.storage.run import load_run
@@ -35,15 +37,15 @@ else:
     def __getattr__(name):
         if name not in _WHERE:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        if name != "load_run":
-            # Before what imports numba, which looks where kernels are kept only once.
-            importlib.import_module("tfg_drake.kernels").choose_folder()
         return getattr(importlib.import_module(_WHERE[name]), name)
 
+
+# Before any module with kernels is imported.
+use_locator()
 
 __version__ = "0.1.0"
 __all__ = ["__version__", "explore", "fork", "load_run"]
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *globals()} - {"TYPE_CHECKING", "annotations", "importlib", "_WHERE"})
+    return sorted({*__all__, *globals()} - {"TYPE_CHECKING", "annotations", "importlib", "use_locator", "_WHERE"})

@@ -19,6 +19,7 @@ import typer.core
 from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput, not_radians
 from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.mission.interruption import Interruption
 
 # The signals that end a command.
@@ -93,17 +94,16 @@ def wait_for_enter() -> None:
         print()
 
 
-def compile_kernels(need: int, most: float) -> kernels.Compilation | None:
-    """Those who compile what is missing for a need, None where nothing is; the caller closes it. See Compilation.
+def compile_kernels() -> WarmUp | None:
+    """Those who compile what is missing, None where nothing is; the caller closes it.
 
-    To be called before numba is imported. Raises BadInput where there is no folder to keep kernels in.
+    To be called before kernels are imported. Raises BadInput where there is no folder to keep them in.
     """
     try:
-        kernels.choose_folder()
-        if kernels.are_compiled(need):
+        if kernels.are_compiled():
             return None
-        print(f"compiling kernels, for a minute or so; from now on they are in {kernels.folder()}", flush=True)
-        return kernels.Compilation(need, most)
+        print(f"compiling kernels, once per installation, into {kernels.folder()}", flush=True)
+        return WarmUp()
     except ChildProcessError as error:
         bad_input(f"{error.filename}: cannot be started to compile kernels: {(error.strerror or str(error)).lower()}")
     except OSError as error:
@@ -112,28 +112,25 @@ def compile_kernels(need: int, most: float) -> kernels.Compilation | None:
 
 
 @contextlib.contextmanager
-def compiling_beside(need: int) -> Iterator[kernels.Compilation | None]:
+def compiling_beside() -> Iterator[WarmUp | None]:
     """Those who compile the kernels while the command goes on, see `compile_kernels`; closed at the end."""
-    compilation = compile_kernels(need, kernels.BESIDE)
-    with contextlib.closing(compilation) if compilation is not None else contextlib.nullcontext():
-        yield compilation
+    warm_up = compile_kernels()
+    with contextlib.closing(warm_up) if warm_up is not None else contextlib.nullcontext():
+        yield warm_up
+
+
+def wait_for_kernels(show: Callable[[str], object]) -> None:
+    """Until all is compiled that a mission needs, or somebody interrupts it."""
+    with compiling_beside() as warm_up:
+        while warm_up is not None and not (warm_up.ended or interruption.is_set()):
+            show(warm_up.word)
+            time.sleep(0.1)
 
 
 @functools.cache
-def make_kernels_ready(need: int = kernels.OTHER) -> None:
+def make_kernels_ready() -> None:
     """For a program of somebody's own, which may wait for them: compiles what is missing, and tells so on standard
     error; silent where nothing is. Raises BadInput as `compile_kernels` does."""
-    if not kernels.are_compiled(need):
+    if not kernels.are_compiled():
         with contextlib.redirect_stdout(sys.stderr), Screen() as show:
-            wait_for_kernels(show, need)
-
-
-def wait_for_kernels(show: Callable[[str], object], need: int = kernels.OTHER) -> None:
-    """Until all is compiled that something needs, or somebody interrupts it."""
-    compilation = compile_kernels(need, kernels.ALONE)
-    if compilation is None:
-        return
-    with contextlib.closing(compilation):
-        while not (compilation.ended or interruption.is_set()):
-            show(compilation.word)
-            time.sleep(0.1)
+            wait_for_kernels(show)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from tfg_drake import kernels
 from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.diagrams.robots import Robot
     from tfg_drake.diagrams.scenario import Scenario
+    from tfg_drake.diagrams.warm_up import WarmUp
 
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
@@ -35,13 +35,6 @@ def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
     if robot != "sim":
         return robot.partition(":")[0]
     return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
-
-
-def kernels_needed(scenario: str, method: str, robot: str, changes: Sequence[Any]) -> int:
-    """What kernels a mission may call: few in a shipped scenario as it is, by the usual method."""
-    shipped = (Path(__file__).parents[1] / "scenarios" / f"{scenario}.yaml").is_file()
-    plain = shipped and method == "tfg" and robot == "sim" and not any(changes)
-    return kernels.MISSION if plain else kernels.OTHER
 
 
 def replayed_run(robot: str) -> Path | None:
@@ -209,11 +202,11 @@ def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[s
 
 
 def wait_for_beginning(
-    compilation: kernels.Compilation, show: Callable[[str], object], interrupted: threading.Event
+    warm_up: WarmUp, show: Callable[[str], object], interrupted: threading.Event, real: bool
 ) -> None:
-    """Until there are the kernels that a mission begins with."""
-    while not (compilation.ready or interrupted.is_set()):
-        show(compilation.word)
+    """Until there are the kernels that a mission begins with; a real robot's are all there before it moves."""
+    while not ((warm_up.ended if real else warm_up.ready) or interrupted.is_set()):
+        show(warm_up.word)
         time.sleep(0.1)
 
 

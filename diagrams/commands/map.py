@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, wait_for_kernels, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, writing
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.io.files import of_run
 
@@ -93,11 +93,8 @@ def export(
 
 
 def _load(path: Path) -> SavedMap:
-    # Its free space is measured by a kernel.
     with Screen() as show:
         show(f"reading {path}")
-        if path.is_file():
-            wait_for_kernels(show)
 
         from tfg_drake.mapfile.saved_map import load_map
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, wait_for_kernels, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, writing
 from tfg_drake.diagrams.commands.screen import Screen
 
 if TYPE_CHECKING:
@@ -78,7 +78,6 @@ def advise(
         bad_input(f"--count {count}: must be 1 or more")
     with Screen() as show:
         show("loading")
-        wait_for_kernels(show)
         scenario, floor = _of_run(run) if run is not None else _of_file(world, start, fresh)
         if world is not None and out.exists() and world.exists() and out.samefile(world):
             bad_input(f"--out {out}: is the world that is read; name another file")

@@ -401,7 +401,8 @@ class Mission:
         """Says once that the mission is behind the clock on the wall."""
         rate, now = self._simulator.get_target_realtime_rate(), self._simulator.get_actual_realtime_rate()
         late = (self.time - self._since) * (1.0 / now - 1.0 / rate) if rate and now else 0.0
-        if late > LATE and not self._late:
+        # While kernels are compiled the mission is slowed down by them, and says so.
+        if late > LATE and not self._late and not self.word:
             self._late = True
             _pace_log.warning("%.0f s: real time is missed, by %.1f s: this machine is too slow", self.time, late)
 

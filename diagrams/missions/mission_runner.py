@@ -15,9 +15,9 @@ from pydrake.systems.analysis import SimulatorStatus
 from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake.diagrams.missions.mission import STEP, Mission
+from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
-from tfg_drake.kernels import Compilation
 from tfg_drake.mission.interruption import NAMES, Interruption
 
 if TYPE_CHECKING:
@@ -80,11 +80,11 @@ class MissionRunner:
         self,
         write: Callable[[str], object] = lambda _line: None,
         keep: Callable[[], None] | None = None,
-        kernels: Compilation | None = None,
+        warm_up: WarmUp | None = None,
         monitor: Callable[[Context], EventStatus] | None = None,
     ) -> None:
         """Simulate until the mission ends, and note its outcome and the reason. write, monitor: as for `Mission.begin`.
-        keep: called now and then, to keep what there is; what it or `write` raises ends the mission. kernels: as for
+        keep: called now and then, to keep what there is; what it or `write` raises ends the mission. warm_up: as for
         `explore`."""
         mission, step = self._mission, REAL_STEP if self._mission.robot.real else STEP
         self._wall_start = time.monotonic()
@@ -93,9 +93,9 @@ class MissionRunner:
             mission.simulator.set_target_realtime_rate(1.0 if mission.robot.real else self._rate)
             terminated = False
             while not self._ended():
-                if kernels is not None and self._pace(kernels):
-                    kernels = None
-                now = step if kernels is None else SLOW_STEP
+                if warm_up is not None and self._pace(warm_up):
+                    warm_up = None
+                now = step if warm_up is None else SLOW_STEP
                 boundary = now * (math.floor(mission.time / now) + 1.0)
                 terminated = self._advance(min(boundary, self._max_time, mission.robot.end_time))
                 mission.observe()
@@ -154,13 +154,18 @@ class MissionRunner:
         mission.simulator.ResetStatistics()  # or it would make up for the time that it stood
         return self._interrupted.is_set()
 
-    def _pace(self, kernels: Compilation) -> bool:
-        """Slows the mission down so that all kernels are there when its first look is over; whether they are."""
-        mission, ended, rate = self._mission, kernels.ended, self._rate
+    def _pace(self, warm_up: WarmUp) -> bool:
+        """Slows the mission down so that all kernels are there when its first look is over, and holds it there until
+        they are: what comes next would compile them once more. Whether they are."""
+        mission, rate = self._mission, self._rate
+        left = mission.scenario.explorer.first_look - mission.time
+        while left <= 0.0 and not warm_up.ended and not self._interrupted.wait(HELD_INTERVAL):
+            mission.say(warm_up.word)
+            self._tell()
+        ended = warm_up.ended
         if not ended:
-            left = mission.scenario.explorer.first_look - mission.time
-            rate = min(max(SLOWEST, left / max(kernels.left, 1e-3)), self._rate or math.inf)
-        mission.say("" if ended else kernels.word)
+            rate = min(max(SLOWEST, left / max(warm_up.left, 1e-3)), self._rate or math.inf)
+        mission.say("" if ended else warm_up.word)
         mission.simulator.set_target_realtime_rate(rate)
         mission.simulator.ResetStatistics()  # or it would make up for the time that it went slowly
         return ended

@@ -31,9 +31,9 @@ from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
-from tfg_drake.kernels import Compilation
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
@@ -100,7 +100,7 @@ def run_mission(
     on_progress: Callable[[Progress], None] | None = None,
     interrupted: threading.Event | None = None,
     record: bool = True,
-    kernels: Compilation | None = None,
+    warm_up: WarmUp | None = None,
     fork: Fork | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
@@ -119,7 +119,7 @@ def run_mission(
         interrupted: ends the mission when set, for a caller that looks after signals itself.
         record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
             grows; not for what a seed gives again.
-        kernels: those who compile the kernels that come after its first look, which takes its time until all are there.
+        warm_up: those who compile the kernels that come after its first look, which takes its time until all are there.
         fork: what becomes of its goals from a stage on.
 
     The first Ctrl-C, SIGTERM or SIGHUP ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt.
@@ -160,7 +160,7 @@ def run_mission(
             keep = _Keeper(mission, folder) if record else None
             monitor = fork.monitor(mission) if fork is not None else None
             runner = MissionRunner(mission, interrupted, realtime_rate, max_time, cockpit, on_progress)
-            runner.run(lambda line: folder.append("stages.jsonl", line), keep, kernels, monitor)
+            runner.run(lambda line: folder.append("stages.jsonl", line), keep, warm_up, monitor)
             folder.give_up_reserve()
             summary = write_report(mission, folder, name, world_name or name)
             mission.say(mission.outcome.replace("_", " "))

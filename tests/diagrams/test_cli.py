@@ -15,7 +15,7 @@ import pytest
 from tests.diagrams.rooms import ROOM
 from tfg_drake import __version__, kernels
 from tfg_drake.bad_input import BadInput
-from tfg_drake.diagrams import cli
+from tfg_drake.diagrams import cli, warm_up
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
@@ -313,13 +313,6 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
     assert err.count("\n") == 1
 
 
-def test_a_shipped_mission_begins_before_all_kernels_are_compiled():
-    assert explore_command.kernels_needed("paper", "tfg", "sim", [None, None]) == kernels.MISSION
-    others = [("mine.yaml", "tfg", "sim"), ("paper", "grid-nearest", "sim"), ("paper", "tfg", "ros2")]
-    assert [explore_command.kernels_needed(*mission, []) for mission in others] == 3 * [kernels.OTHER]
-    assert explore_command.kernels_needed("paper", "tfg", "sim", [["robot.max_speed=0.2"]]) == kernels.OTHER
-
-
 def test_the_progress_line():
     progress = Progress(
         time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks=63, area=412.4, position_error=0.0213
@@ -418,9 +411,8 @@ def test_a_process_that_cannot_be_started_to_compile_is_named(call, monkeypatch,
     def refuse(*_arguments, **_given):
         raise OSError(error, os.strerror(error), sys.executable)
 
-    monkeypatch.setattr(kernels, "are_compiled", lambda _need: False)
-    monkeypatch.setattr(kernels, "drop_stale", lambda: None)
-    monkeypatch.setattr(kernels.subprocess, "Popen", refuse)
+    monkeypatch.setattr(kernels, "are_compiled", lambda: False)
+    monkeypatch.setattr(warm_up.subprocess, "Popen", refuse)
     code, _, err = call("explore", room, "--headless")
     complaint = f"cannot be started to compile kernels: {os.strerror(error).lower()}"
     assert (code, err) == (2, f"tfg-drake: {sys.executable}: {complaint}\n")

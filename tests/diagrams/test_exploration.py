@@ -274,10 +274,7 @@ def test_kernels_that_are_compiled_are_told_on_standard_error(monkeypatch, capsy
     compiled = iter([False, False])
 
     class Compiling:
-        word, ended = "compiling kernels, 3 of 7", False
-
-        def __init__(self, _need, _most):
-            pass
+        word, ended = "compiling kernels, about 40 s left", False
 
         def close(self):
             pass
@@ -285,14 +282,14 @@ def test_kernels_that_are_compiled_are_told_on_standard_error(monkeypatch, capsy
     def wait(_seconds):
         Compiling.ended = True
 
-    monkeypatch.setattr(kernels, "are_compiled", lambda _need: next(compiled))
-    monkeypatch.setattr(kernels, "Compilation", Compiling)
+    monkeypatch.setattr(kernels, "are_compiled", lambda: next(compiled))
+    monkeypatch.setattr(command_line, "WarmUp", Compiling)
     monkeypatch.setattr(command_line.time, "sleep", wait)
     command_line.make_kernels_ready.__wrapped__()
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.startswith("compiling kernels, for a minute or so")
-    monkeypatch.setattr(kernels, "are_compiled", lambda _need: True)
+    assert said.err.startswith("compiling kernels, once per installation, into ")
+    monkeypatch.setattr(kernels, "are_compiled", lambda: True)
     command_line.make_kernels_ready.__wrapped__()
     assert capsys.readouterr() == ("", "")
 

@@ -4,7 +4,7 @@ from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
 
 
-class Kernels:
+class Compiling:
     """Whoever compiles them has done so when they have been asked often enough."""
 
     def __init__(self, times):
@@ -30,7 +30,7 @@ def test_it_says_so_goes_on_as_ever_and_comes_to_the_same(tmp_path):
         max_time=30.0,
         out_dir=tmp_path / "two",
         on_progress=lambda progress: said.append((progress.time, progress.word)),
-        kernels=Kernels(40),
+        warm_up=Compiling(40),
     )
     assert one.stages == two.stages
     assert (tmp_path / "one" / "map.npz").read_bytes() == (tmp_path / "two" / "map.npz").read_bytes()
