@@ -11,6 +11,7 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import PoseEstimate, replace
 from tfg_drake.planning.expected_view import expected_frontiers
+from tfg_drake.tfg.feature_graph import empty_graph
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     PUSH,
@@ -22,7 +23,6 @@ from tfg_drake.tfg.frontier import (
 from tfg_drake.tfg.graph import (
     UnmappedSightings,
     _explored,
-    empty_graph,
     empty_map,
     no_sightings,
     note_sightings,

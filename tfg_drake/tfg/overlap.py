@@ -11,7 +11,6 @@ corridor is unknown. Its surfaces and its free space are not used for the surrou
 from __future__ import annotations
 
 import dataclasses
-import functools
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -75,14 +74,14 @@ class WeaklyTied:
 
 
 def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate) -> WeaklyTied:
-    """The weakly tied parts of the map: landmarks of unknown place relative to the robot, views that saw none but such
-    of the landmarks known jointly, and the surfaces of these views or landmarks.
+    """The weakly tied parts of a large map: landmarks of unknown place relative to the robot, views that saw none but
+    such of the landmarks known jointly, and the surfaces of these views or landmarks.
 
     tag_ids, tag_view: (n,) landmarks and a view that saw each.
     """
     landmarks = _known_badly(estimate)
     if not landmarks.any():
-        return nothing_weakly_tied(surfaces, estimate)
+        return WeaklyTied(landmarks, *(np.zeros(len(of), dtype=np.bool_) for of in (estimate.X_MA, surfaces.view)))
     known = estimate.is_local
     view, ids = _saw(surfaces, tag_ids, tag_view)
     row = np.searchsorted(estimate.ids, ids)
@@ -94,20 +93,15 @@ def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estim
     return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
 
 
-def nothing_weakly_tied(surfaces: Surfaces, estimate: MapEstimate) -> WeaklyTied:
-    """No part of the map is weakly tied."""
-    return WeaklyTied(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.view)))
-
-
-@functools.lru_cache(maxsize=1)
 def _known_badly(estimate: MapEstimate) -> BoolArray:
-    """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains.
+    """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains; none of a
+    map that is known jointly as a whole.
 
     The least variance of all is the robot's own and is subtracted. Landmarks seen by the newest view are never among
     them."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     known = estimate.is_local
-    if known.any():
+    if known.any() and not known.all():
         (xx, xy), (_, yy) = drift_from_robot(estimate, np.flatnonzero(known)).transpose(1, 2, 0)
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
         distance = np.hypot(*(estimate.local_p_ML - estimate.X_MD[:2]).T)

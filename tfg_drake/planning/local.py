@@ -1,0 +1,121 @@
+"""What lies round the newest view: of a large map planning works on that alone, wherever it is enough.
+
+What is near `tfg_drake.tfg.near` says. A place within a radius is judged by what can be seen from there: by landmarks,
+surfaces and free space within the radius and the sensor's range. Whatever lies within a circle hides nothing from
+sight but what is in it, too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tfg_drake.config import ExplorerConfig
+from tfg_drake.geometry.distance import clearance
+from tfg_drake.messages import BoolArray, MapEstimate, TfgMap, replace
+from tfg_drake.planning.roadmap import RoadmapState, place_in_map
+from tfg_drake.tfg.near import radius_of, within
+from tfg_drake.tfg.polyline import taken
+
+# Rules that look for the next goal in the whole map at every stage.
+FAR_SIGHTED = ("argmax", "random")
+
+
+def planning_radius(estimate: MapEstimate, explorer: ExplorerConfig) -> float:
+    """Distance, m, from the newest view within which planning looks first: as `radius_of`, but inf with rules that
+    choose the next goal from the whole map, and where the robot must know the length of its way home."""
+    looks_far = explorer.goal in FAR_SIGHTED or explorer.return_home
+    return math.inf if looks_far else radius_of(estimate)
+
+
+def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tuple[MapEstimate, TfgMap]:
+    """The map and the TFG as far as places within a radius (m) of the newest view are judged by them: frontiers within
+    the radius, and landmarks, surfaces and stars within the radius and what is seen from there, sight (m).
+
+    Where that is all, it is what was given. All views stay in the map.
+    """
+    if math.isinf(radius):
+        return estimate, tfg
+    here = estimate.X_MA[-1, :2]
+    landmarks = within(estimate.p_ML, here, radius + sight)
+    segments = clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= radius + sight
+    stars = within(tfg.star_centers, here, radius + sight)
+    open_ = within(tfg.frontiers, here, radius)
+    given_up, viewpoints = (within(points, here, radius) for points in (tfg.given_up, tfg.viewpoints))
+    if all(which.all() for which in (landmarks, segments, stars, open_, given_up, viewpoints)):
+        return estimate, tfg
+    star_offsets, star_vertices = taken(np.flatnonzero(stars), tfg.star_offsets, tfg.star_vertices)
+    return of_landmarks(estimate, landmarks), replace(
+        tfg,
+        segments=tfg.segments[segments],
+        segment_kind=tfg.segment_kind[segments],
+        segment_ids=tfg.segment_ids[segments],
+        facing=tfg.facing[landmarks],
+        frontiers=tfg.frontiers[open_],
+        frontier_length=tfg.frontier_length[open_],
+        frontier_normal=tfg.frontier_normal[open_],
+        star_offsets=star_offsets,
+        star_vertices=star_vertices,
+        star_centers=tfg.star_centers[stars],
+        given_up=tfg.given_up[given_up],
+        given_up_length=tfg.given_up_length[given_up],
+        given_up_normal=tfg.given_up_normal[given_up],
+        viewpoints=tfg.viewpoints[viewpoints],
+    )
+
+
+def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
+    """The map with some of its landmarks (n,) only, and with all its views."""
+    joint = keep[estimate.local]
+    rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=np.bool_))
+    return replace(
+        estimate,
+        ids=estimate.ids[keep],
+        p_ML=estimate.p_ML[keep],
+        local=(np.cumsum(keep) - 1)[estimate.local[joint]],
+        covariance=estimate.covariance[np.ix_(rows, rows)],
+        landmark_covariance=estimate.landmark_covariance[keep],
+    )
+
+
+def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> tuple[RoadmapState, BoolArray]:
+    """The roadmap with those of its nodes (n,) only that lie within a radius (m) of the map's newest view, and the
+    edges between them; and which these are (n,)."""
+    if math.isinf(radius):
+        return nodes, np.ones(len(nodes.ids), dtype=np.bool_)
+    points = place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA)
+    near = within(points, estimate.X_MA[-1], radius)
+    inner = near[nodes.edges.nodes[:, 0]] & near[nodes.edges.nodes[:, 1]]
+    edges = nodes.edges.of(inner)
+    part = replace(
+        nodes,
+        ids=nodes.ids[near],
+        anchor=nodes.anchor[near],
+        p_AN=nodes.p_AN[near],
+        points=points[near],
+        sigma=nodes.sigma[near],
+        edges=replace(edges, nodes=(np.cumsum(near) - 1)[edges.nodes]),
+    )
+    return part, near
+
+
+def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate: MapEstimate) -> RoadmapState:
+    """The roadmap, placed by the map, with that part of it of which the nodes near (n,) are, as it has become since."""
+    old, first = np.flatnonzero(near), np.count_nonzero(near)
+    rows = np.append(old, len(near) + np.arange(len(part.ids) - first))
+    inner = near[nodes.edges.nodes[:, 0]] & near[nodes.edges.nodes[:, 1]]
+    edges = nodes.edges.of(~inner).and_those_of(replace(part.edges, nodes=rows[part.edges.nodes]))
+    edges = edges.of(np.argsort(edges.nodes @ [len(near) + len(rows), 1], kind="stable"))
+    sigma = nodes.sigma.copy()
+    sigma[old] = part.sigma[:first]
+    anchor, p_AN = np.append(nodes.anchor, part.anchor[first:]), np.vstack([nodes.p_AN, part.p_AN[first:]])
+    return replace(
+        part,
+        ids=np.append(nodes.ids, part.ids[first:]),
+        anchor=anchor,
+        p_AN=p_AN,
+        points=place_in_map(anchor, p_AN, estimate.X_MA),
+        sigma=np.append(sigma, part.sigma[first:]),
+        edges=edges,
+    )
