@@ -33,7 +33,7 @@ from tfg_drake.messages import FloatArray, IntArray, MapEstimate, replace
 from tfg_drake.planning import planner
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
-from tfg_drake.planning.local import local, local_roadmap, planning_radius
+from tfg_drake.planning.local import local, planning_radius
 from tfg_drake.planning.path import plan_path
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState
 from tfg_drake.systems import tfg_builder
@@ -190,8 +190,7 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
         choose(Situation(estimate, tfg, state.roadmap, of_goal), nothing)
     ends.append(time.thread_time())
     node = some_way_off(state.roadmap)
-    nodes, _ = local_roadmap(state.nodes, estimate, radius)
-    plan_path(nodes, state.estimate, state.tfg, estimate.X_MD, node, parameters)
+    plan_path(state.part, state.estimate, state.tfg, estimate.X_MD, node, parameters)
     ends.append(time.thread_time())
     obstacles = planner.obstacles_in_map(state, estimate)
     roadmap = planner.make_roadmap(state.nodes, tfg, estimate, parameters, obstacles, state.driven_before)

@@ -13,9 +13,9 @@ import numpy as np
 
 from tfg_drake.config import ExplorerConfig
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.messages import BoolArray, MapEstimate, TfgMap, replace
-from tfg_drake.planning.roadmap import RoadmapState, place_in_map
-from tfg_drake.tfg.near import radius_of, within
+from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, replace
+from tfg_drake.planning.roadmap import Edges, RoadmapState, place_in_map
+from tfg_drake.tfg.near import of_landmarks, radius_of, within
 from tfg_drake.tfg.polyline import taken
 
 # Rules that look for the next goal in the whole map at every stage.
@@ -65,20 +65,6 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
     )
 
 
-def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
-    """The map with some of its landmarks (n,) only, and with all its views."""
-    joint = keep[estimate.local]
-    rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=np.bool_))
-    return replace(
-        estimate,
-        ids=estimate.ids[keep],
-        p_ML=estimate.p_ML[keep],
-        local=(np.cumsum(keep) - 1)[estimate.local[joint]],
-        covariance=estimate.covariance[np.ix_(rows, rows)],
-        landmark_covariance=estimate.landmark_covariance[keep],
-    )
-
-
 def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> tuple[RoadmapState, BoolArray]:
     """The roadmap with those of its nodes (n,) only that lie within a radius (m) of the map's newest view, and the
     edges between them; and which these are (n,)."""
@@ -86,8 +72,9 @@ def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> 
         return nodes, np.ones(len(nodes.ids), dtype=np.bool_)
     points = place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA)
     near = within(points, estimate.X_MA[-1], radius)
-    inner = near[nodes.edges.nodes[:, 0]] & near[nodes.edges.nodes[:, 1]]
-    edges = nodes.edges.of(inner)
+    rows = _rows_between(near, nodes.edges)
+    ends = (np.cumsum(near) - 1)[nodes.edges.nodes[rows]]
+    order = np.argsort(_pairs(ends, len(near)))
     part = replace(
         nodes,
         ids=nodes.ids[near],
@@ -95,18 +82,21 @@ def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> 
         p_AN=nodes.p_AN[near],
         points=points[near],
         sigma=nodes.sigma[near],
-        edges=replace(edges, nodes=(np.cumsum(near) - 1)[edges.nodes]),
+        edges=replace(nodes.edges.of(rows[order]), nodes=ends[order]),
     )
     return part, near
 
 
 def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate: MapEstimate) -> RoadmapState:
-    """The roadmap, placed by the map, with that part of it of which the nodes near (n,) are, as it has become since."""
-    old, first = np.flatnonzero(near), np.count_nonzero(near)
-    rows = np.append(old, len(near) + np.arange(len(part.ids) - first))
-    inner = near[nodes.edges.nodes[:, 0]] & near[nodes.edges.nodes[:, 1]]
-    edges = nodes.edges.of(~inner).and_those_of(replace(part.edges, nodes=rows[part.edges.nodes]))
-    edges = edges.of(np.argsort(edges.nodes @ [len(near) + len(rows), 1], kind="stable"))
+    """The roadmap, placed by the map, with that part of it of which the nodes near (n,) are, as it has become since.
+    Its new edges are the last."""
+    old, first, count = np.flatnonzero(near), np.count_nonzero(near), len(near) + len(part.ids)
+    names = np.append(old, len(near) + np.arange(len(part.ids) - first))
+    edges, rows = replace(part.edges, nodes=names[part.edges.nodes]), _rows_between(near, nodes.edges)
+    # The part's edges are in the order of the nodes, and those that it had are among them.
+    at = np.searchsorted(_pairs(edges.nodes, count), _pairs(nodes.edges.nodes[rows], count))
+    is_new = np.ones(len(edges), dtype=np.bool_)
+    is_new[at] = False
     sigma = nodes.sigma.copy()
     sigma[old] = part.sigma[:first]
     anchor, p_AN = np.append(nodes.anchor, part.anchor[first:]), np.vstack([nodes.p_AN, part.p_AN[first:]])
@@ -117,5 +107,15 @@ def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate
         p_AN=p_AN,
         points=place_in_map(anchor, p_AN, estimate.X_MA),
         sigma=np.append(sigma, part.sigma[first:]),
-        edges=edges,
+        edges=nodes.edges.changed(rows, edges.of(at), edges.of(is_new)),
     )
+
+
+def _rows_between(near: BoolArray, edges: Edges) -> IntArray:
+    """The edges (k,) between two of the nodes near (n,)."""
+    return np.flatnonzero(near[edges.nodes[:, 0]] & near[edges.nodes[:, 1]])
+
+
+def _pairs(nodes: IntArray, count: int) -> IntArray:
+    """A number (e,) for each edge's nodes (e, 2), of count nodes: in the order of the nodes."""
+    return nodes[:, 0] * count + nodes[:, 1]

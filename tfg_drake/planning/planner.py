@@ -58,17 +58,18 @@ BREATH = 1.0
 class PlannerState:
     """All that the planner remembers.
 
-    nodes: the roadmap of all of the map. estimate, tfg: the map and TFG of its stage, and roadmap: the ways through it,
-    as far as planning works on them: within radius, m (see `tfg_drake.planning.local`). path, status: the planner's
-    messages. replans: the mission's count when the path was planned. obstacles: (b, 4) segments met on the way that the
-    map does not hold, m in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest scan the path
-    was checked against, look_stamp: of the newest one that the obstacles were. waiting_since: s, when every way to the
-    goal was found barred by them, inf if it is not, asked: when a way was looked for last. driven: (d, 2) where the
-    robot has been at this stage, m in M, from where the newest view began on; driven_before: m, until it ended.
-    open_length: m of frontier that was live when the roadmap was extended, inf before.
+    nodes: the roadmap of all of the map. part, estimate, tfg, roadmap: it, the map and the TFG of its stage, and the
+    ways through it, as far as planning works on them: within radius, m (see `tfg_drake.planning.local`). path, status:
+    the planner's messages. replans: the mission's count when the path was planned. obstacles: (b, 4) segments met on
+    the way that the map does not hold, m in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest
+    scan the path was checked against, look_stamp: of the newest one that the obstacles were. waiting_since: s, when
+    every way to the goal was found barred by them, inf if it is not, asked: when a way was looked for last. driven: (d,
+    2) where the robot has been at this stage, m in M, from where the newest view began on; driven_before: m, until it
+    ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
     """
 
     nodes: RoadmapState
+    part: RoadmapState
     radius: float
     estimate: MapEstimate
     tfg: TfgMap
@@ -93,6 +94,7 @@ def initial_state() -> PlannerState:
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
         nodes=nodes,
+        part=nodes,
         radius=np.inf,
         estimate=keyframe_graph.empty_map(),
         tfg=empty_map(),
@@ -233,6 +235,7 @@ def grow(
     return replace(
         state,
         nodes=nodes if near.all() else with_part(state.nodes, near, nodes, estimate),
+        part=nodes,
         roadmap=roadmap,
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
@@ -308,12 +311,10 @@ def _plan_or_wait(state: PlannerState, now: Now) -> PlannerState:
 
 def _plan(state: PlannerState, now: Now) -> PlannerState:
     pose, goal, mission, parameters = now.pose, now.goal, now.mission, now.parameters
-    estimate, tfg, nodes = state.estimate, state.tfg, state.nodes
-    if state.roadmap.reaches(np.array([goal.node]), state.radius)[0]:
-        nodes, _ = local_roadmap(nodes, estimate, state.radius)
-    else:
+    estimate, tfg, nodes = state.estimate, state.tfg, state.part
+    if not state.roadmap.reaches(np.array([goal.node]), state.radius)[0]:
         # A way as long as that may be shorter outside.
-        estimate, tfg = now.estimate, now.tfg
+        estimate, tfg, nodes = now.estimate, now.tfg, state.nodes
     is_new = pose.stage == estimate.stage
     X_MB, speed = (pose.X_MB, float(pose.speed[0])) if is_new else (estimate.X_MD, 0.0)
     obstacles = obstacles_in_map(state, estimate)

@@ -111,6 +111,15 @@ class Edges:
             *(np.concatenate(columns) for columns in zip(*(table._columns() for table in tables), strict=True))
         )
 
+    def changed(self, rows: IntArray, to: Edges, added: Edges) -> Edges:
+        """These edges with some of them as others are, and those added behind them."""
+        tables = zip(self._columns(), to._columns(), added._columns(), strict=True)
+        columns = []
+        for mine, changed, new in tables:
+            columns.append(np.concatenate([mine, new]))
+            columns[-1][rows] = changed
+        return Edges(*columns)
+
     def _columns(self) -> tuple[Any, ...]:
         return (self.nodes, self.travelled, self.free, self.clearance, self.required, self.usable)
 
@@ -122,7 +131,8 @@ class RoadmapState:
     stage. ids: (n,) of the nodes, ascending, next_id: that of the next new one. anchor: (n,) the view in whose arrival
     frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m. sigma: (n,) m, the
     deviation of the robot there relative to the surfaces. edges: all that were ever proposed, between rows of the
-    nodes, in the order of these. way_end: the id of the node where the way that the robot has driven ends, -1 for none.
+    nodes, smaller node first; those of what is near in the order of the nodes. way_end: the id of the node where the
+    way that the robot has driven ends, -1 for none.
     """
 
     stage: int

@@ -1,14 +1,16 @@
-"""The topological feature graph as it is kept, and how it is divided into what is near the newest view and the rest."""
+"""The topological feature graph as it is kept, and the part of it that is near the newest view."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
 from tfg_drake.tfg.frontier import FrontierPoints, join, no_points, place_points, select
-from tfg_drake.tfg.near import within
+from tfg_drake.tfg.near import of_landmarks, within
 from tfg_drake.tfg.polyline import taken
 from tfg_drake.tfg.surfaces import Surfaces, no_surfaces, place
 
@@ -81,20 +83,25 @@ def empty_graph() -> TfgGraph:
     )
 
 
-@message
-class Division:
-    """A graph in two parts, each with the stars of its views only, (k,) and (l,), ascending. What is near includes all
-    tags that were sighted and are not mapped."""
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """A part of a graph: what is near a view.
 
-    near: TfgGraph
-    near_views: IntArray
-    rest: TfgGraph
-    rest_views: IntArray
+    surfaces: (s,), tags: (n,), views: (k,) and points, of each kind: which of the whole graph's are in it; all tags
+    that were sighted are. graph: the part by itself, with the stars of its views only. estimate: the map with the
+    landmarks that are near, or that something near is anchored to.
+    """
+
+    surfaces: BoolArray
+    tags: BoolArray
+    views: BoolArray
+    points: Mapping[str, BoolArray]
+    graph: TfgGraph
+    estimate: MapEstimate
 
 
-def divided(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Division:
-    """The graph divided into what lies within a radius (m) of the newest view of the estimate, or was seen by that, and
-    the rest."""
+def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
+    """What of the graph lies within a radius (m) of the newest view of the estimate, or was seen by that."""
     X_MA = estimate.X_MA
 
     def near(points: FloatArray) -> BoolArray:
@@ -106,68 +113,60 @@ def divided(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Division:
     tags = near(estimate.p_ML[np.searchsorted(estimate.ids, graph.tag_ids)])
     tags |= np.isin(graph.tag_ids, estimate.observation.ids)
     points = {name: near(place_points(getattr(graph, name), X_MA).p) for name in _POINTS}
-    rest = _some(graph, ~surfaces, ~tags, ~views, {name: ~which for name, which in points.items()})
-    return Division(
-        _some(graph, surfaces, tags, views, points),
-        np.flatnonzero(views),
-        replace(rest, sighted=no_points(), viewpoints=no_points()),
-        np.flatnonzero(~views),
-    )
-
-
-def united(division: Division) -> TfgGraph:
-    """The graph of both parts, of the near one's stage."""
-    near, rest = division.near, division.rest
-    tag = np.argsort(np.concatenate([rest.tag_ids, near.tag_ids]))
-    star_offsets, star_vertices = taken(
-        np.argsort(np.concatenate([division.rest_views, division.near_views])),
-        _chained(rest.star_offsets, near.star_offsets),
-        np.concatenate([rest.star_vertices, near.star_vertices]),
-    )
-    rows: dict[str, Any] = {
-        name: np.concatenate([getattr(rest, name), getattr(near, name)])
-        for name in (*_TAGS, *(name for names in _POINTS.values() for name in names))
-    }
-    points: dict[str, Any] = {name: join(getattr(rest, name), getattr(near, name)) for name in _POINTS}
-    first, second = rest.surfaces, near.surfaces
-    surfaces = Surfaces(
-        kind=np.concatenate([first.kind, second.kind]),
-        ids=np.concatenate([first.ids, second.ids]),
-        view=np.concatenate([first.view, second.view]),
-        range=np.concatenate([first.range, second.range]),
-        offsets=_chained(first.offsets, second.offsets),
-        vertices=np.concatenate([first.vertices, second.vertices]),
-    )
-    return replace(
-        near,
-        # In the order in which they were found: where two overlap, the first is believed.
-        surfaces=_some_surfaces(surfaces, np.lexsort([surfaces.view, surfaces.kind])),
-        star_offsets=star_offsets,
-        star_vertices=star_vertices,
-        **(rows | {name: rows[name][tag] for name in _TAGS}),
-        **points,
-    )
-
-
-def _some(
-    graph: TfgGraph, surfaces: BoolArray, tags: BoolArray, views: BoolArray, points: dict[str, BoolArray]
-) -> TfgGraph:
-    """Some of the graph's surfaces (s,), tags (n,), stars (k,) and points, and all tags that were sighted."""
     star_offsets, star_vertices = taken(np.flatnonzero(views), graph.star_offsets, graph.star_vertices)
     rows: dict[str, Any] = {name: getattr(graph, name)[tags] for name in _TAGS}
     for name, columns in _POINTS.items():
         rows[name] = select(getattr(graph, name), points[name])
         rows |= {column: getattr(graph, column)[points[name]] for column in columns}
-    return replace(
+    part = replace(
         graph,
-        surfaces=_some_surfaces(graph.surfaces, np.flatnonzero(surfaces)),
+        surfaces=_some(graph.surfaces, np.flatnonzero(surfaces)),
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         **rows,
     )
+    anchors = np.concatenate([part.tag_ids, part.surfaces.ids.ravel(), estimate.observation.ids])
+    landmarks = near(estimate.p_ML) | np.isin(estimate.ids, anchors)
+    return Part(surfaces, tags, views, points, part, of_landmarks(estimate, landmarks))
 
 
-def _some_surfaces(surfaces: Surfaces, rows: IntArray) -> Surfaces:
+def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
+    """The graph with a part of it as it has become since, with the newest view, which is the last of its stars."""
+    far = ~part.tags
+    tag = np.argsort(np.append(graph.tag_ids[far], changed.tag_ids))
+    rows: dict[str, Any] = {
+        name: np.concatenate([getattr(graph, name)[far], getattr(changed, name)])[tag] for name in _TAGS
+    }
+    for name, columns in _POINTS.items():
+        far = ~part.points[name]
+        rows[name] = join(select(getattr(graph, name), far), getattr(changed, name))
+        rows |= {column: np.append(getattr(graph, column)[far], getattr(changed, column)) for column in columns}
+    # Rows of the whole graph's stars and surfaces, and behind them of the part's.
+    stars = np.append(np.arange(graph.stage), graph.stage + len(changed.star_offsets) - 2)
+    stars[:-1][part.views] = graph.stage + np.arange(np.count_nonzero(part.views))
+    star_offsets, star_vertices = taken(
+        stars,
+        _chained(graph.star_offsets, changed.star_offsets),
+        np.concatenate([graph.star_vertices, changed.star_vertices]),
+    )
+    old, new = graph.surfaces, changed.surfaces
+    surfaces = Surfaces(
+        kind=np.append(old.kind, new.kind),
+        ids=np.concatenate([old.ids, new.ids]),
+        view=np.append(old.view, new.view),
+        range=np.append(old.range, new.range),
+        offsets=_chained(old.offsets, new.offsets),
+        vertices=np.concatenate([old.vertices, new.vertices]),
+    )
+    kept = np.append(np.flatnonzero(~part.surfaces), len(old.kind) + np.arange(len(new.kind)))
+    # In the order in which they were found: where two overlap, the first is believed.
+    kept = kept[np.lexsort([surfaces.view[kept], surfaces.kind[kept]])]
+    return replace(
+        changed, surfaces=_some(surfaces, kept), star_offsets=star_offsets, star_vertices=star_vertices, **rows
+    )
+
+
+def _some(surfaces: Surfaces, rows: IntArray) -> Surfaces:
     """Some of the surfaces, in this order."""
     offsets, vertices = taken(rows, surfaces.offsets, surfaces.vertices)
     kind, ids, view, farthest = surfaces.kind[rows], surfaces.ids[rows], surfaces.view[rows], surfaces.range[rows]

@@ -24,7 +24,7 @@ from tfg_drake.geometry.turned import turned
 from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
-from tfg_drake.tfg.feature_graph import TfgGraph, divided, united
+from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     GRAZE,
@@ -49,7 +49,7 @@ from tfg_drake.tfg.frontier import (
     uninspected_frontiers,
 )
 from tfg_drake.tfg.near import radius_of, within
-from tfg_drake.tfg.overlap import WeaklyTied, standing, weakly_tied
+from tfg_drake.tfg.overlap import WeaklyTied, known_badly, standing, weakly_tied
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
 from tfg_drake.tfg.polyline import segments_of
@@ -118,6 +118,8 @@ def update(
     """
     if estimate.stage != graph.stage + 1:
         raise ValueError(f"The graph holds {graph.stage} views: it cannot take stage {estimate.stage} of the map next.")
+    # As far as the view may have seen, as mapped now.
+    seen = panorama.range_max + TORN
     scene = _Scene(estimate, panorama, sightings, tags, robot, explorer, glance)
     if estimate.is_joint:
         return _with_view(graph, np.arange(graph.stage), scene)
@@ -127,15 +129,15 @@ def update(
         for of in (graph.unseen_backs, graph.open_ends)
     )
     graph = replace(graph, unseen_backs=backs, open_ends=ends)
-    # The places that are near were seen from as far as a view sees, mapped as well as it is known now.
-    parts = divided(graph, estimate, radius_of(estimate) + panorama.range_max + TORN)
-    views = np.append(parts.near_views, graph.stage)
-    return united(replace(parts, near=_with_view(parts.near, parts.near_views, scene), near_views=views))
+    # What the view may have seen was seen by views from as far off again.
+    part = part_of(graph, estimate, 2.0 * seen)
+    scene = dataclasses.replace(scene, estimate=part.estimate, radius=seen)
+    return with_part(graph, part, _with_view(part.graph, np.flatnonzero(part.views), scene))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Scene:
-    """The newest view, see `update`."""
+    """The newest view, see `update`. radius: m, the graph is changed only so near to it."""
 
     estimate: MapEstimate
     panorama: Panorama
@@ -144,6 +146,7 @@ class _Scene:
     robot: RobotConfig
     explorer: ExplorerConfig
     glance: bool
+    radius: float = math.inf
 
 
 def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
@@ -166,7 +169,8 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     stars = placed_stars(star_offsets, star_vertices, X_MA[views_now])
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
-    weak = weakly_tied(surfaces, tag_ids, tag_view, estimate)
+    badly = known_badly(estimate)
+    weak = weakly_tied(surfaces, tag_ids, tag_view, estimate, badly)
     newest = _Newest(
         estimate,
         tags,
@@ -174,7 +178,7 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
         star=placed_stars(np.array([0, len(star)]), star, X_MA[view:]),
         stars=some_stars(stars, ~weak.views[views_now]),
         weak=weak.views,
-        radius=radius_of(estimate),
+        radius=scene.radius,
     )
     backs, ends = newest.unseen_faces(surfaces.offsets, placed, stars)
     sighted, viewpoints = _update_sighted(graph.sighted, graph.viewpoints, scene.sightings, estimate)
@@ -199,7 +203,7 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     )
     if scene.glance:
         return updated
-    return _count_attempts((graph, views), (updated, views_now), estimate, panorama, tags, scene.explorer)
+    return _count_attempts((graph, views), (updated, views_now), badly, scene)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -339,7 +343,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     Landmarks that anchor no other surface get no facing, so they count as visible from nowhere. The same holds for
     weakly tied surfaces, landmarks and frontiers, as long as anything else is open near the newest view.
     """
-    placed = _placed(graph, np.arange(graph.stage), estimate)
+    placed = _placed(graph, np.arange(graph.stage), estimate, known_badly(estimate))
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     if placed.weak.landmarks.any() and not within(frontier.p, estimate.X_MA[-1], radius_of(estimate)).any():
@@ -427,13 +431,14 @@ class _Placed:
         return _Placed(self.pieces, self.owner, self.stand, self.stars, nothing)
 
 
-def _placed(graph: TfgGraph, views: IntArray, estimate: MapEstimate) -> _Placed:
-    """The graph, or a part of it, placed; views: (k,) those whose stars it holds."""
+def _placed(graph: TfgGraph, views: IntArray, estimate: MapEstimate, badly: BoolArray) -> _Placed:
+    """The graph, or a part of it, placed; views: (k,) those whose stars it holds. badly: (n,) landmarks, see
+    `known_badly`."""
     stars = placed_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[views])
     vertices = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, vertices)
     stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_view, stars, views, estimate)
-    weak = weakly_tied(graph.surfaces, graph.tag_ids, graph.tag_view, estimate)
+    weak = weakly_tied(graph.surfaces, graph.tag_ids, graph.tag_view, estimate, badly)
     return _Placed(pieces, owner, stand[owner], stars, weak)
 
 
@@ -585,19 +590,21 @@ def _update_sighted(
 def _count_attempts(
     before: tuple[TfgGraph, IntArray],
     after: tuple[TfgGraph, IntArray],
-    estimate: MapEstimate,
-    panorama: Panorama,
-    tags: TagSensorConfig,
-    explorer: ExplorerConfig,
+    badly: BoolArray,
+    scene: _Scene,
 ) -> TfgGraph:
     """Counts the newest view as an attempt at every frontier point that it should have seen and that lives on.
 
     before, after: the graph without and with that view, and the views (k,) whose stars it holds. Returns the latter.
+    badly: (n,) landmarks, see `known_badly`.
     """
+    estimate, tags = scene.estimate, scene.tags
     center = estimate.X_MA[-1, :2]
 
     def in_view_of(graph: TfgGraph, placed: _Placed) -> FloatArray:
-        points = _live_frontiers(graph, estimate, placed, _open_free_space_frontiers(graph, estimate, placed), explorer)
+        points = _live_frontiers(
+            graph, estimate, placed, _open_free_space_frontiers(graph, estimate, placed), scene.explorer
+        )
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
@@ -605,12 +612,12 @@ def _count_attempts(
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
         clear = surely_visible(placed.segments, center, points.p, GRAZE)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
-        looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
+        looked = scene.panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
         return np.asarray(points.p[(distance <= reach) & ~slant & clear & looked])
 
     def in_view(graph: TfgGraph, views: IntArray) -> FloatArray:
-        placed = _placed(graph, views, estimate)
+        placed = _placed(graph, views, estimate, badly)
         here = in_view_of(graph, placed)
         # If no other frontier is in view, the robot came for a weakly tied one.
         if len(here) or not placed.weak.landmarks.any():

@@ -73,27 +73,7 @@ class WeaklyTied:
     surfaces: BoolArray
 
 
-def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate) -> WeaklyTied:
-    """The weakly tied parts of a large map: landmarks of unknown place relative to the robot, views that saw none but
-    such of the landmarks known jointly, and the surfaces of these views or landmarks.
-
-    tag_ids, tag_view: (n,) landmarks and a view that saw each.
-    """
-    landmarks = _known_badly(estimate)
-    if not landmarks.any():
-        return WeaklyTied(landmarks, *(np.zeros(len(of), dtype=np.bool_) for of in (estimate.X_MA, surfaces.view)))
-    known = estimate.is_local
-    view, ids = _saw(surfaces, tag_ids, tag_view)
-    row = np.searchsorted(estimate.ids, ids)
-    these, others = (
-        np.bincount(view[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
-    )
-    views = (these > 0) & (others == 0)
-    anchored = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
-    return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
-
-
-def _known_badly(estimate: MapEstimate) -> BoolArray:
+def known_badly(estimate: MapEstimate) -> BoolArray:
     """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains; none of a
     map that is known jointly as a whole.
 
@@ -108,6 +88,27 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
         badly[known] = largest - largest.min() > (MOST_DRIFT + SWING * distance) ** 2
         badly &= ~np.isin(estimate.ids, estimate.observation.ids)
     return badly
+
+
+def weakly_tied(
+    surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate, landmarks: BoolArray
+) -> WeaklyTied:
+    """The weakly tied parts of a large map: landmarks (n,) of unknown place relative to the robot, see `known_badly`,
+    views that saw none but such of the landmarks known jointly, and the surfaces of these views or landmarks.
+
+    tag_ids, tag_view: (m,) landmarks and a view that saw each.
+    """
+    if not landmarks.any():
+        return WeaklyTied(landmarks, *(np.zeros(len(of), dtype=np.bool_) for of in (estimate.X_MA, surfaces.view)))
+    known = estimate.is_local
+    view, ids = _saw(surfaces, tag_ids, tag_view)
+    row = np.searchsorted(estimate.ids, ids)
+    these, others = (
+        np.bincount(view[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
+    )
+    views = (these > 0) & (others == 0)
+    anchored = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
+    return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
 
 
 def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[IntArray, IntArray]:
