@@ -169,7 +169,7 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     stars = placed_stars(star_offsets, star_vertices, X_MA[views_now])
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
-    badly = known_badly(estimate)
+    badly = _known_badly(estimate, is_large=math.isfinite(scene.radius))
     weak = weakly_tied(surfaces, tag_ids, tag_view, estimate, badly)
     newest = _Newest(
         estimate,
@@ -285,7 +285,7 @@ class _Newest:
         Those of a large map are not found anew at every stage: each is kept in the frame of the view nearest to it. In
         the newest view's it would leave its surface when that view's heading is corrected later.
         """
-        if self.estimate.is_joint:
+        if math.isinf(self.radius):
             return now
         # Not a weakly tied one's, which says nothing of the robot's surroundings.
         firm = np.flatnonzero(~self.weak)
@@ -343,7 +343,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     Landmarks that anchor no other surface get no facing, so they count as visible from nowhere. The same holds for
     weakly tied surfaces, landmarks and frontiers, as long as anything else is open near the newest view.
     """
-    placed = _placed(graph, np.arange(graph.stage), estimate, known_badly(estimate))
+    placed = _placed(graph, np.arange(graph.stage), estimate, _known_badly(estimate, is_large=not estimate.is_joint))
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     if placed.weak.landmarks.any() and not within(frontier.p, estimate.X_MA[-1], radius_of(estimate)).any():
@@ -429,6 +429,12 @@ class _Placed:
         """The same with what is weakly tied, as if it were not."""
         nothing = WeaklyTied(*(np.zeros_like(which) for which in dataclasses.astuple(self.weak)))
         return _Placed(self.pieces, self.owner, self.stand, self.stars, nothing)
+
+
+def _known_badly(estimate: MapEstimate, *, is_large: bool) -> BoolArray:
+    """Which landmarks (n,) are known too badly relative to the robot to be where they seem; of a map that is known
+    jointly as a whole none is."""
+    return known_badly(estimate) if is_large else np.zeros(len(estimate.ids), dtype=np.bool_)
 
 
 def _placed(graph: TfgGraph, views: IntArray, estimate: MapEstimate, badly: BoolArray) -> _Placed:

@@ -74,14 +74,13 @@ class WeaklyTied:
 
 
 def known_badly(estimate: MapEstimate) -> BoolArray:
-    """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains; none of a
-    map that is known jointly as a whole.
+    """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains.
 
     The least variance of all is the robot's own and is subtracted. Landmarks seen by the newest view are never among
     them."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     known = estimate.is_local
-    if known.any() and not known.all():
+    if known.any():
         (xx, xy), (_, yy) = drift_from_robot(estimate, np.flatnonzero(known)).transpose(1, 2, 0)
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
         distance = np.hypot(*(estimate.local_p_ML - estimate.X_MD[:2]).T)
