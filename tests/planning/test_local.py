@@ -39,8 +39,8 @@ def scattered(seed, spread=40.0):
         empty_map(), stage=stars, segments=np.hstack([starts, starts + rng.normal(scale=5.0, size=(40, 2))]),
         segment_kind=np.arange(40), segment_ids=np.arange(80).reshape(40, 2), facing=places(n), frontiers=places(50),
         frontier_length=rng.random(50), frontier_normal=places(50), star_offsets=offsets,
-        star_vertices=places(offsets[-1]), star_centers=X_MA[:, :2], given_up=places(20), given_up_length=rng.random(20),
-        given_up_normal=places(20), viewpoints=places(10),
+        star_vertices=places(offsets[-1]), star_centers=X_MA[:, :2], given_up=places(20),
+        given_up_length=rng.random(20), given_up_normal=places(20), viewpoints=places(10),
     )  # fmt: skip
     return estimate, tfg
 
@@ -121,10 +121,10 @@ def test_a_part_of_a_roadmap_is_put_back(radius):
     assert edges_of(part) == {pair: row for pair, row in whole.items() if set(pair) <= set(part.ids.tolist())}
     again = with_part(state, near, part, estimate)
     for name in ("ids", "anchor", "p_AN", "points", "sigma"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(state, name))
+        np.testing.assert_allclose(getattr(again, name), getattr(state, name), atol=1e-12)
     assert edges_of(again) == whole
     # What becomes of the part becomes of the whole, and nothing else.
-    later = replace(estimate, stage=3, X_MA=np.vstack([estimate.X_MA, estimate.X_MA[-1]]))
+    later = replace(estimate, stage=3, X_MA=np.vstack([estimate.X_MA, [2.1, -1.3, 0.0]]))
     part, near = local_roadmap(state, later, radius)
     grown = extend(part, tfg, later, PARAMETERS, radius=radius, effort=1)
     after = with_part(state, near, grown, later)
@@ -132,7 +132,7 @@ def test_a_part_of_a_roadmap_is_put_back(radius):
     assert (np.diff(after.ids) > 0).all()
     assert edges_of(after) == whole | edges_of(grown)
     rows = np.searchsorted(after.ids, grown.ids)
-    np.testing.assert_array_equal(after.points[rows], grown.points)
+    np.testing.assert_allclose(after.points[rows], grown.points, atol=1e-12)
     np.testing.assert_array_equal(after.sigma[rows], grown.sigma)
     np.testing.assert_array_equal(after.sigma[: len(near)][~near], state.sigma[~near])
 
@@ -191,7 +191,6 @@ def test_planning_finds_near_the_robot_what_it_would_find_if_that_were_all():
     for name in ("points", "reachable", "travel_time", "frontier_offsets", "frontier_index", "edges"):
         np.testing.assert_array_equal(getattr(large.roadmap, name), getattr(alone.roadmap, name))
     assert len(large.nodes.ids) == len(alone.nodes.ids) + 1
-    assert large.nodes.sigma[large.nodes.ids == large.part.ids.max() - 0].size == 1
     assert 0.5 in large.nodes.sigma
     goal_parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
     near, far = (
