@@ -127,7 +127,7 @@ def test_unseen_faces_stay_at_their_surface_when_the_heading_of_the_view_that_fo
     np.testing.assert_allclose(place_points(points, after).p[elsewhere], places[elsewhere], atol=1e-3)
 
 
-def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_it_is(simulate) -> None:
+def test_what_was_mapped_another_way_round_and_what_is_found_here_say_nothing_of_each_other(simulate) -> None:
     """A passage 1 m wide along a room, whose map has drifted by 1 m into the passage; before, a wall far away."""
     walls = [[-3.0, 0.2, 3.0, 0.2], [3.0, 0.2, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [998.0, 2.0, 1002.0, 2.0]]
     walls += [[-8.0, 0.0, 8.0, 0.0], [-8.0, -1.0, 8.0, -1.0], [-1.0, -1.0, -1.0, -0.45]]
@@ -150,12 +150,7 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
     world.sigma = np.where(of_room, 2.0, 1e-3)
     world.X_MA[1] = drifted
     graph = take_up(world, graph, in_passage)
-    # The passage is as if the room were not there ...
-    part, expected = (
-        resolve(of, each.estimate, each.robot, each.explorer) for of, each in ((graph, world), (passage, alone))
-    )
-    np.testing.assert_array_equal(part.segments, expected.segments)
-    assert part.facing.any(axis=1).tolist() == (~of_room[world.estimate.ids]).tolist()
+    # What the view finds in the passage is as if the room were not there ...
     for name in ("free_space_frontiers", "uninspected"):
         mine, alone_there = getattr(graph, name), getattr(passage, name)
         np.testing.assert_array_equal(mine.p[mine.view == 2], alone_there.p[alone_there.view == 1])
@@ -164,12 +159,6 @@ def test_what_was_mapped_another_way_round_says_nothing_until_it_is_known_where_
         mine, before = (select(of := getattr(each, name), of.view == 1) for each in (graph, room))
         assert len(before.p) > 1
         np.testing.assert_array_equal(mine.p, before.p)
-    # It is there again when the loop has closed.
-    world.error, world.sigma, world.X_MA[1] = None, None, in_room
-    graph = take_up(world, graph, np.array([0.6, -0.5, 0.0]), glance=True)
-    part = resolve(graph, world.estimate, world.robot, world.explorer)
-    assert part.facing.any(axis=1).all()
-    assert (part.segments[:, 1] > 0.1).any()
 
 
 def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_view(simulate) -> None:

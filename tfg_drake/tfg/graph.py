@@ -48,7 +48,7 @@ from tfg_drake.tfg.frontier import (
     select,
     uninspected_frontiers,
 )
-from tfg_drake.tfg.near import radius_of, within
+from tfg_drake.tfg.near import within
 from tfg_drake.tfg.overlap import WeaklyTied, known_badly, standing, weakly_tied
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
@@ -169,7 +169,8 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     stars = placed_stars(star_offsets, star_vertices, X_MA[views_now])
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
-    badly = _known_badly(estimate, is_large=math.isfinite(scene.radius))
+    nothing = np.zeros(len(estimate.ids), dtype=np.bool_)
+    badly = nothing if math.isinf(scene.radius) else known_badly(estimate)
     weak = weakly_tied(surfaces, tag_ids, tag_view, estimate, badly)
     newest = _Newest(
         estimate,
@@ -340,24 +341,16 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     """The graph in the map frame, with the estimate's landmarks and views; the estimate's stage is the graph's.
 
     Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
-    Landmarks that anchor no other surface get no facing, so they count as visible from nowhere. The same holds for
-    weakly tied surfaces, landmarks and frontiers, as long as anything else is open near the newest view.
+    Landmarks that anchor no other surface get no facing, so they count as visible from nowhere.
     """
-    placed = _placed(graph, np.arange(graph.stage), estimate, _known_badly(estimate, is_large=not estimate.is_joint))
+    placed = _placed(graph, np.arange(graph.stage), estimate, np.zeros(len(estimate.ids), dtype=np.bool_))
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
-    if placed.weak.landmarks.any() and not within(frontier.p, estimate.X_MA[-1], radius_of(estimate)).any():
-        placed = placed.with_weakly_tied()
-        free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
-        frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
-    weak = placed.weak
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
-    bare &= ~weak.landmarks
     posts = estimate.ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
-    facing[weak.landmarks] = 0.0
     if not placed.here.all():
         drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
         facing[np.isin(estimate.ids, drifted)] = 0.0
@@ -424,17 +417,6 @@ class _Placed:
     def segments(self) -> FloatArray:
         """Those pieces (h, 4)."""
         return self.pieces[self.here]
-
-    def with_weakly_tied(self) -> _Placed:
-        """The same with what is weakly tied, as if it were not."""
-        nothing = WeaklyTied(*(np.zeros_like(which) for which in dataclasses.astuple(self.weak)))
-        return _Placed(self.pieces, self.owner, self.stand, self.stars, nothing)
-
-
-def _known_badly(estimate: MapEstimate, *, is_large: bool) -> BoolArray:
-    """Which landmarks (n,) are known too badly relative to the robot to be where they seem; of a map that is known
-    jointly as a whole none is."""
-    return known_badly(estimate) if is_large else np.zeros(len(estimate.ids), dtype=np.bool_)
 
 
 def _placed(graph: TfgGraph, views: IntArray, estimate: MapEstimate, badly: BoolArray) -> _Placed:
@@ -628,7 +610,7 @@ def _count_attempts(
         # If no other frontier is in view, the robot came for a weakly tied one.
         if len(here) or not placed.weak.landmarks.any():
             return here
-        return in_view_of(graph, placed.with_weakly_tied())
+        return in_view_of(graph, _placed(graph, views, estimate, np.zeros_like(badly)))
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
     then, failed, graph = in_view(*before), in_view(*after), after[0]
