@@ -8,6 +8,7 @@ sight but what is in it, too.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -38,31 +39,22 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
     if math.isinf(radius):
         return estimate, tfg
     here = estimate.X_MA[-1, :2]
-    landmarks = within(estimate.p_ML, here, radius + sight)
-    segments = clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= radius + sight
-    stars = within(tfg.star_centers, here, radius + sight)
-    open_ = within(tfg.frontiers, here, radius)
-    given_up, viewpoints = (within(points, here, radius) for points in (tfg.given_up, tfg.viewpoints))
-    if all(which.all() for which in (landmarks, segments, stars, open_, given_up, viewpoints)):
+    far = radius + sight
+    landmarks, stars = within(estimate.p_ML, here, far), within(tfg.star_centers, here, far)
+    near = {
+        ("segments", "segment_kind", "segment_ids"): clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= far,
+        ("facing",): landmarks,
+        ("star_centers",): stars,
+        ("frontiers", "frontier_length", "frontier_normal"): within(tfg.frontiers, here, radius),
+        ("given_up", "given_up_length", "given_up_normal"): within(tfg.given_up, here, radius),
+        ("viewpoints",): within(tfg.viewpoints, here, radius),
+    }
+    if all(rows.all() for rows in near.values()):
         return estimate, tfg
     star_offsets, star_vertices = taken(np.flatnonzero(stars), tfg.star_offsets, tfg.star_vertices)
-    return of_landmarks(estimate, landmarks), replace(
-        tfg,
-        segments=tfg.segments[segments],
-        segment_kind=tfg.segment_kind[segments],
-        segment_ids=tfg.segment_ids[segments],
-        facing=tfg.facing[landmarks],
-        frontiers=tfg.frontiers[open_],
-        frontier_length=tfg.frontier_length[open_],
-        frontier_normal=tfg.frontier_normal[open_],
-        star_offsets=star_offsets,
-        star_vertices=star_vertices,
-        star_centers=tfg.star_centers[stars],
-        given_up=tfg.given_up[given_up],
-        given_up_length=tfg.given_up_length[given_up],
-        given_up_normal=tfg.given_up_normal[given_up],
-        viewpoints=tfg.viewpoints[viewpoints],
-    )
+    columns: dict[str, Any] = {name: getattr(tfg, name)[rows] for names, rows in near.items() for name in names}
+    part = replace(tfg, star_offsets=star_offsets, star_vertices=star_vertices, **columns)
+    return of_landmarks(estimate, landmarks), part
 
 
 def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> tuple[RoadmapState, BoolArray]:

@@ -150,14 +150,8 @@ def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
         np.concatenate([graph.star_vertices, changed.star_vertices]),
     )
     old, new = graph.surfaces, changed.surfaces
-    surfaces = Surfaces(
-        kind=np.append(old.kind, new.kind),
-        ids=np.concatenate([old.ids, new.ids]),
-        view=np.append(old.view, new.view),
-        range=np.append(old.range, new.range),
-        offsets=_chained(old.offsets, new.offsets),
-        vertices=np.concatenate([old.vertices, new.vertices]),
-    )
+    both: dict[str, Any] = {name: np.concatenate([column, getattr(new, name)]) for name, column in vars(old).items()}
+    surfaces = Surfaces(**both | {"offsets": _chained(old.offsets, new.offsets)})
     kept = np.append(np.flatnonzero(~part.surfaces), len(old.kind) + np.arange(len(new.kind)))
     # In the order in which they were found: where two overlap, the first is believed.
     kept = kept[np.lexsort([surfaces.view[kept], surfaces.kind[kept]])]
@@ -168,9 +162,8 @@ def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
 
 def _some(surfaces: Surfaces, rows: IntArray) -> Surfaces:
     """Some of the surfaces, in this order."""
-    offsets, vertices = taken(rows, surfaces.offsets, surfaces.vertices)
-    kind, ids, view, farthest = surfaces.kind[rows], surfaces.ids[rows], surfaces.view[rows], surfaces.range[rows]
-    return Surfaces(kind, ids, view, farthest, offsets, vertices)
+    columns: tuple[Any, ...] = (surfaces.kind, surfaces.ids, surfaces.view, surfaces.range)
+    return Surfaces(*(column[rows] for column in columns), *taken(rows, surfaces.offsets, surfaces.vertices))
 
 
 def _chained(first: IntArray, second: IntArray) -> IntArray:
