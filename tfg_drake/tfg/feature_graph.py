@@ -162,8 +162,9 @@ def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
 
 def _some(surfaces: Surfaces, rows: IntArray) -> Surfaces:
     """Some of the surfaces, in this order."""
-    columns: tuple[Any, ...] = (surfaces.kind, surfaces.ids, surfaces.view, surfaces.range)
-    return Surfaces(*(column[rows] for column in columns), *taken(rows, surfaces.offsets, surfaces.vertices))
+    offsets, vertices = taken(rows, surfaces.offsets, surfaces.vertices)
+    kind, ids, view, farthest = surfaces.kind[rows], surfaces.ids[rows], surfaces.view[rows], surfaces.range[rows]
+    return Surfaces(kind, ids, view, farthest, offsets, vertices)
 
 
 def _chained(first: IntArray, second: IntArray) -> IntArray:
