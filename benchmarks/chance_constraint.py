@@ -42,9 +42,9 @@ def stages_of(scenario: Scenario, max_time: float) -> list[Stage]:
     stages: list[Stage] = []
     grow = planner.grow
 
-    def noted(state, working, parameters, **options):  # type: ignore[no-untyped-def]
-        state = grow(state, working, parameters, **options)
-        stages.append((working.estimate, working.tfg, state.nodes))
+    def noted(state, estimate, tfg, parameters, **options):  # type: ignore[no-untyped-def]
+        state = grow(state, estimate, tfg, parameters, **options)
+        stages.append((estimate, tfg, state.nodes))
         return state
 
     with mock.patch.object(planner, "grow", noted):

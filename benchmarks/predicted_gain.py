@@ -111,8 +111,8 @@ def one_mission(scenario: Scenario, full_turn: bool) -> tuple[list[list[float]],
                 numbers.append([expected[-1], len(after.ids) - len(before.ids)])
         return state
 
-    def noted_choice(estimate, tfg, *others, **options) -> GoalChoice:  # type: ignore[no-untyped-def]
-        choice, sensor = choose(estimate, tfg, *others, **options), scenario.tags
+    def noted_choice(now, *others, **options) -> GoalChoice:  # type: ignore[no-untyped-def]
+        choice, sensor, tfg = choose(now, *others, **options), scenario.tags, now.tfg
         if choice.node >= 0:
             view = expected_frontiers(choice.p_MG[None], tfg, sensor)
             length = frontier_seen(choice.p_MG[None], view, tfg, sensor).sum()

@@ -66,8 +66,7 @@ def MakeTfgExplorer(
         - map
         - tfg
         - roadmap
-        - working_map
-        - working_roadmap
+        - local_roadmap
         - goal
         - path
         - path_status
@@ -81,8 +80,8 @@ def MakeTfgExplorer(
     these five may stay unconnected. base.velocity_commanded: forward speed (m/s) and turn rate (rad/s).
 
     For whoever wants to look: pose: PoseEstimate, map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
-    path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M. working_map:
-    WorkingMap and working_roadmap: Roadmap, as much of map, tfg and roadmap as planning needs at a stage.
+    path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M.
+    local_roadmap: Roadmap, as much of roadmap as planning needs at a stage.
     estimator_state: EstimatorState and tfg_graph: TfgGraph, what a map's file keeps besides; of an estimator of one's
     own that has no estimator_state the file keeps its map.
 
@@ -94,7 +93,7 @@ def MakeTfgExplorer(
         scenario: see Scenario.
         goal_selector: chooses where to go, in place of an InfoGainGoalSelector.
         estimator: in place of a SlamEstimator.
-        planner: in place of a PrmPlanner; without roadmap and working_roadmap where its goal_selector needs none.
+        planner: in place of a PrmPlanner; without roadmap and local_roadmap where its goal_selector needs none.
         follower: in place of a PurePursuitFollower.
 
     Raises:

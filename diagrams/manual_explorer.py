@@ -46,9 +46,8 @@ def MakeManualExplorer(
     wiring.Feed(estimator, "pose", tfg_builder, driver, planner, follower)
     wiring.Feed(estimator, "map", tfg_builder, driver, planner, sequencer)
     wiring.Feed(tfg_builder, "tfg", driver, planner, sequencer)
-    wiring.Feed(tfg_builder, "working_map", planner)
     wiring.Feed(planner, "roadmap", driver)
-    wiring.Feed(planner, "working_roadmap")
+    wiring.Feed(planner, "local_roadmap")
     for source, name in ((estimator, "estimator_state"), (tfg_builder, "tfg_graph"), (driver, "pressed")):
         wiring.Feed(source, name)
     wiring.Feed(driver, "goal", follower, sequencer)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
+
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, WorkingMap, message
-from tfg_drake.planning.candidates import GoalParameters
-from tfg_drake.planning.goal_choice import choose, empty_choice, remember
+from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, message
+from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
+from tfg_drake.planning.local import local, planning_radius
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
@@ -19,11 +21,9 @@ PERIOD = 1 / 16
 
 @message
 class _SelectorState:
-    """The choice at the newest stage, what all choices so far found worth remembering, and where somebody has sent the
-    robot."""
+    """The choice at the newest stage, and where somebody has sent the robot."""
 
     goal: GoalChoice
-    remembered: GoalChoice
     sent: Sent = Sent()
 
 
@@ -36,21 +36,20 @@ class InfoGainGoalSelector(LeafSystem):
         input_ports:
         - map
         - tfg
-        - working_map
         - roadmap
-        - working_roadmap
+        - local_roadmap
         - mission
         - recall
         - requested_goal
         output_ports:
         - goal
 
-    map: MapEstimate, tfg: TfgMap, working_map: WorkingMap, roadmap: Roadmap, working_roadmap: Roadmap, mission:
-    MissionStatus, goal: GoalChoice, all in M.
+    map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, local_roadmap: Roadmap, mission: MissionStatus, goal: GoalChoice,
+    all in M. local_roadmap: as much of roadmap as planning works on.
 
-    The goal is looked for in the working map; in the whole one where nothing there is worth going to, or only by a way
-    that is longer than to what may lie outside, and as long as the robot is on such a way. recall: (1,), 0 where it
-    is unconnected: above 0.5 the robot was called back, and no goal is worth going to any more.
+    On a large map the goal is looked for near the newest view first, see `tfg_drake.planning.goal_choice.choose_near`.
+    recall: (1,), 0 where it is unconnected: above 0.5 the robot was called back, and no goal is worth going to any
+    more.
     requested_goal: a RequestedGoal message, optional: where somebody has sent the robot, see
     tfg_drake.planning.requested_goal.
     """
@@ -69,51 +68,48 @@ class InfoGainGoalSelector(LeafSystem):
         self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
-        self._working_map = declare_message_input(self, "working_map")
-        self._working_roadmap = declare_message_input(self, "working_roadmap")
         self._roadmap = declare_message_input(self, "roadmap")
+        self._local_roadmap = declare_message_input(self, "local_roadmap")
         self._mission = declare_message_input(self, "mission")
         self._recall = self.DeclareVectorInputPort("recall", 1)
         self._requested = declare_message_input(self, "requested_goal")
-        self._state = MessageState(self, _SelectorState(empty_choice(), empty_choice()))
+        self._state = MessageState(self, _SelectorState(empty_choice()))
         self._state.declare_output(self, "goal", lambda now: now.goal)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def Choose(self, context: Context, goal: GoalChoice) -> None:
         """Makes this the newest choice in the system's context, as if the rule had come to it: its stage is that of the
         one that it replaces, its node one of the roadmap that can be reached."""
-        roadmap = eval_message(self._working_roadmap, context, Roadmap)
-        before = self._state(context)
-        remembered = remember(before.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
-        context.SetAbstractState(int(self._state.index), _SelectorState(goal, remembered, before.sent))
+        sent = self._state(context).sent
+        context.SetAbstractState(int(self._state.index), _SelectorState(goal, sent))
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission = eval_message(self._mission, context, MissionStatus)
         now = self._state(context)
         if mission.phase != "choose" or mission.stage <= now.goal.stage:
             return EventStatus.DidNothing()
-        working = eval_message(self._working_map, context, WorkingMap)
-        roadmap = eval_message(self._working_roadmap, context, Roadmap)
-        if not mission.stage == working.stage == roadmap.stage:
+        estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
+        near = eval_message(self._local_roadmap, context, Roadmap)
+        if not mission.stage == estimate.stage == tfg.stage == near.stage:
             return EventStatus.DidNothing()
-        chosen = self._Choose(context, now, working, roadmap)
+        chosen = _SelectorState(self._Choose(context, now.goal, estimate, tfg, near), now.sent)
         self._state.set(state, self._Send(context, chosen, mission))
         return EventStatus.Succeeded()
 
     @metered("goal")
-    def _Choose(self, context: Context, now: _SelectorState, working: WorkingMap, roadmap: Roadmap) -> _SelectorState:
-        # On a long way the robot weighs all there is against its goal.
+    def _Choose(
+        self, context: Context, previous: GoalChoice, estimate: MapEstimate, tfg: TfgMap, near: Roadmap
+    ) -> GoalChoice:
         recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
-        goal = None
-        if now.goal.node < 0 or _is_nearest(now.goal, roadmap, working.reach):
-            part = working.estimate, working.tfg, roadmap, self._parameters, now.remembered
-            goal = choose(*part, everything=working.is_all, recalled=recalled)
-        if goal is None or not (working.is_all or _is_nearest(goal, roadmap, working.reach)):
-            estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
-            roadmap = eval_message(self._roadmap, context, Roadmap)
-            goal = choose(estimate, tfg, roadmap, self._parameters, now.remembered, recalled=recalled)
-        remembered = remember(now.remembered, goal, roadmap, self._parameters.explorer.stop_gain)
-        return _SelectorState(goal, remembered, now.sent)
+        parameters, is_large = self._parameters, not estimate.is_joint
+        radius = planning_radius(estimate, parameters.explorer)
+        if math.isfinite(radius):
+            part = local(estimate, tfg, radius, parameters.sensor.range)
+            goal = choose_near(Situation(*part, near, parameters, is_large), previous, radius, recalled=recalled)
+            if goal is not None:
+                return goal
+        roadmap = eval_message(self._roadmap, context, Roadmap)
+        return choose(Situation(estimate, tfg, roadmap, parameters, is_large), previous, recalled=recalled)
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
         """The state with another goal, where somebody has sent the robot there."""
@@ -124,9 +120,4 @@ class InfoGainGoalSelector(LeafSystem):
         p_MA = eval_message(self._map, context, MapEstimate).X_MA[-1, :2]
         sent = where_sent(now.sent, requested, roadmap, mission, p_MA)
         goal = goal_there(now.goal, sent.node, roadmap) if sent.node >= 0 else now.goal
-        return _SelectorState(goal, now.remembered, sent)
-
-
-def _is_nearest(goal: GoalChoice, roadmap: Roadmap, reach: float) -> bool:
-    """Whether there is a goal, and nearer, as the robot drives, than anything beyond reach (m) can be."""
-    return goal.node >= 0 and bool(roadmap.reaches(np.array([goal.node]), reach)[0])
+        return _SelectorState(goal, sent)

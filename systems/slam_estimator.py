@@ -99,9 +99,7 @@ class SlamEstimator(LeafSystem):
         if mission.phase in ("observe", "glance") and estimator.turn is None and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
         elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:
-            explored = (
-                self._goal.HasValue(context) and eval_message(self._goal, context, GoalChoice).explored < math.inf
-            )
+            explored = self._goal.HasValue(context) and eval_message(self._goal, context, GoalChoice).is_explored
             estimator = end_turn(estimator, odometry.stamp, explored=explored)
         self._state.set(state, estimator)
         return EventStatus.Succeeded()

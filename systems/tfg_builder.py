@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, WorkingMap, message, replace
-from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
-from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, no_sightings, note_sightings, resolve
+from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
+from tfg_drake.tfg.graph import UnmappedSightings, empty_map, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
-from tfg_drake.tfg.submaps import Submaps
-from tfg_drake.tfg.working_map import empty_graphs, empty_working_map, update, whole_graph, working_map
 
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
 GLANCE_SCANS = 3
@@ -23,12 +20,11 @@ GLANCE_SCANS = 3
 
 @message
 class _BuilderState:
-    """The submaps of the graph, the map they were last resolved in, and the working map of that; since the last view,
-    scans of the running turn and tags sighted on the way."""
+    """The graph, and it resolved in the newest map; since the last view, scans of the running turn and tags sighted on
+    the way."""
 
-    graphs: Submaps[TfgGraph]
-    estimate: MapEstimate
-    working: WorkingMap
+    graph: TfgGraph
+    tfg: TfgMap
     scans: tuple[LaserScan, ...]
     sightings: UnmappedSightings
 
@@ -46,47 +42,36 @@ class TfgBuilder(LeafSystem):
         - mission
         output_ports:
         - tfg
-        - working_map
         - tfg_graph
 
-    scan: LaserScan, map: MapEstimate, pose: PoseEstimate, mission: MissionStatus. tfg: TfgMap, working_map: WorkingMap,
-    in M. tfg_graph: TfgGraph in the coordinates of its landmarks and views, for whoever keeps the map.
+    scan: LaserScan, map: MapEstimate, pose: PoseEstimate, mission: MissionStatus. tfg: TfgMap, in M. tfg_graph:
+    TfgGraph in the coordinates of its landmarks and views, for whoever keeps the map.
 
     tfg.stage follows map.stage one view at a time. A map that is more than one stage ahead raises ValueError: a view
-    was missed. working_map is the map and tfg of the same stage, as much of them as planning needs; of a large map the
-    whole tfg is made for whoever looks at it.
+    was missed.
     """
 
     def __init__(self, tags: TagSensorConfig, scan: ScanConfig, robot: RobotConfig, explorer: ExplorerConfig):
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
-        # All of a large map's graph is asked for again whenever the builder has taken note of a scan: once is enough.
-        self._Resolved = functools.lru_cache(maxsize=1)(
-            lambda graphs, estimate: resolve(whole_graph(graphs), estimate, robot, explorer)
-        )
         self._scan = declare_message_input(self, "scan")
         self._map = declare_message_input(self, "map")
         self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
         # One value: Drake copies every abstract state at every event of any system.
-        estimate = empty_map()
-        initial = _BuilderState(empty_graphs(), estimate, empty_working_map(estimate), (), no_sightings())
+        initial = _BuilderState(empty_graph(), empty_map(), (), no_sightings())
         self._state = MessageState(self, initial)
-        self._state.declare_output(self, "tfg", self._Whole)
-        self._state.declare_output(self, "working_map", lambda now: now.working)
-        self._state.declare_output(self, "tfg_graph", lambda now: whole_graph(now.graphs))
+        self._state.declare_output(self, "tfg", lambda now: now.tfg)
+        self._state.declare_output(self, "tfg_graph", lambda now: now.graph)
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
-
-    def _Whole(self, now: _BuilderState) -> TfgMap:
-        return now.working.tfg if now.working.is_all else self._Resolved(now.graphs, now.estimate)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = self._state(context)
         estimate = eval_message(self._map, context, MapEstimate)
         mission = eval_message(self._mission, context, MissionStatus)
-        if estimate.stage > now.estimate.stage:
+        if estimate.stage > now.graph.stage:
             after = self._AddView(now, estimate, mission.moving)
         else:
             after = self._Collect(context, now, mission.phase)
@@ -110,8 +95,7 @@ class TfgBuilder(LeafSystem):
     @metered("tfg")
     def _AddView(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
         panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
-        graphs = update(
-            now.graphs, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
+        graph = update(
+            now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
         )
-        working = working_map(graphs, estimate, panorama, self._robot, self._explorer)
-        return _BuilderState(graphs, estimate, working, (), no_sightings())
+        return _BuilderState(graph, resolve(graph, estimate, self._robot, self._explorer), (), no_sightings())

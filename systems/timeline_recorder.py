@@ -22,9 +22,9 @@ from tfg_drake.messages import (
     PoseEstimate,
     Roadmap,
     TfgMap,
-    WorkingMap,
 )
 from tfg_drake.pictures import scene, tables
+from tfg_drake.planning.local import local
 from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
@@ -32,6 +32,7 @@ from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.ports import declare_message_input, eval_optional
+from tfg_drake.tfg.near import radius_of, within
 
 # Poses a simulated second, and how many of them to a scan and to a look at what changes seldom: the page draws what
 # lies between.
@@ -50,11 +51,10 @@ _MESSAGES = {
     "scan": LaserScan,
     "people": People,
     "pushes": Pushes,
-    "working_map": WorkingMap,
-    "working_roadmap": Roadmap,
+    "local_roadmap": Roadmap,
 }
-# What is made anew of all of a large map for whoever asks for it, and how seldom it is asked for: bytes a simulated
-# second, so that a larger one is made less often.
+# What is written of all of a large map, and how seldom: bytes a simulated second, so that a larger one is written less
+# often. Between, what is near the newest view is.
 _WHOLE = ("map", "tfg", "roadmap")
 _WHOLE_RATE = 40e3
 # The layers of a message that has several.
@@ -95,18 +95,17 @@ class TimelineRecorder(LeafSystem):
         - scan
         - people
         - pushes
-        - working_map
-        - working_roadmap
+        - local_roadmap
         - enabled
         - truth
 
     map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice, path: Path, grid: GridMap, mission:
-    MissionStatus, pose: PoseEstimate, working_map: WorkingMap, working_roadmap: Roadmap, all in M. scan: LaserScan.
-    people: People, in W. pushes: Pushes, what somebody does to the base.
+    MissionStatus, pose: PoseEstimate, local_roadmap: Roadmap, all in M. scan: LaserScan. people: People, in W. pushes:
+    Pushes, what somebody does to the base.
 
     Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
-    whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a map so large that planning works on a
-    part of it, only that part is asked for and written at every stage, and all of it now and then.
+    whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a large map only what is near the
+    newest view is written at every stage, and all of it now and then.
 
     It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file.
     """
@@ -151,7 +150,7 @@ class TimelineRecorder(LeafSystem):
         """Nothing has been written."""
         self._newest: dict[str, object] = {}  # what stands in the file
         self._stars: dict[int, FloatArray] = {}  # the same, of each view
-        self._whole_due: dict[str, float] = {}  # when all of a large map is asked for again
+        self._whole_due: dict[str, float] = {}  # when all of a large map is written again
         self._count = 0
 
     def _WriteAll(self, context: Context) -> EventStatus:
@@ -181,11 +180,11 @@ class TimelineRecorder(LeafSystem):
 
     def _Look(self, context: Context, now: float, everything: bool) -> None:
         """Writes what has changed since the last look; everything: also what has been written too much lately."""
-        working = self._Get(context, "working_map")
-        is_large = working is not None and not working.is_all
+        estimate, tfg = self._Get(context, "map"), self._Get(context, "tfg")
+        is_large = estimate is not None and not estimate.is_joint
         for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "pushes", "mission"):
-            is_made = is_large and name in _WHOLE
-            if is_made and not everything and (now < self._whole_due.get(name, now) or not self._IsDue(name, now)):
+            is_whole = is_large and name in _WHOLE
+            if is_whole and not everything and (now < self._whole_due.get(name, now) or not self._IsDue(name, now)):
                 continue
             message = self._Get(context, name)
             before = self._newest.get(name)
@@ -196,10 +195,10 @@ class TimelineRecorder(LeafSystem):
             if everything or self._IsDue(name, now):
                 self._newest[name] = message
                 self._WriteMessage(name, message, now, context)
-        is_new = is_large and working is not self._newest.get("working_map")
+        is_new = is_large and tfg is not None and tfg is not self._newest.get("near") and tfg.stage == estimate.stage
         if is_new and (everything or (self._IsDue("map", now) and self._IsDue("tfg", now))):
-            self._newest["working_map"] = working
-            self._WriteNear(working, now)
+            self._newest["near"] = tfg
+            self._WriteNear(estimate, tfg, now)
 
     def _IsDue(self, name: str, now: float) -> bool:
         return all(self._writer.is_due(layer, now) for layer in _LAYERS.get(name, (name,)))
@@ -216,9 +215,8 @@ class TimelineRecorder(LeafSystem):
             self._WriteRows("nodes", now, tables.nodes(message))
             self._WriteRows("roadmap", now, tables.edges(message))
         elif name == "goal":
-            working = self._Get(context, "working_map")
-            near = working is not None and not working.is_all
-            roadmap = self._Get(context, "working_roadmap" if near else "roadmap")
+            near = self._Get(context, "local_roadmap")
+            roadmap = self._Get(context, "roadmap") if near is None else near
             there = {**scene.goal(message), **(scene.tour(message, roadmap) if roadmap is not None else {})}
             told = {"verdict": message.verdict, "reason": message.reason, "stage": message.stage}
             told |= {"sent": message.reason == REASON, "most": round(float(message.gain.max(initial=0.0)), 4)}
@@ -236,12 +234,15 @@ class TimelineRecorder(LeafSystem):
             told = {"phase": message.phase, "stage": message.stage, "outcome": message.outcome}
             write("mission", now, {}, **told, reason=message.reason, drives=message.drives)
 
-    def _WriteNear(self, working: WorkingMap, now: float) -> None:
-        """What is round the newest view, as far as it is all there."""
-        near = Near(working.estimate.X_MA[-1, :2], working.reach)
-        self._WriteMap(working.estimate, now, near)
-        self._WriteTfg(working.tfg, working.estimate, now, near)
-        self._WriteStars(working.tfg, working.views, now)
+    def _WriteNear(self, estimate: MapEstimate, tfg: TfgMap, now: float) -> None:
+        """What is near the newest view."""
+        here, radius = estimate.X_MA[-1, :2], radius_of(estimate)
+        near = Near(here, radius)
+        views = np.flatnonzero(within(tfg.star_centers, here, radius))
+        estimate, tfg = local(estimate, tfg, radius, 0.0)
+        self._WriteMap(estimate, now, near)
+        self._WriteTfg(tfg, estimate, now, near)
+        self._WriteStars(tfg, views, now)
 
     def _WriteMap(self, estimate: MapEstimate, now: float, near: Near) -> None:
         told = {"stage": estimate.stage, "entropy": estimate.entropy, "views": len(estimate.X_MA)}

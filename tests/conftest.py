@@ -92,7 +92,7 @@ def small_map():
     from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
     from tfg_drake.slam.map_solver import solve
     from tfg_drake.slam.map_update import updated
-    from tfg_drake.tfg import graph as tfg
+    from tfg_drake.tfg import feature_graph
     from tfg_drake.tfg.frontier import points_of
     from tfg_drake.tfg.surfaces import Surfaces
 
@@ -130,7 +130,7 @@ def small_map():
     )
     star = np.array([[1.5, -1.0], [1.5, 1.0], [-1.0, 1.5], [-1.0, -1.0]])
     tfg_graph = dataclasses.replace(
-        tfg.empty_graph(),
+        feature_graph.empty_graph(),
         stage=2,
         surfaces=surfaces,
         tag_ids=estimate.ids,

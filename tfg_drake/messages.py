@@ -260,36 +260,6 @@ class TfgMap:
 
 
 @message
-class WorkingMap:
-    """The map and TFG that planning works on: all of a small map, the active submaps of a large one.
-
-    estimate: with the landmarks of that part only, and all views. tfg: resolved with it, row for row. active: (k,) the
-    views whose surfaces and stars are in it. reach: m round the newest view, within which only weakly tied places are
-    missing; no frontier lies farther away.
-    """
-
-    estimate: MapEstimate
-    tfg: TfgMap
-    active: BoolArray
-    reach: float = math.inf
-
-    @property
-    def stage(self) -> int:
-        """Number of views in it."""
-        return self.tfg.stage
-
-    @property
-    def is_all(self) -> bool:
-        """Whether nothing of the map is left out."""
-        return bool(self.active.all())
-
-    @property
-    def views(self) -> IntArray:
-        """The active views (a,)."""
-        return np.flatnonzero(self.active)
-
-
-@message
 class GridMap:
     """An occupancy grid in the map frame, of the baselines that keep one.
 
@@ -369,7 +339,7 @@ class GoalChoice:
     in at the goal, without any all round. looked_again: (t,) ids of the nodes to which the robot has gone back before
     the mission ends, for a passage that was too narrow or a tag that is doubtful.
     longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget.
-    explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone.
+    explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone; else inf.
     tour: (s,) ids of the candidates to be visited in this order, the goal first; empty where no tour was planned.
     """
 
@@ -391,6 +361,11 @@ class GoalChoice:
     explored: float = math.inf
     longest_way: float = math.inf
     tour: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def is_explored(self) -> bool:
+        """Whether nothing is left to explore: then landmarks all over a large map are to be known jointly."""
+        return math.isfinite(self.explored)
 
 
 @message

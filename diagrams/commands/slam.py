@@ -33,7 +33,8 @@ from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.storage.trajectory import write_tum
-from tfg_drake.tfg.graph import empty_graph, empty_map
+from tfg_drake.tfg.feature_graph import empty_graph
+from tfg_drake.tfg.graph import empty_map
 
 _log = logging.getLogger("tfg_drake.slam_command")
 

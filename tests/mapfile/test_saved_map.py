@@ -79,7 +79,8 @@ def test_a_map_without_landmarks_can_be_kept(tmp_path, small_map):
 
 
 def no_surfaces(saved, stage):
-    from tfg_drake.tfg.graph import empty_graph, empty_map
+    from tfg_drake.tfg.feature_graph import empty_graph
+    from tfg_drake.tfg.graph import empty_map
 
     offsets = np.zeros(stage + 1, dtype=np.int64)
     return {

@@ -3,8 +3,8 @@ import pytest
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.candidates import GoalParameters
-from tfg_drake.planning.goal_choice import choose, empty_choice
+from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
@@ -32,7 +32,7 @@ def explored(at, tags=TAGS, places=PLACES):
 
 def test_the_robot_looks_once_more_from_straight_before_each_tag_in_sight_the_nearest_first():
     choice, at, order = empty_choice(), 0.0, []
-    while (choice := choose(*explored(at), PARAMETERS, choice)).verdict == "goal":
+    while (choice := choose(Situation(*explored(at), PARAMETERS), choice)).verdict == "goal":
         at = choice.p_MG[0] + 0.2
         order.append((choice.p_MG.tolist(), choice.reason))
     reason = "Tag {} is doubtful: it looks at it once more."
@@ -41,14 +41,15 @@ def test_the_robot_looks_once_more_from_straight_before_each_tag_in_sight_the_ne
 
 
 def test_on_the_way_there_it_stays_the_goal():
-    first = choose(*explored(0.0), PARAMETERS, empty_choice())
-    assert choose(*explored(-1.0), PARAMETERS, first).node == first.node
+    first = choose(Situation(*explored(0.0), PARAMETERS), empty_choice())
+    assert choose(Situation(*explored(-1.0), PARAMETERS), first).node == first.node
 
 
 @pytest.mark.parametrize("tags", [[], [12]])
 def test_where_no_tag_is_doubtful_or_in_sight_the_mission_ends(tags):
     rows = np.isin(TAGS, tags)
-    assert choose(*explored(0.0, TAGS[rows], PLACES[rows]), PARAMETERS, empty_choice()).verdict == "complete"
+    now = Situation(*explored(0.0, TAGS[rows], PLACES[rows]), PARAMETERS)
+    assert choose(now, empty_choice()).verdict == "complete"
 
 
 def test_what_was_seen_where_another_tag_hangs_was_misread():
@@ -56,14 +57,15 @@ def test_what_was_seen_where_another_tag_hangs_was_misread():
     estimate = replace(estimate, ids=np.array([3]), p_ML=PLACES[:1] + 0.1, local=np.zeros(1, dtype=np.int64))
     estimate = replace(estimate, covariance=1e-4 * np.eye(5), landmark_covariance=1e-4 * np.eye(2)[None])
     tfg = replace(tfg, facing=np.array([[0.0, -1.0]]))
-    assert choose(estimate, tfg, roadmap, PARAMETERS, empty_choice()).verdict == "complete"
+    assert choose(Situation(estimate, tfg, roadmap, PARAMETERS), empty_choice()).verdict == "complete"
 
 
-def test_of_a_part_of_the_map_no_tag_is_looked_at_again():
-    assert choose(*explored(0.0), PARAMETERS, empty_choice(), everything=False).verdict == "complete"
+def test_by_what_is_near_alone_no_tag_is_looked_at_again():
+    assert choose_near(Situation(*explored(0.0), PARAMETERS), empty_choice(), 20.0) is None
 
 
 def test_the_robot_looks_again_where_the_budget_allows_it():
     parameters = replace(PARAMETERS, explorer=ExplorerConfig(budget_distance=3.0))
-    choice = choose(*explored(0.0), parameters, choose(*explored(-2.0), parameters, empty_choice()))
+    before = choose(Situation(*explored(-2.0), parameters), empty_choice())
+    choice = choose(Situation(*explored(0.0), parameters), before)
     assert choice.verdict == "complete"

@@ -4,7 +4,7 @@ import pytest
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
-from tfg_drake.planning.goal_choice import choose, empty_choice
+from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam import keyframe_graph
@@ -77,15 +77,15 @@ def test_nothing_barred_is_nowhere_to_go():
 def test_a_mission_is_stuck_only_after_the_robot_has_looked_again():
     choice = empty_choice()
     for at, node in ((0.0, 9), (6.0, 1)):
-        choice = choose(*two_passages(at), PARAMETERS, choice)
+        choice = choose(Situation(*two_passages(at), PARAMETERS), choice)
         assert (choice.verdict, choice.node) == ("goal", node)
         assert choice.reason.endswith(" nats lie behind a passage that was too narrow: it looks once more.")
-    choice = choose(*two_passages(-10.0), PARAMETERS, choice)
+    choice = choose(Situation(*two_passages(-10.0), PARAMETERS), choice)
     assert (choice.verdict, choice.node) == ("stuck", -1)
 
 
-def test_of_a_part_of_the_map_nothing_is_looked_at_again():
-    assert choose(*two_passages(), PARAMETERS, empty_choice(), everything=False).verdict == "stuck"
+def test_by_what_is_near_alone_no_passage_is_looked_at_again():
+    assert choose_near(Situation(*two_passages(), PARAMETERS), empty_choice(), 20.0) is None
 
 
 @pytest.mark.parametrize(("metres", "node"), [(20.0, 9), (9.0, 5), (5.0, -1)])
@@ -93,7 +93,7 @@ def test_the_robot_goes_back_where_the_budget_allows_it(metres, node):
     budget = ExplorerConfig(budget_distance=metres)
     estimate, tfg, roadmap = two_passages()
     roadmap = replace(roadmap, entry=np.append(np.arange(11), [5, 9]))
-    choice = choose(estimate, tfg, roadmap, replace(PARAMETERS, explorer=budget), empty_choice())
+    choice = choose(Situation(estimate, tfg, roadmap, replace(PARAMETERS, explorer=budget)), empty_choice())
     assert choice.node == node
     if node < 0:
         reason = f"{metres:.0f} m of the budget were too little for another goal."

@@ -5,21 +5,35 @@ import numpy as np
 from tests.planning.test_path import returns
 from tests.planning.test_roadmap import PARAMETERS, build, known, nearest, two_rooms
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import LaserScan, MissionStatus, PoseEstimate, Roadmap, WorkingMap, replace
+from tfg_drake.messages import LaserScan, MissionStatus, PoseEstimate, Roadmap, replace
 from tfg_drake.planning import planner
 from tfg_drake.planning.candidates import frontier_in_sight
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.planner import (
+    Now,
+    extended,
     grow,
     initial_state,
+    looked,
     make_roadmap,
     obstacles_in_map,
-    step,
+    planned,
+    watched,
     with_frontiers,
 )
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
+
+
+def step(state, now):
+    """The planner's state after one look at the newest messages."""
+    state = looked(state, now)
+    for due in (extended, planned, watched):
+        after = due(state, now)
+        if after is not state:
+            return after
+    return state
 
 
 def test_a_past_view_is_no_place_to_see_a_frontier_from():
@@ -65,7 +79,7 @@ def test_what_the_robot_drives_while_it_glances_is_travelled():
             star_vertices=np.vstack([A[:2] + circle for A in X_MA[:k]]),
             star_centers=X_MA[:k, :2],
         )
-        state = grow(state, WorkingMap(estimate, tfg, np.ones(k, dtype=bool)), parameters)
+        state = grow(state, estimate, tfg, parameters)
     a, b = state.nodes.points[state.nodes.edges.nodes[state.nodes.edges.travelled]].transpose(1, 0, 2)
     np.testing.assert_allclose(np.sort(np.append(a[:, 0], b[:, 0]))[[0, -1]], [0.0, X_MD[2, 0]], atol=0.15)
     assert np.hypot(*(a - b).T).sum() > 1.5
@@ -86,7 +100,7 @@ def test_a_roadmap_of_what_is_explored_stays_as_small_as_it_is():
                 frontier_length=np.array([length]),
                 frontier_normal=np.array([[1.0, 0.0]]),
             )
-            state = grow(state, WorkingMap(estimate, tfg, np.ones(k, dtype=bool)), PARAMETERS)
+            state = grow(state, estimate, tfg, PARAMETERS)
             counts.append(len(state.nodes.points))
         return np.diff(counts).tolist()
 
@@ -95,24 +109,29 @@ def test_a_roadmap_of_what_is_explored_stays_as_small_as_it_is():
     assert sum(grown(8 * [1.0])[1:]) > 7
 
 
-def watched(path, X_MB, speed, scan, X_MA):
+def seen_on_the_way(path, X_MB, speed, scan, X_MA):
     """The planner's state, and its map, after a look at a scan on its way along a path from the newest view."""
     stage = len(X_MA)
     estimate = replace(keyframe_graph.empty_map(), stage=stage, X_MA=X_MA, X_MD=X_MA[-1])
     state = initial_state()
-    parts = replace(state.parts, active=replace(state.parts.active, stage=stage))
-    state = replace(state, parts=parts, path=replace(state.path, id=1, stage=stage, points=path))
+    tfg = replace(empty_map(), stage=stage)
+    state = replace(
+        state,
+        nodes=replace(state.nodes, stage=stage),
+        estimate=estimate,
+        tfg=tfg,
+        path=replace(state.path, id=1, stage=stage, points=path),
+    )
     pose = PoseEstimate(1.0, X_MB, np.eye(3), speed, stage, np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     mission = MissionStatus("follow", stage, 0.0, path_id=1)
-    working = WorkingMap(estimate, replace(empty_map(), stage=stage), np.ones(stage, dtype=bool))
     choice = replace(empty_choice(), stage=stage)
-    return step(state, working, lambda: (estimate, working.tfg), pose, choice, scan, mission, PARAMETERS), estimate
+    return step(state, Now(estimate, tfg, pose, choice, scan, mission, PARAMETERS)), estimate
 
 
 def test_what_is_met_is_kept_where_it_stands_seen_from_the_newest_view():
     X_MA = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 0.5 * np.pi]])
     path = np.stack([np.full(31, 2.0), np.linspace(1.0, 4.0, 31)], axis=1)
-    state, estimate = watched(path, np.array([2.0, 1.5, 0.5 * np.pi]), np.zeros(2), returns(1.2), X_MA)
+    state, estimate = seen_on_the_way(path, np.array([2.0, 1.5, 0.5 * np.pi]), np.zeros(2), returns(1.2), X_MA)
     assert not state.status.free
     met = obstacles_in_map(state, estimate)
     fronts = met[: len(met) // 2]
@@ -125,8 +144,8 @@ def test_a_scan_is_placed_by_the_pose_at_its_stamp():
     path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
     # The robot turns to the left: what it sees to its right is on the path by then.
     turning, scan = np.array([0.0, 1.0]), returns(1.0, bearing=-0.4, stamp=1.4)
-    assert not watched(path, np.zeros(3), turning, scan, np.zeros((1, 3)))[0].status.free
-    assert watched(path, np.zeros(3), np.zeros(2), scan, np.zeros((1, 3)))[0].status.free
+    assert not seen_on_the_way(path, np.zeros(3), turning, scan, np.zeros((1, 3)))[0].status.free
+    assert seen_on_the_way(path, np.zeros(3), np.zeros(2), scan, np.zeros((1, 3)))[0].status.free
 
 
 def test_the_way_home_is_measured_from_where_the_robot_began():
@@ -149,8 +168,7 @@ def before_a_door(blocked):
     state = initial_state()
     for k in range(1, len(views) + 1):
         estimate, tfg = known(two_rooms(), views[:k])
-        working = WorkingMap(estimate, tfg, np.ones(k, dtype=bool))
-        state = grow(state, working, PARAMETERS)
+        state = grow(state, estimate, tfg, PARAMETERS)
     in_A = np.array([[2.0, -0.4, 2.0, 0.4]])
     if blocked:
         state = replace(state, obstacles=in_A, obstacle_view=np.array([2]))
@@ -166,7 +184,7 @@ def before_a_door(blocked):
         mission = MissionStatus("plan", 3, 0.0, path_id=state.path.id)
         angles = np.linspace(-1.0, 1.0, 201)
         scan = LaserScan(time, angles, np.full(201, distance), 10.0, 0.015)
-        state = step(state, working, lambda: (estimate, tfg), pose, goal, scan, mission, PARAMETERS)
+        state = step(state, Now(estimate, tfg, pose, goal, scan, mission, PARAMETERS))
         return state
 
     return step_at

@@ -141,7 +141,7 @@ def test_is_the_same_every_time():
     first, second = (build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])[0] for _ in range(2))
     for one, other in ((first, second), (first.edges, second.edges)):
         for name, value in vars(one).items():
-            if name not in ("edges", "links"):
+            if name != "edges":
                 np.testing.assert_array_equal(value, getattr(other, name))
 
 
@@ -223,7 +223,7 @@ def test_harder_tries_put_nodes_in_a_passage_though_others_are_near():
     place = np.array([[-0.2, 0.0]])
     state = replace(
         empty_roadmap(), ids=np.array([0]), next_id=1, anchor=np.array([0]), p_AN=place - [-4.0, 0.0],
-        points=place, sigma=np.array([0.02]), known_jointly=np.array([False]),
+        points=place, sigma=np.array([0.02]),
     )  # fmt: skip
     for effort, expected in ((0, False), (1, True)):
         points = extend(state, tfg, estimate, PARAMETERS, effort=effort).points
@@ -274,7 +274,6 @@ def test_further_efforts_leave_the_way_driven_where_it_ended():
         points=np.vstack([state.points, state.points[here]]),
         ids=np.append(state.ids, state.next_id),
         next_id=state.next_id + 1,
-        known_jointly=np.append(state.known_jointly, True),
     )
     assert extend(moved, tfg, estimate, PARAMETERS, effort=1).way_end == end
 
@@ -513,7 +512,6 @@ def test_an_old_node_without_room_keeps_none_from_the_middle_of_a_narrow_door():
         p_AN=np.array([[0.0, 0.07]]) - [-4.0, 0.0],
         points=np.array([[0.0, 0.07]]),
         sigma=np.zeros(1),
-        known_jointly=np.zeros(1, dtype=bool),
     )
     estimate, tfg = known(two_rooms(0.5), [(-4, 0, 0)])
     state = extend(state, tfg, estimate, PARAMETERS)

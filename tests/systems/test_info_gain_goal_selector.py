@@ -6,10 +6,9 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import MissionStatus, Roadmap, TfgMap, WorkingMap
+from tfg_drake.messages import MissionStatus, Roadmap, TfgMap
 from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
 from tfg_drake.planning.candidates import time_all_round, time_at_goal
-from tfg_drake.planning.goal_choice import empty_choice, remember
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.slam.keyframe_graph import empty_map
@@ -65,16 +64,11 @@ class Selector:
                  mission=MissionStatus("observe", 0, 0.0))  # fmt: skip
 
     def set(self, **messages):
-        """Nothing rests: what is worked on is the whole."""
+        """All of the map is near."""
         self.now |= messages
-        estimate, tfg = self.now["map"], self.now["tfg"]
-        messages |= {
-            "working_map": WorkingMap(estimate, tfg, np.ones(tfg.stage, dtype=bool)),
-            "working_roadmap": self.now["roadmap"],
-        }
-        self.set_part(**messages)
+        self.fix(**messages, local_roadmap=self.now["roadmap"])
 
-    def set_part(self, **messages):
+    def fix(self, **messages):
         for name, value in messages.items():
             self.system.GetInputPort(name).FixValue(self.context, AbstractValue.Make(value))
 
@@ -213,10 +207,8 @@ def test_of_a_large_map_the_robot_looks_once_before_it_knows_where_to_look_again
         now = {"map": dataclasses.replace(estimate, stage=stage, stamp=100.0 * stage), "roadmap": roadmap(stage)}
         selector.ready(**now, tfg=dataclasses.replace(closed, stage=stage), mission=MissionStatus("choose", stage, 0.0))
         goals.append(selector.goal())
-    assert [goal.verdict for goal in goals] == ["goal", verdict]
+    assert [goal.verdict for goal in goals] == ["look", verdict]
     assert [goal.explored for goal in goals] == [100.0, 100.0]
-    there = roadmap()
-    assert there.travel_time[goals[0].node] == there.travel_time.min()
     if verdict == "goal":
         assert goals[1].value[0] > 1.0
 
@@ -318,20 +310,16 @@ def test_on_its_way_the_robot_is_not_turned_round_by_what_comes_into_sight_far_a
         assert (np.cos(goal.look) < 0.0 if goes_on else np.cos(goal.look) > 0.0).all()
 
 
-def test_a_goal_by_a_way_longer_than_the_working_map_reaches_is_weighed_against_all_of_the_map():
-    estimate, tfg = half_known_room()
+def test_a_goal_by_a_way_longer_than_to_what_is_not_near_is_weighed_against_all_of_the_map():
     there = roadmap()
-    # By the working map alone the robot would go elsewhere.
+    # By what is near alone the robot would go elsewhere.
     other = dataclasses.replace(there, travel_time=np.where(there.reachable, 40.0 - there.travel_time, np.inf))
     chosen = []
-    for length in (9.0, 11.0):
+    for length in (19.0, 21.0):
         selector = Selector(goal="nearest_frontier")
-        selector.ready()
+        selector.ready(map=large_room()[0])
         here = dataclasses.replace(other, travel_length=np.full(len(there.points), length))
-        selector.set_part(
-            working_map=WorkingMap(estimate, tfg, np.zeros(1, dtype=bool), 10.0),
-            working_roadmap=with_frontiers(here, estimate, tfg, TagSensorConfig()),
-        )
+        selector.fix(local_roadmap=with_frontiers(here, *large_room(), TagSensorConfig()))
         chosen.append(selector.goal().node)
     alone = Selector(goal="nearest_frontier")
     alone.ready()
@@ -430,41 +418,18 @@ def test_a_sliver_far_off_promises_more_than_nothing_as_the_robot_finds_its_plac
     assert (goal.exploitation == 0.0).all()
 
 
-def from_near_to_far(**changed):
-    """The choice where all is known jointly, the next, where the northern tag is not any more and the TFG has changed,
-    and which candidates of that are far off, as they see the tag."""
-    selector = Selector(revisit=False)
-    selector.ready()
-    before = selector.goal()
-    estimate, tfg = half_known_room()
-    estimate = dataclasses.replace(
-        estimate, stage=2, local=np.arange(2), covariance=np.diag([1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
-    )
-    tfg = dataclasses.replace(tfg, stage=2, **changed)
-    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
-    after = selector.goal()
-    return before, after, np.hypot(*(roadmap().points[after.candidates] - [0.0, 4.0]).T) <= 5.0
-
-
-def test_far_off_a_place_promises_what_it_did_when_the_robot_was_near():
-    before, after, far = from_near_to_far()
-    assert after.stage == 2
-    np.testing.assert_array_equal(after.candidates, before.candidates)
-    assert 0 < far.sum() < len(far)
-    for name in ("exploitation", "exploration", "pose_price"):
-        np.testing.assert_array_equal(getattr(after, name)[far], getattr(before, name)[far])
-    assert np.all(after.exploitation[~far] != before.exploitation[~far])
-
-
-def part_of_the_room(stage=1, closed=True):
-    """A part of the map in which nothing is open, or all of it, with a third of the roadmap's nodes."""
+def large_room(stage=1):
+    """The room as a part of a large map: not all of it is known jointly. What is known is known well."""
     estimate, tfg = (dataclasses.replace(message, stage=stage) for message in half_known_room())
-    if closed:
-        estimate = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9))
-        tfg = dataclasses.replace(tfg, frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
-    near = np.flatnonzero(roadmap().points[:, 0] < -1.0)
-    part = with_frontiers(named(roadmap(stage), near), estimate, tfg, TagSensorConfig())
-    return {"working_map": WorkingMap(estimate, tfg, np.zeros(stage, dtype=bool)), "working_roadmap": part}
+    return dataclasses.replace(estimate, local=np.arange(2), covariance=1e-6 * np.eye(7)), tfg
+
+
+def western_nodes(stage=1, sees=True):
+    """A third of the roadmap's nodes; they see what is open, or nothing."""
+    part = named(roadmap(stage), np.flatnonzero(roadmap().points[:, 0] < -1.0))
+    if sees:
+        return with_frontiers(part, *large_room(stage), TagSensorConfig())
+    return dataclasses.replace(part, frontier_offsets=np.zeros(len(part.points) + 1, dtype=np.int64))
 
 
 def named(of, nodes):
@@ -473,11 +438,17 @@ def named(of, nodes):
     return dataclasses.replace(of, **{name: getattr(of, name)[nodes] for name in fields}, ids=nodes)
 
 
+def at_stage(stage):
+    """All that a selector is given at a stage of a large map."""
+    estimate, tfg = large_room(stage)
+    return {"map": estimate, "tfg": tfg, "roadmap": roadmap(stage), "mission": MissionStatus("choose", stage, 1.0)}
+
+
 def test_where_nothing_near_is_worth_going_to_all_of_the_map_is_looked_at():
     selector, alone = Selector(), Selector()
     for each in (selector, alone):
-        each.ready()
-    selector.set_part(**part_of_the_room())
+        each.ready(**at_stage(1))
+    selector.fix(local_roadmap=western_nodes(sees=False))
     goal, without = selector.goal(), alone.goal()
     assert (goal.verdict, goal.node) == ("goal", without.node)
     np.testing.assert_array_equal(goal.p_MG, without.p_MG)
@@ -485,75 +456,47 @@ def test_where_nothing_near_is_worth_going_to_all_of_the_map_is_looked_at():
 
 def test_what_is_worth_going_to_nearby_is_gone_to_first():
     selector = Selector()
-    selector.ready()
-    selector.set_part(**part_of_the_room(closed=False))
+    selector.ready(**at_stage(1))
+    selector.fix(local_roadmap=western_nodes())
     goal = selector.goal()
     assert goal.verdict == "goal"
-    assert roadmap().points[goal.node][0] < -1.0
     assert (roadmap().points[goal.candidates][:, 0] < -1.0).all()
     np.testing.assert_array_equal(goal.p_MG, roadmap().points[goal.node])
 
 
+@pytest.mark.parametrize("settings", [{"goal": "argmax"}, {"goal": "random"}, {"return_home": True}])
+def test_where_all_of_the_map_is_asked_at_every_stage_what_is_near_does_not_come_first(settings):
+    selector = Selector(**settings)
+    selector.ready(**at_stage(1))
+    selector.fix(local_roadmap=western_nodes())
+    assert (roadmap().points[selector.goal().candidates][:, 0] >= -1.0).any()
+
+
 def test_on_the_way_to_a_far_goal_all_of_the_map_is_weighed():
-    selector = Selector()
-    selector.ready()
-    selector.set_part(**part_of_the_room())
-    far = selector.goal()
-    assert roadmap().points[far.node][0] >= -1.0
-    estimate, tfg = (dataclasses.replace(message, stage=2) for message in half_known_room())
-    selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
-    selector.set_part(**part_of_the_room(2, closed=False))
-    goal = selector.goal()
-    assert (goal.stage, goal.node) == (2, far.node)
-    assert len(goal.candidates) == len(far.candidates)
+    selector = Selector(goal="nearest_frontier")
+    eastern = roadmap().points[:, 0] > 0.0
+    selector.ready(**at_stage(1) | {"roadmap": dataclasses.replace(roadmap(), reachable=roadmap().reachable & eastern)})
+    selector.fix(local_roadmap=western_nodes(sees=False))
+    assert eastern[selector.goal().node]
+    selector.ready(**at_stage(2))
+    selector.fix(local_roadmap=western_nodes(2))
+    assert eastern[selector.goal().candidates].any()
 
 
 def test_on_a_long_way_to_a_goal_nearby_all_of_the_map_is_weighed():
-    there = roadmap()
-    near = there.points[:, 0] < -1.0
+    near = roadmap().points[:, 0] < -1.0
     weighed = []
-    for length in (9.0, 11.0):
+    for length in (19.0, 21.0):
         selector = Selector()
-        selector.ready()
+        selector.ready(**at_stage(1))
         before = selector.goal().node
-        assert not near[before]
+        selector.ready(**at_stage(2))
         part = named(roadmap(2), np.union1d(np.flatnonzero(near), [before]))
-        # By itself the part would have the robot go elsewhere now.
-        time, way = (np.where(part.ids == before, far, 1.0) for far in (100.0, length))
-        part = dataclasses.replace(part, travel_time=np.where(part.reachable, time, np.inf), travel_length=way)
-        estimate, tfg = (dataclasses.replace(message, stage=2) for message in half_known_room())
-        selector.ready(map=estimate, tfg=tfg, roadmap=roadmap(2), mission=MissionStatus("choose", 2, 1.0))
-        working = WorkingMap(estimate, tfg, np.zeros(2, dtype=bool), 10.0)
-        selector.set_part(working_map=working, working_roadmap=with_frontiers(part, estimate, tfg, TagSensorConfig()))
+        part = dataclasses.replace(part, travel_length=np.where(part.ids == before, length, 1.0))
+        selector.fix(local_roadmap=with_frontiers(part, *large_room(2), TagSensorConfig()))
         weighed.append(selector.goal().candidates)
     assert (near[weighed[0]] | (weighed[0] == before)).all()
     assert (~near[weighed[1]]).sum() > 1
-
-
-def test_what_promised_enough_is_remembered_while_it_rests():
-    before = dataclasses.replace(
-        empty_choice(),
-        candidates=np.array([3, 8, 20, 30]),
-        **{name: np.array([50.0, 60.0, 5.0, 70.0]) for name in ("exploitation", "exploration", "pose_price")},
-        gain=np.array([50.0, 60.0, 5.0, 70.0]),
-        value=np.zeros(4),
-    )
-    now = dataclasses.replace(
-        empty_choice(),
-        node=5,
-        candidates=np.array([5, 9]),
-        **{name: np.ones(2) for name in ("exploitation", "exploration", "pose_price", "gain", "value")},
-    )
-    # Node 3 is within reach and no candidate any more, 20 promised too little, 30 is near but out of reach.
-    part = named(roadmap(), np.array([3, 5, 9, 11, 30]))
-    part = dataclasses.replace(part, reachable=np.array([True, True, True, True, False]))
-    kept = remember(before, now, part, 20.0)
-    assert kept.candidates.tolist() == [5, 8, 9, 30]
-    assert kept.gain.tolist() == [1.0, 60.0, 1.0, 70.0]
-    assert kept.exploitation.tolist() == [1.0, 60.0, 1.0, 70.0]
-    assert kept.node == 5
-    everywhere = dataclasses.replace(roadmap(), reachable=np.ones(49, dtype=bool))
-    assert remember(kept, now, everywhere, 20.0).candidates.tolist() == [5, 9]
 
 
 STAY = time_at_goal(TagSensorConfig(), ExplorerConfig())
@@ -634,11 +577,3 @@ def test_denser_landmarks_are_expected_to_bring_more():
         selector.ready()
         gains.append(selector.goal().exploration)
     assert (gains[1] > 1.5 * gains[0]).all()
-
-
-def test_far_off_a_place_promises_nothing_of_a_frontier_that_is_gone():
-    before, after, far = from_near_to_far(frontiers=NONE, frontier_length=NONE[:, 0], frontier_normal=NONE)
-    assert far.any()
-    assert (after.exploration[far] == 0.0).all()
-    rows = np.searchsorted(before.candidates, after.candidates[far])
-    np.testing.assert_array_equal(after.exploitation[far], before.exploitation[rows])

@@ -3,6 +3,7 @@ import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
+from tests.planning.test_planner import step
 from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import (
     LaserScan,
@@ -11,11 +12,10 @@ from tfg_drake.messages import (
     Observation,
     PoseEstimate,
     TfgMap,
-    WorkingMap,
     replace,
 )
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.planning.planner import BOLD_AFTER, BREATH, OBSTACLE_MEMORY, initial_state, step
+from tfg_drake.planning.planner import BOLD_AFTER, BREATH, OBSTACLE_MEMORY, Now, initial_state
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
@@ -64,14 +64,9 @@ def output(system, context, name):
     return system.GetOutputPort(name).Eval(context)
 
 
-def all_of(estimate, tfg):
-    return WorkingMap(estimate, tfg, np.ones(tfg.stage, dtype=bool))
-
-
 def looked(state, estimate, tfg, scan, mission, parameters):
     """The planner's state after one look."""
-    of_all = estimate, tfg
-    return step(state, all_of(*of_all), lambda: of_all, pose(tfg.stage), empty_choice(), scan, mission, parameters)
+    return step(state, Now(estimate, tfg, pose(tfg.stage), empty_choice(), scan, mission, parameters))
 
 
 class Planner:
@@ -80,7 +75,7 @@ class Planner:
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         estimate, tfg = maps(0)
-        self.set(map=estimate, tfg=tfg, working_map=all_of(estimate, tfg), pose=pose(0))
+        self.set(map=estimate, tfg=tfg, pose=pose(0))
         self.set(goal=empty_choice(), scan=scan(), mission=MissionStatus("observe", 0, 0.0))
         self.simulator.Initialize()
 
@@ -95,8 +90,7 @@ class Planner:
 
     def observed(self):
         estimate, tfg = maps(1)
-        working = all_of(estimate, tfg)
-        self.set(map=estimate, tfg=tfg, working_map=working, pose=pose(1), mission=MissionStatus("choose", 1, 0.0))
+        self.set(map=estimate, tfg=tfg, pose=pose(1), mission=MissionStatus("choose", 1, 0.0))
         self.run()
         return estimate, tfg
 
@@ -167,10 +161,7 @@ def test_what_blocked_the_way_is_kept_for_some_stages():
 
     def nearest(stage):
         estimate, tfg = maps(stage)
-        working = all_of(estimate, tfg)
-        planner.set(
-            map=estimate, tfg=tfg, working_map=working, pose=pose(stage), mission=MissionStatus("choose", stage, 0.0)
-        )
+        planner.set(map=estimate, tfg=tfg, pose=pose(stage), mission=MissionStatus("choose", stage, 0.0))
         planner.run()
         goal = choice(planner.output("roadmap"), (3, 0), stage)
         planner.set(goal=goal, mission=MissionStatus("plan", stage, 0.0))
@@ -187,21 +178,12 @@ def test_what_blocked_the_way_is_kept_for_some_stages():
 def test_a_robot_that_fails_again_and_again_forgets_what_it_met():
     estimate, tfg = maps(2)
     met = np.array([[1.0, -1.0, 1.0, 1.0]])
-    state = replace(initial_state(), obstacles=met, obstacle_view=np.zeros(1, dtype=np.int64))
+    state = replace(initial_state(), estimate=estimate, obstacles=met, obstacle_view=np.zeros(1, dtype=np.int64))
     robot, odometry, sensor, explorer, planner = CONFIGS
     parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
     for failures, left in ((BOLD_AFTER - 1, 1), (BOLD_AFTER, 0)):
         mission = MissionStatus("choose", 2, 0.0, failures=failures)
-        grown = step(
-            state,
-            all_of(estimate, tfg),
-            lambda: (estimate, tfg),
-            pose(2),
-            empty_choice(),
-            scan(-np.inf),
-            mission,
-            parameters,
-        )
+        grown = looked(state, estimate, tfg, scan(-np.inf), mission, parameters)
         assert len(grown.obstacles) == left
 
 
@@ -211,13 +193,11 @@ def test_a_robot_shut_in_by_what_it_met_forgets_it():
     angle = np.linspace(0.0, 2.0 * np.pi, 13)
     ring = 0.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     met = np.hstack([ring[:-1], ring[1:]])
-    state = replace(initial_state(), obstacles=met, obstacle_view=np.zeros(len(met), dtype=np.int64))
+    state = replace(initial_state(), estimate=estimate, obstacles=met, obstacle_view=np.zeros(len(met), dtype=np.int64))
     robot, odometry, sensor, explorer, planner = CONFIGS
     parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
     mission = MissionStatus("choose", 1, 0.0)
-    state = step(
-        state, all_of(estimate, tfg), lambda: (estimate, tfg), pose(1), empty_choice(), scan(), mission, parameters
-    )
+    state = looked(state, estimate, tfg, scan(), mission, parameters)
     assert state.roadmap.reachable.mean() > 0.9
     assert len(state.obstacles) == 0
 

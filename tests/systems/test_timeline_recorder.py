@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from tests.systems.test_visualizer import GrowingMap, make_map, make_messages
-from tfg_drake.messages import GridMap, WorkingMap, replace
+from tfg_drake.messages import GridMap, replace
 from tfg_drake.simulation.disturbance import Pushes, with_push
 from tfg_drake.simulation.people import People
 from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter, read_timeline
@@ -133,28 +133,17 @@ def test_a_map_is_written_when_it_grows_and_not_while_there_is_no_view(writer, t
 
 
 def test_of_a_large_map_what_is_near_is_written_at_every_stage_and_all_of_it_seldom(writer, tmp_path):
-    """Nor is all of it asked for in between: it would have to be made."""
-    estimate = replace(make_map(2, 1), p_ML=np.array([[1.0, 0.0], [9.0, 0.0]]))
-    first = WorkingMap(estimate, make_messages()["tfg"], np.array([False, True]), reach=1.5)
+    estimate = replace(make_map(2, 1), p_ML=np.array([[1.0, 0.0], [90.0, 0.0]]))
+    # Not all of it is known jointly.
+    estimate = replace(estimate, local=np.zeros(1, dtype=np.int64), covariance=estimate.covariance[2:, 2:])
+    tfg = replace(make_messages()["tfg"], stage=1)
+    there = replace(estimate, stage=2, X_MA=np.vstack([estimate.X_MA, [[89.0, 0.0, 0.0]]]))
     builder = DiagramBuilder()
-    asked = []
-
-    class Whole(LeafSystem):
-        def __init__(self):
-            super().__init__()
-            self.DeclareAbstractOutputPort("map", lambda: Value[object](None), self.calc, {self.time_ticket()})
-
-        def calc(self, context, output):
-            asked.append(context.get_time())
-            output.set_value(replace(estimate, stage=len(asked)))
-
     recorder = builder.AddSystem(TimelineRecorder(writer))
-    working = builder.AddSystem(GrowingMap(first, replace(first, reach=9.0)))
-    builder.Connect(builder.AddSystem(Whole()).get_output_port(), recorder.GetInputPort("map"))
-    builder.Connect(working.get_output_port(), recorder.GetInputPort("working_map"))
-    recorder._whole_due["map"] = 0.75  # It has just been asked for.
+    for name, messages in (("map", (estimate, there)), ("tfg", (tfg, replace(tfg, stage=2)))):
+        builder.Connect(builder.AddSystem(GrowingMap(*messages)).get_output_port(), recorder.GetInputPort(name))
+    recorder._whole_due |= {"map": 0.75, "tfg": 0.75}  # All of it has just been written.
     Simulator(builder.Build()).AdvanceTo(0.6)
-    assert asked == []
     maps = [record for record in recorded(writer, tmp_path) if record.layer == "map"]
     assert [record.time for record in maps] == [0.0, 0.5]
     assert [record.arrays["ids"].tolist() for record in maps] == [estimate.ids[:1].tolist(), estimate.ids.tolist()]

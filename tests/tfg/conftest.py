@@ -11,7 +11,8 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorC
 from tfg_drake.geometry.se2 import between, inverse, transform
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import LaserScan, MapEstimate, Observation, TfgMap, replace
-from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, empty_graph, no_sightings, resolve, update
+from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
+from tfg_drake.tfg.graph import UnmappedSightings, no_sightings, resolve, update
 from tfg_drake.tfg.panorama import Panorama, build_panorama
 
 

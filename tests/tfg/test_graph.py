@@ -11,6 +11,7 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import PoseEstimate, replace
 from tfg_drake.planning.expected_view import expected_frontiers
+from tfg_drake.tfg.feature_graph import empty_graph
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     PUSH,
@@ -21,7 +22,6 @@ from tfg_drake.tfg.frontier import (
 )
 from tfg_drake.tfg.graph import (
     UnmappedSightings,
-    empty_graph,
     empty_map,
     explored_elsewhere,
     no_sightings,

@@ -7,7 +7,7 @@ from tests.arrays import frozen
 from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.drift import MOST_DRIFT
-from tfg_drake.tfg.overlap import SWING, distance_along_map, standing, weakly_tied
+from tfg_drake.tfg.overlap import SWING, distance_along_map, known_badly, standing, weakly_tied
 from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import Surfaces
 
@@ -92,16 +92,18 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_is_weakly_tied(share,
         offsets=2 * np.arange(6),
         vertices=np.zeros((10, 2)),
     )
-    told = weakly_tied(surfaces, np.array([3, 4]), np.array([1, 3]), estimate)
+
+    def tied(estimate):
+        return weakly_tied(surfaces, np.array([3, 4]), np.array([1, 3]), estimate, known_badly(estimate))
+
+    told = tied(estimate)
     weak = share > 1.0
     assert told.landmarks.tolist() == [False, weak, weak, False]
     assert told.views.tolist() == [False, False, weak, False, False]
     assert told.surfaces.tolist() == [weak, False, weak, weak, False]
     # What is in view is here, however badly it is known ...
     seen = replace(seen, ids=np.array([1, 2, 3]))
-    assert not weakly_tied(
-        surfaces, np.array([3, 4]), np.array([1, 3]), replace(estimate, observation=seen)
-    ).views.any()
+    assert not tied(replace(estimate, observation=seen)).views.any()
     # ... and a look that sees nothing changes nothing.
     blind = replace(estimate, observation=empty_map().observation)
-    assert weakly_tied(surfaces, np.array([3, 4]), np.array([1, 3]), blind).views.tolist() == told.views.tolist()
+    assert tied(blind).views.tolist() == told.views.tolist()

@@ -23,8 +23,8 @@ from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_graph, 
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.range_scale import RangeScale
+from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
-from tfg_drake.tfg.graph import TfgGraph
 from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 

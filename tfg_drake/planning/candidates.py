@@ -10,13 +10,12 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.segment_grid import segment_grid
-from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.expected_view import Visibility, expected_tags, local_visibility
 from tfg_drake.planning.information_gain import Gains, frontier_reach, turns
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
-from tfg_drake.tfg.drift import known_jointly
 from tfg_drake.tfg.star_polygon import looked_round
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
@@ -25,8 +24,6 @@ OVERHEAD = 1.0
 APART = 0.3
 # Nor where it has looked so often, whichever way: what is still open there does not show from there.
 MOST_LOOKS = 6
-# A place is judged anew where all landmarks that it sees within this share of the sensor's range are known jointly.
-KNOWN_REACH = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,13 +39,14 @@ class GoalParameters:
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """The input of a choice at one stage: map, TFG and roadmap of that stage, or their active part, and the
-    parameters."""
+    """The input of a choice at one stage: map, TFG and roadmap of that stage, or what is near of them, and the
+    parameters. is_large: not all of the map's landmarks are known jointly."""
 
     estimate: MapEstimate
     tfg: TfgMap
     roadmap: Roadmap
     parameters: GoalParameters
+    is_large: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,45 +89,32 @@ def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
     return max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
 
 
-def judged(now: Situation, previous: GoalChoice) -> Candidates:
-    """The roadmap's reachable nodes, but for those next to past views, at most explorer.samples of them judged now.
-
-    On a large map, a place whose landmarks are not known jointly with the robot's pose keeps the gain of the previous
-    choice (see `goal_choice.remember`): nothing has changed there since they last were.
-    """
+def judged(now: Situation) -> Candidates:
+    """The roadmap's reachable nodes, but for those next to past views, at most explorer.samples of them."""
     estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
-    nodes = places(roadmap, tfg, estimate.X_MD[:2])
     sees = Visibility(roadmap.frontier_offsets, roadmap.frontier_index)
-    here = sees_known_jointly(roadmap.points[nodes], estimate, tfg, sensor)
-    kept = ~here & np.isin(roadmap.node_ids(nodes), previous.candidates)
-    # Far away, where nothing was worth remembering, only what sees frontier is asked.
-    ask = ~kept & (here | (sees.count[nodes] > 0))
-    asked = thin_candidates(nodes[ask], sees.count[nodes[ask]], explorer.samples)
-    candidates = np.union1d(asked, nodes[kept]) if kept.any() else asked
-    ask = np.isin(candidates, asked)
-    here = here[np.searchsorted(nodes, candidates)]
-    points, time, node_ids = roadmap.points[candidates], roadmap.travel_time[candidates], roadmap.node_ids(candidates)
-    frontiers_seen = sees.of(candidates)
-    open_ahead = frontier_seen(points, frontiers_seen, tfg, sensor)
+    nodes = places(roadmap, tfg, estimate.X_MD[:2])
+    nodes = thin_candidates(nodes, sees.count[nodes], explorer.samples)
+    points, time, frontiers_seen = roadmap.points[nodes], roadmap.travel_time[nodes], sees.of(nodes)
     judge = turns(estimate, tfg, sensor, now.parameters.odometry, explorer)
-    arrival = judge.arrival(points, roadmap.travel_length[candidates], time)
+    arrival = judge.arrival(points, roadmap.travel_length[nodes], time)
     grid = segment_grid(tfg.segments)
 
     def expected(rows: IntArray) -> Gains:
         tags, frontiers = expected_tags(points[rows], estimate, tfg, sensor, grid), frontiers_seen.of(rows)
-        arriving = arrival._replace(odometry=arrival.odometry[rows])
-        return _found_again(judge.gains(points[rows], arriving, tags, frontiers), here[rows])
+        gains = judge.gains(points[rows], arrival._replace(odometry=arrival.odometry[rows]), tags, frontiers)
+        return _found_again(gains, local_visibility(tags, estimate).count == tags.count)
 
-    # What is remembered has to be known, and the most that a place can bring is known of the exact gain alone.
-    all_at_once = not estimate.is_joint or explorer.gain != "exact" or not explorer.pose_price
-    judged_now = expected(np.flatnonzero(ask)) if all_at_once else judge.most(points, arrival, frontiers_seen)
-    gains = _filled(previous, node_ids, ask, judged_now, open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
-    expected_gains = ExpectedGains(gains, ~ask | all_at_once, expected, pay=explorer.pose_price)
-    in_view = np.full(len(candidates), -1)
+    # The most that a place can bring is known of the exact gain alone.
+    all_at_once = explorer.gain != "exact" or not explorer.pose_price
+    gains = expected(np.arange(len(nodes))) if all_at_once else judge.most(points, arrival, frontiers_seen)
+    expected_gains = ExpectedGains(gains, np.full(len(nodes), all_at_once), expected, pay=explorer.pose_price)
+    in_view = np.full(len(nodes), -1)
     if explorer.least_tags:
-        in_view[ask] = expected_tags(points[ask], estimate, tfg, sensor, grid).count
-    return Candidates(candidates, node_ids, points, time, expected_gains, in_view, open_ahead)
+        in_view = expected_tags(points, estimate, tfg, sensor, grid).count
+    open_ahead = frontier_seen(points, frontiers_seen, tfg, sensor)
+    return Candidates(nodes, roadmap.node_ids(nodes), points, time, expected_gains, in_view, open_ahead)
 
 
 def turn_gains(nodes: IntArray, tags: Visibility, now: Situation) -> Gains:
@@ -169,46 +154,11 @@ def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     return np.asarray((done.query(points)[0] >= APART) & (looks < MOST_LOOKS))
 
 
-def sees_known_jointly(points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig) -> BoolArray:
-    """Whether what each of the points (n, 2), m in M, sees within KNOWN_REACH is known jointly with the departure pose,
-    (n,): what stands behind walls does not matter. Out of the sensor's range from that pose all that is as near counts,
-    seen or not."""
-    reach = KNOWN_REACH * sensor.range
-    known = known_jointly(points, estimate, reach)
-    if known.all():
-        return known
-    ask = np.flatnonzero(~known & (np.hypot(*(points - estimate.X_MD[:2]).T) < sensor.range))
-    visible = expected_tags(points[ask], estimate, tfg, dataclasses.replace(sensor, range=reach))
-    known[ask] = local_visibility(visible, estimate).count == visible.count
-    return known
-
-
 def _found_again(gains: Gains, known: BoolArray) -> Gains:
-    """The gains (c,) without the pose's price where the landmarks are not known (c,) jointly with the pose here: on its
-    way there the robot will find its place by what it sees, not by odometry from here."""
+    """The gains (c,) without the pose's price where not all landmarks in view are known (c,) jointly with the pose
+    here: on its way there the robot will find its place by what it sees, not by odometry from here."""
     price = np.where(known, 0.0, gains.pose_price)
     return Gains(gains.exploitation, gains.exploration + price, gains.pose_price - price)
-
-
-def _filled(
-    previous: GoalChoice, candidates: IntArray, asked: BoolArray, gains: Gains, sees_frontier: BoolArray
-) -> Gains:
-    """The gains of all candidates (c,), by node id: the new gains of those asked for (c,), the previous gains of the
-    others, whose exploration is 0 where they see no frontier (c,) any more."""
-    row = np.searchsorted(previous.candidates, candidates[~asked])
-
-    def fill(now: FloatArray, before: FloatArray) -> FloatArray:
-        filled = np.empty(len(candidates))
-        filled[asked], filled[~asked] = now, before[row]
-        return filled
-
-    exploration = fill(gains.exploration, previous.exploration)
-    exploration[~asked & ~sees_frontier] = 0.0
-    return Gains(
-        exploitation=fill(gains.exploitation, previous.exploitation),
-        exploration=exploration,
-        pose_price=fill(gains.pose_price, previous.pose_price),
-    )
 
 
 def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:

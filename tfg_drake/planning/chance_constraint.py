@@ -23,7 +23,7 @@ from scipy.special import ndtr, ndtri
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.segment_grid import segment_grid
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
 
@@ -201,7 +201,7 @@ def predicted_deviation(
     odometry: OdometryConfig,
     speed: float,
     before: FloatArray | float = math.inf,
-) -> tuple[FloatArray, BoolArray]:
+) -> FloatArray:
     """Deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
 
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
@@ -209,9 +209,8 @@ def predicted_deviation(
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
     `speed` (m/s). The robot drives on while the frames come: everywhere TRACKING_DEVIATION is added or what odometry
     adds in that second, which bounds what the filter has not yet taken out, if that is more (by rollouts at one and at
-    three times the usual noise the greater of both is enough). before: (n,) m, what it was when enough landmarks there
-    were last known jointly, inf where they never were: far from the robot it stays that, nothing has changed there
-    since. Returns also which (n,) are so known, now or then.
+    three times the usual noise the greater of both is enough). before: (n,) m, what it was found to be last,
+    inf where it never was: where not enough landmarks are known jointly, far from the robot, it stays that.
     """
 
     reach = min(sensor.range, LOCALISATION_RANGE)
@@ -250,8 +249,8 @@ def predicted_deviation(
         sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + _drift(d, odometry, speed))
     on_the_way = np.maximum(TRACKING_DEVIATION**2, _drift(np.array(speed * LOCALISATION_TIME), odometry, speed))
     sigma = np.sqrt(sigma**2 + on_the_way)
-    remembered = ~joint & (sees >= 2) & (knows < sees) & np.isfinite(before)
-    return np.where(remembered, before, sigma), joint | remembered
+    stays = ~joint & (sees >= 2) & (knows < sees) & np.isfinite(before)
+    return np.where(stays, before, sigma)
 
 
 def deviation_along(
@@ -268,7 +267,7 @@ def deviation_along(
     but no more than it was at any such point before and odometry has added since. So a robot that drives away from all
     landmarks is not sure of its place by those behind it, and past a place with few of them it goes on by what it knew.
     """
-    sigma, _ = predicted_deviation(path, estimate, tfg, sensor, odometry, speed)
+    sigma = predicted_deviation(path, estimate, tfg, sensor, odometry, speed)
     step = np.diff(path, axis=0)
     heading = np.arctan2(*np.vstack([step[:1], step]).T[::-1])
     visible = expected_tags(path, estimate, tfg, sensor)

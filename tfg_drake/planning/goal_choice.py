@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -11,7 +12,6 @@ from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapE
 from tfg_drake.planning.budget import Budget, budget_left, way_home
 from tfg_drake.planning.candidates import (
     Candidates,
-    GoalParameters,
     Situation,
     frontier_in_sight,
     judged,
@@ -52,85 +52,131 @@ def empty_choice() -> GoalChoice:
     )
 
 
-def choose(
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    roadmap: Roadmap,
-    parameters: GoalParameters,
-    previous: GoalChoice,
-    *,
-    everything: bool = True,
-    recalled: bool = False,
-) -> GoalChoice:
-    """The choice at one stage: estimate, tfg and roadmap are of the same stage, previous is what all choices before it
-    found worth remembering (see remember). everything: they are no part of a larger map. recalled: the robot was called
-    back, so that no place is worth going to but home.
+def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False) -> GoalChoice:
+    """The choice at one stage; previous is the choice before it. recalled: the robot was called back, so that no place
+    is worth going to but home.
 
     Where the tags' errors are found to be correlated, the robot first turns as often again as `more_first_turns` says.
     A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
     sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Of a
-    large map that is known after one look more: with `explored` the choice asks for what it takes. Where
+    large map that is known after one look more: with `is_explored` the choice asks for what it takes. Where
     none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`) and looks
     again at tags that are doubtful (`tfg_drake.planning.doubtful_tags`).
     """
-    is_empty = len(estimate.ids) == 0 and len(tfg.segments) == 0
-    if is_empty and roadmap.driven >= NOTHING_WITHIN * parameters.sensor.range:
-        return _nothing_to_map(estimate, roadmap, previous, parameters.explorer)
-    now = Situation(estimate, tfg, roadmap, parameters)
-    robot, explorer = parameters.robot, parameters.explorer
+    estimate, roadmap, explorer, sensor = now.estimate, now.roadmap, now.parameters.explorer, now.parameters.sensor
+    is_empty = len(estimate.ids) == 0 and len(now.tfg.segments) == 0
+    if is_empty and roadmap.driven >= NOTHING_WITHIN * sensor.range:
+        return _nothing_to_map(estimate, roadmap, previous, explorer)
     if estimate.stage <= more_first_turns(estimate.frame_worth, explorer) and not recalled:
         reason = "The tags' errors go on from frame to frame: it turns once more before it drives."
         return replace(empty_choice(), stage=estimate.stage, verdict="look", reason=reason)
-    stay = time_at_goal(parameters.sensor, explorer)
-    budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
-    open_left, _ = frontier_in_sight(roadmap, tfg, parameters.sensor)
-    looks_again = explorer.revisit and explorer.goal == "tour" and everything and not recalled
+    open_left, _ = frontier_in_sight(roadmap, now.tfg, sensor)
+    looks_again = explorer.revisit and explorer.goal == "tour" and not recalled
     if looks_again and not open_left:
         again = _second_look(now, previous)
         if again is not None:
             return again
-    candidates = judged(now, previous)
-    expected_gains = candidates.expected_gains
-    affordable = budget.affords(roadmap, candidates.nodes)
-    worth = candidates.worth(explorer.stop_gain, _in_question(candidates, affordable, explorer))
-    # As long as any place is worth going to, every place will do for a goal drawn at random.
-    anywhere = explorer.goal == "random" and bool(worth.any())
-    open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
-    value, look = _values(candidates, stay, open_to, tfg, roadmap, robot, explorer)
-    if anywhere:
-        value = np.random.default_rng((parameters.seed, estimate.stage)).random(len(candidates.nodes))
-        # It goes all the way there: what it comes to is no candidate any more.
-        value[candidates.node_ids == previous.node] = 1.0
-    best = pick(value, open_to, candidates.time)
-    if explorer.goal == "tour" and best >= 0 and not estimate.is_joint:
-        nearer = _nearer_before(best, candidates, open_to, previous)
-        if nearer >= 0:
-            best, look = nearer, candidates.open_ahead[nearer] > 0.0
-    planned = stops(value, best) if explorer.goal == "tour" and best >= 0 else np.zeros(0, dtype=np.int64)
-    looked = previous.looked_again
-    # Of a large map it is not asked again where all that draws the robot is nats.
-    explored = math.inf if open_left or estimate.is_joint else previous.explored
-    if best >= 0:
-        node, verdict = int(candidates.nodes[best]), "goal"
-        expected_gains.ask(np.array([best]))
-        gain = expected_gains.gains.gain[best]
-        rate = gain / (candidates.time[best] + stay)
-        reason = f"{gain:.1f} nats are expected at the rate of {rate:.2f} nats per second."
-    elif worth.any():
-        node, verdict, reason = -1, "budget", budget.spent()
+    ranked = _ranked(now, previous, recalled=recalled)
+    if ranked.best >= 0:
+        return _to_the_best(now, ranked, previous, open_left=open_left)
+    explored, looked = _explored(now, previous, open_left=open_left), previous.looked_again
+    if ranked.any_worth:
+        node, verdict, reason = -1, "budget", ranked.budget.spent()
     else:
-        node, verdict, reason, looked = _last(now, bool(len(candidates.nodes)), budget, looked, everything=everything)
+        node, verdict, reason, looked = _last(now, bool(len(ranked.candidates.nodes)), ranked.budget, looked)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
-        if verdict == "complete" and looks_again and open_left and not estimate.is_joint:
+        if verdict == "complete" and looks_again and open_left and now.is_large:
             again = _second_look(now, previous)
             if again is not None:
                 return again
     if verdict != "goal" and explorer.return_home:
         node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
-    name, p_MG = _named(roadmap, node)
-    gains = expected_gains.gains
+    return _choice(now, ranked, node, verdict, reason, looked, explored)
+
+
+def choose_near(now: Situation, previous: GoalChoice, radius: float, *, recalled: bool = False) -> GoalChoice | None:
+    """The choice by what is near on a large map: a goal by a way within a radius (m), or none.
+
+    There is none where nothing near is worth going to, only by a way that is longer than to what may lie elsewhere, or
+    while the robot is on such a way: then it weighs all there is against its goal. Arguments else as of `choose`.
+    """
+    if previous.node >= 0 and not now.roadmap.reaches(np.array([previous.node]), radius)[0]:
+        return None
+    ranked = _ranked(now, previous, recalled=recalled)
+    if ranked.best < 0 or now.roadmap.travel_length[ranked.candidates.nodes[ranked.best]] > radius:
+        return None
+    open_left, _ = frontier_in_sight(now.roadmap, now.tfg, now.parameters.sensor)
+    return _to_the_best(now, ranked, previous, open_left=open_left)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ranked:
+    """The candidates with their values (c,), and the best of them, -1 where none may be chosen; look: (f,) which of the
+    live frontier points are to be looked at from there. any_worth: some are worth going to, within the budget or not.
+    """
+
+    candidates: Candidates
+    budget: Budget
+    value: FloatArray
+    best: int
+    look: BoolArray
+    any_worth: bool
+
+
+def _ranked(now: Situation, previous: GoalChoice, *, recalled: bool) -> _Ranked:
+    """The candidates by the rule explorer.goal. Arguments as of `choose`."""
+    estimate, tfg, roadmap, parameters = now.estimate, now.tfg, now.roadmap, now.parameters
+    explorer, stay = parameters.explorer, time_at_goal(parameters.sensor, parameters.explorer)
+    budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
+    candidates = judged(now)
+    affordable = budget.affords(roadmap, candidates.nodes)
+    worth = candidates.worth(explorer.stop_gain, _in_question(candidates, affordable, explorer))
+    # As long as any place is worth going to, every place will do for a goal drawn at random.
+    anywhere = explorer.goal == "random" and bool(worth.any())
+    open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
+    value, look = _values(candidates, stay, open_to, tfg, roadmap, parameters.robot, explorer)
+    if anywhere:
+        value = np.random.default_rng((parameters.seed, estimate.stage)).random(len(candidates.nodes))
+        # It goes all the way there: what it comes to is no candidate any more.
+        value[candidates.node_ids == previous.node] = 1.0
+    best = pick(value, open_to, candidates.time)
+    if explorer.goal == "tour" and best >= 0 and now.is_large:
+        nearer = _nearer_before(best, candidates, open_to, previous)
+        if nearer >= 0:
+            best, look = nearer, candidates.open_ahead[nearer] > 0.0
+    return _Ranked(candidates, budget, value, best, look, bool(worth.any()))
+
+
+def _to_the_best(now: Situation, ranked: _Ranked, previous: GoalChoice, *, open_left: bool) -> GoalChoice:
+    """The choice of the best candidate. open_left: places see enough live frontier."""
+    best, candidates = ranked.best, ranked.candidates
+    candidates.expected_gains.ask(np.array([best]))
+    gain = candidates.expected_gains.gains.gain[best]
+    rate = gain / (candidates.time[best] + ranked.budget.stay)
+    reason = f"{gain:.1f} nats are expected at the rate of {rate:.2f} nats per second."
+    explored = _explored(now, previous, open_left=open_left)
+    return _choice(now, ranked, int(candidates.nodes[best]), "goal", reason, previous.looked_again, explored)
+
+
+def _explored(now: Situation, previous: GoalChoice, *, open_left: bool) -> float:
+    """Since when nothing has been left to explore, s. Of a large map it is not asked again where all that draws the
+    robot is nats."""
+    return previous.explored if now.is_large and not open_left else math.inf
+
+
+def _choice(
+    now: Situation, ranked: _Ranked, node: int, verdict: str, reason: str, looked: IntArray, explored: float
+) -> GoalChoice:
+    """The choice of a node, -1 for none. looked: (t,) node ids, as of `_last`."""
+    name, p_MG = _named(now.roadmap, node)
+    candidates, best, budget = ranked.candidates, ranked.best, ranked.budget
+    gains = candidates.expected_gains.gains
+    look, planned = np.zeros(0), np.zeros(0, dtype=np.int64)
+    if best >= 0:
+        look = _directions(now.tfg.frontiers[_seen(candidates.open_ahead[best], ranked.look)] - p_MG)
+        planned = stops(ranked.value, best) if now.parameters.explorer.goal == "tour" else planned
     return GoalChoice(
-        stage=estimate.stage,
+        stage=now.estimate.stage,
         node=name,
         p_MG=p_MG,
         candidates=candidates.node_ids,
@@ -138,12 +184,12 @@ def choose(
         exploration=gains.exploration,
         pose_price=gains.pose_price,
         gain=gains.gain,
-        value=value,
+        value=ranked.value,
         verdict=verdict,
         reason=reason,
-        latest_arrival=budget.latest_arrival(roadmap, node) if verdict == "goal" else math.inf,
-        longest_way=budget.longest_way(roadmap, node) if verdict == "goal" else math.inf,
-        look=_directions(tfg.frontiers[_seen(candidates.open_ahead[best], look)] - p_MG) if best >= 0 else np.zeros(0),
+        latest_arrival=budget.latest_arrival(now.roadmap, node) if verdict == "goal" else math.inf,
+        longest_way=budget.longest_way(now.roadmap, node) if verdict == "goal" else math.inf,
+        look=look,
         looked_again=looked,
         explored=explored,
         tour=candidates.node_ids[planned],
@@ -207,21 +253,23 @@ def _named(roadmap: Roadmap, node: int) -> tuple[int, FloatArray]:
 
 def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
     """The choice where no place sees enough live frontier, but the map can grow more accurate; none where it cannot.
-    In a large map the first is the nearest place: from there on it is known what others bring.
+    In a large map the robot first looks round where it stands: after that it is known what places bring.
 
     The only candidate is the place chosen: nats are not what it is chosen by, and no other is asked for them.
     """
     estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, time_all_round(sensor, explorer))
-    if estimate.is_joint or previous.explored < math.inf:
-        nodes = places(roadmap, tfg, estimate.X_MD[:2])
-        value = worth_revisiting(nodes, now) * budget.affords(roadmap, nodes)
-        reason = "All is explored, but the map grows more accurate yet: it looks round once more."
-    else:
-        nodes = np.flatnonzero(roadmap.reachable)
-        value = np.where(budget.affords(roadmap, nodes), 2.0, 0.0)
+    explored = min(previous.explored, estimate.stamp)
+    nodes = places(roadmap, tfg, estimate.X_MD[:2])
+    affordable = budget.affords(roadmap, nodes)
+    if now.is_large and not previous.is_explored:
+        if not affordable.any():
+            return None
         reason = "All is explored: it looks round once while it works out where the map can grow more accurate."
+        looked = replace(empty_choice(), stage=estimate.stage, verdict="look", reason=reason, explored=explored)
+        return replace(looked, looked_again=previous.looked_again)
+    value = worth_revisiting(nodes, now) * affordable
     best = pick(value, value > 1.0, roadmap.travel_time[nodes])
     if best < 0:
         return None
@@ -239,41 +287,36 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
         gain=gains.gain,
         value=value[[best]],
         verdict="goal",
-        reason=reason,
+        reason="All is explored, but the map grows more accurate yet: it looks round once more.",
         latest_arrival=budget.latest_arrival(roadmap, node),
         longest_way=budget.longest_way(roadmap, node),
         looked_again=previous.looked_again,
-        explored=min(previous.explored, estimate.stamp),
+        explored=explored,
     )
 
 
-def _last(
-    now: Situation, any_left: bool, budget: Budget, looked: IntArray, *, everything: bool
-) -> tuple[int, str, str, IntArray]:
+def _last(now: Situation, any_left: bool, budget: Budget, looked: IntArray) -> tuple[int, str, str, IntArray]:
     """The choice where no candidate is worth going to: the node before a passage that was too narrow, or from which a
     doubtful tag is seen best, -1 where the mission ends; verdict and reason; and the ids (t,) of nodes from which the
     robot has looked again.
 
-    any_left: there are candidates. looked: (s,) node ids so far. everything: as of `choose`.
+    any_left: there are candidates. looked: (s,) node ids so far.
     """
     estimate, roadmap, stop_gain = now.estimate, now.roadmap, now.parameters.explorer.stop_gain
     narrow = narrow_places(now)
-    back = np.zeros(len(narrow.nodes))
-    if everything:
-        looked = passages_revisited(narrow, roadmap, estimate.X_MD[:2], looked)
-        back = worth_of_looking(narrow, roadmap, budget.stay, stop_gain, looked)
+    looked = passages_revisited(narrow, roadmap, estimate.X_MD[:2], looked)
+    back = worth_of_looking(narrow, roadmap, budget.stay, stop_gain, looked)
     again = pick(back, (back > 0.0) & budget.affords(roadmap, narrow.entry), roadmap.travel_time[narrow.entry])
     if again >= 0:
         reason = f"{narrow.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
         return int(narrow.entry[again]), "goal", reason, looked
     if back.any():
         return -1, "budget", budget.spent(), looked
-    if everything:
-        tags, at, looked = best_views(now, looked)
-        nearest = pick(np.zeros(len(tags)), budget.affords(roadmap, at), roadmap.travel_time[at])
-        if nearest >= 0:
-            reason = f"Tag {estimate.doubtful[tags[nearest]]} is doubtful: it looks at it once more."
-            return int(at[nearest]), "goal", reason, looked
+    tags, at, looked = best_views(now, looked)
+    nearest = pick(np.zeros(len(tags)), budget.affords(roadmap, at), roadmap.travel_time[at])
+    if nearest >= 0:
+        reason = f"Tag {estimate.doubtful[tags[nearest]]} is doubtful: it looks at it once more."
+        return int(at[nearest]), "goal", reason, looked
     verdict, reason = why_end(
         any_left,
         float(narrow.gain.max(initial=0.0)),
@@ -282,29 +325,6 @@ def _last(
         stop_gain,
     )
     return -1, verdict, reason, looked
-
-
-def remember(before: GoalChoice, choice: GoalChoice, roadmap: Roadmap, stop_gain: float) -> GoalChoice:
-    """The choice with those candidates of the choice before it added that are out of reach in its roadmap and had a
-    gain above stop_gain, nats."""
-    old = (
-        (before.gain > stop_gain) & ~roadmap.reaches(before.candidates) & ~np.isin(before.candidates, choice.candidates)
-    )
-    node_ids = np.append(before.candidates[old], choice.candidates)
-    order = np.argsort(node_ids)
-
-    def both(then: FloatArray, now: FloatArray) -> FloatArray:
-        return np.append(then[old], now)[order]
-
-    return replace(
-        choice,
-        candidates=node_ids[order],
-        exploitation=both(before.exploitation, choice.exploitation),
-        exploration=both(before.exploration, choice.exploration),
-        pose_price=both(before.pose_price, choice.pose_price),
-        gain=both(before.gain, choice.gain),
-        value=both(before.value, choice.value),
-    )
 
 
 def _seen(open_ahead: FloatArray, look: BoolArray) -> IntArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from tfg_drake.messages import (
     PoseEstimate,
     Roadmap,
     TfgMap,
-    WorkingMap,
     message,
     replace,
 )
@@ -32,20 +30,14 @@ from tfg_drake.mission.sequence import MAX_FAILURES
 from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
+from tfg_drake.planning.local import local, local_roadmap, planning_radius, with_part
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen_past, unmapped_obstacles
-from tfg_drake.planning.roadmap import (
-    EFFORTS,
-    RoadmapParameters,
-    RoadmapState,
-    extend,
-    place_in_map,
-    within,
-)
-from tfg_drake.planning.roadmap_parts import empty_roadmaps, merged, split, whole_roadmap
+from tfg_drake.planning.roadmap import EFFORTS, RoadmapParameters, RoadmapState, empty_roadmap, extend, place_in_map
 from tfg_drake.planning.routes import roadmap_message, routes
+from tfg_drake.slam import keyframe_graph
 from tfg_drake.slam.pose_prediction import pose_at
-from tfg_drake.tfg.submaps import Submaps, extended, rearranged
+from tfg_drake.tfg.graph import empty_map
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
@@ -66,16 +58,21 @@ BREATH = 1.0
 class PlannerState:
     """All that the planner remembers.
 
-    parts: the submaps of the roadmap. roadmap, path, status: the planner's messages, of the active one. replans: the
-    mission's count when the path was planned. obstacles: (b, 4) segments met on the way that the map does not hold, m
-    in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest scan the path was checked against,
-    look_stamp: of the newest one that the obstacles were. waiting_since: s, when every way to the goal was found barred
-    by them, inf if it is not, asked: when a way was looked for last. driven: (d, 2) where the robot has been at this
-    stage, m in M, from where the newest view began on; driven_before: m, until it ended. open_length: m of frontier
-    that was live when the roadmap was extended, inf before.
+    nodes: the roadmap of all of the map. part, estimate, tfg, roadmap: it, the map and the TFG of its stage, and the
+    ways through it, as far as planning works on them: within radius, m (see `tfg_drake.planning.local`). path, status:
+    the planner's messages. replans: the mission's count when the path was planned. obstacles: (b, 4) segments met on
+    the way that the map does not hold, m in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest
+    scan the path was checked against, look_stamp: of the newest one that the obstacles were. waiting_since: s, when
+    every way to the goal was found barred by them, inf if it is not, asked: when a way was looked for last. driven: (d,
+    2) where the robot has been at this stage, m in M, from where the newest view began on; driven_before: m, until it
+    ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
     """
 
-    parts: Submaps[RoadmapState]
+    nodes: RoadmapState
+    part: RoadmapState
+    radius: float
+    estimate: MapEstimate
+    tfg: TfgMap
     roadmap: Roadmap
     path: Path
     status: PathStatus
@@ -90,19 +87,17 @@ class PlannerState:
     driven_before: float
     open_length: float
 
-    @property
-    def nodes(self) -> RoadmapState:
-        """The roadmap near the robot."""
-        return self.parts.active
-
 
 def initial_state() -> PlannerState:
     """Before the first view."""
-    parts = empty_roadmaps()
-    nodes = parts.active
+    nodes = empty_roadmap()
     none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
     return PlannerState(
-        parts=parts,
+        nodes=nodes,
+        part=nodes,
+        radius=np.inf,
+        estimate=keyframe_graph.empty_map(),
+        tfg=empty_map(),
         roadmap=Roadmap(0, nodes.points, nodes.edges.nodes, nowhere, nowhere, nodes.anchor, none, none),
         path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
@@ -119,43 +114,62 @@ def initial_state() -> PlannerState:
     )
 
 
-def step(
-    state: PlannerState,
-    working: WorkingMap,
-    whole: Callable[[], tuple[MapEstimate, TfgMap]],
-    pose: PoseEstimate,
-    goal: GoalChoice,
-    scan: LaserScan,
-    mission: MissionStatus,
-    parameters: RoadmapParameters,
-) -> PlannerState:
-    """The state after one look at the newest messages; the same object where nothing changed.
+@dataclasses.dataclass(frozen=True)
+class Now:
+    """The newest messages, of all of the map, and the planner's parameters."""
 
-    whole: returns the whole map and TFG. It is called only where the goal lies outside the part that is worked on, or
-    where no way within that part leads to it.
-    """
-    estimate, tfg = working.estimate, working.tfg
-    if len(state.obstacles) and scan.stamp > state.look_stamp:
-        state = _look(state, estimate, pose, scan)
-    if working.stage > state.nodes.stage:
-        if mission.failures >= BOLD_AFTER:
-            state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        # Before the mission ends: somebody who stood in a way driven has had time to go.
-        return grow(state, working, parameters, in_vain=mission.failures + 1 >= MAX_FAILURES)
+    estimate: MapEstimate
+    tfg: TfgMap
+    pose: PoseEstimate
+    goal: GoalChoice
+    scan: LaserScan
+    mission: MissionStatus
+    parameters: RoadmapParameters
+
+
+# What the planner does at a look at the newest messages: the first of `extended`, `planned` and `watched` that changes
+# anything of the state that `looked` returns. Each returns the same object where nothing is due.
+
+
+def looked(state: PlannerState, now: Now) -> PlannerState:
+    """The state without the obstacles that a new scan sees past."""
+    if not len(state.obstacles) or now.scan.stamp <= state.look_stamp:
+        return state
+    met = obstacles_in_map(state, state.estimate)
+    gone, _ = seen_past(met, now.scan, pose_at(now.pose, now.scan.stamp))
+    return replace(_keep_obstacles(state, ~gone) if gone.any() else state, look_stamp=now.scan.stamp)
+
+
+def extended(state: PlannerState, now: Now) -> PlannerState:
+    """The state with the roadmap extended to a new stage of the map."""
+    if now.tfg.stage <= state.nodes.stage:
+        return state
+    failures = now.mission.failures
+    if failures >= BOLD_AFTER:
+        state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
+    # Before the mission ends: somebody who stood in a way driven has had time to go.
+    return grow(state, now.estimate, now.tfg, now.parameters, in_vain=failures + 1 >= MAX_FAILURES)
+
+
+def planned(state: PlannerState, now: Now) -> PlannerState:
+    """The state with a path to the goal chosen, or while a robot that stands has every way barred by what it has met,
+    without one."""
+    goal, mission, pose = now.goal, now.mission, now.pose
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
-    in_the_way = mission.replans > 0 and _may_go(state, estimate, tfg)
+    in_the_way = mission.replans > 0 and _may_go(state)
     pause = ASK_AGAIN if math.isfinite(state.waiting_since) else BREATH * in_the_way
-    planned = (state.path.stage, state.replans) == (mission.stage, mission.replans)
-    if mission.phase == "plan" and chosen and not planned and pose.stamp >= state.asked + pause:
-        nodes = state.nodes
-        if not state.roadmap.reaches(np.array([goal.node]), working.reach)[0]:
-            # A way as long as that may be shorter through inactive submaps.
-            estimate, tfg = whole()
-            nodes = whole_roadmap(state.parts, estimate.X_MA)
-        return _plan_or_wait(state, _Task(nodes, estimate, tfg, pose, goal, mission, parameters), scan)
+    is_done = (state.path.stage, state.replans) == (mission.stage, mission.replans)
+    if mission.phase == "plan" and chosen and not is_done and pose.stamp >= state.asked + pause:
+        return _plan_or_wait(state, now)
+    return state
+
+
+def watched(state: PlannerState, now: Now) -> PlannerState:
+    """The state after a look at the path ahead, with the robot's way noted."""
+    pose, scan, mission = now.pose, now.scan, now.mission
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
-        state = _watch(state, estimate, tfg, pose, scan, parameters.robot.radius, bold)
+        state = _watch(state, pose, scan, now.parameters.robot.radius, bold)
     if pose.stage == state.nodes.stage and _moved(state, pose):
         state = replace(state, driven=np.vstack([state.driven, pose.X_MB[:2]]))
     return state
@@ -179,22 +193,21 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
 
 
 def grow(
-    state: PlannerState, working: WorkingMap, parameters: RoadmapParameters, *, in_vain: bool = False
+    state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters, *, in_vain: bool = False
 ) -> PlannerState:
-    """The state with the roadmap extended to the newest view of the map; inactive submaps are inactive here, too.
+    """The state with the roadmap extended to the newest view of the map, all of which is given.
 
     in_vain: as of `extend`.
     """
-    estimate, tfg = working.estimate, working.tfg
     state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_view <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
-    state = replace(state, driven_before=driven_before)
-    parts = rearranged(state.parts, working.active, split, merged)
-    nodes = parts.active
-    reach = working.reach
-    open_length = float(tfg.frontier_length[within(tfg.frontiers, estimate.X_MA[-1], reach)].sum())
+    radius = planning_radius(estimate, parameters.explorer)
+    estimate, tfg = local(estimate, tfg, radius, parameters.sensor.range)
+    nodes, near = local_roadmap(state.nodes, estimate, radius)
+    state = replace(state, driven_before=driven_before, radius=radius, estimate=estimate, tfg=tfg)
+    open_length = float(tfg.frontier_length.sum())
     # Where nothing is open and nothing was a stage ago, a sample would find no new space.
-    sampled = bool(working.active.all()) and max(open_length, state.open_length) < ENOUGH_FRONTIER
+    sampled = bool(near.all()) and max(open_length, state.open_length) < ENOUGH_FRONTIER
     for effort in range(len(EFFORTS)):
         nodes = extend(
             nodes,
@@ -203,13 +216,12 @@ def grow(
             parameters,
             driven=state.driven,
             effort=effort,
-            views=working.views,
-            reach=reach,
+            radius=radius,
             sampled=sampled,
             in_vain=in_vain,
         )
         obstacles = obstacles_in_map(state, estimate)
-        roadmap = make_roadmap(nodes, tfg, estimate, parameters, obstacles, driven_before, reach)
+        roadmap = make_roadmap(nodes, tfg, estimate, parameters, obstacles, driven_before)
         in_reach, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
         # Where less is left than is worth a visit, no sample could see enough.
         if in_reach or open_length < ENOUGH_FRONTIER or (effort > 0 and not beyond):
@@ -219,10 +231,11 @@ def grow(
     if len(state.obstacles) and (ending or _shut_in(roadmap, tfg, estimate)):
         # Before the mission ends, what lies behind them is tried once more.
         state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
-        roadmap = make_roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before, reach)
+        roadmap = make_roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before)
     return replace(
         state,
-        parts=extended(parts, nodes, working.stage),
+        nodes=nodes if near.all() else with_part(state.nodes, near, nodes, estimate),
+        part=nodes,
         roadmap=roadmap,
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
@@ -244,12 +257,10 @@ def make_roadmap(
     parameters: RoadmapParameters,
     obstacles: FloatArray,
     driven: float,
-    reach: float = np.inf,
 ) -> Roadmap:
     """The roadmap message for a robot at the map's departure pose: the ways to the nodes, and what they see.
 
-    obstacles: (b, 4) segments met on the way, m in M. driven: m, so far. reach: m round the newest view: what is
-    farther away is no place to go to.
+    obstacles: (b, 4) segments met on the way, m in M. driven: m, so far.
     """
     robot, planner = parameters.robot, parameters.planner
     ways = routes(nodes, tfg, estimate.X_MD, robot, planner, obstacles)
@@ -257,10 +268,6 @@ def make_roadmap(
     if parameters.explorer.return_home:
         home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles)
     roadmap = roadmap_message(nodes, ways, robot, planner, driven, home)
-    if np.isfinite(reach):
-        near = within(nodes.points, estimate.X_MA[-1], reach)
-        kept = {name: getattr(roadmap, name) & near for name in ("reachable", "enterable")}
-        roadmap = replace(roadmap, **kept, entry=np.where(near, roadmap.entry, -1))
     return with_frontiers(roadmap, estimate, tfg, parameters.sensor, parameters.least_range)
 
 
@@ -284,41 +291,32 @@ def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
     return replace(state, obstacles=state.obstacles[keep], obstacle_view=state.obstacle_view[keep])
 
 
-@dataclasses.dataclass(frozen=True)
-class _Task:
-    """A path that is asked for: to a goal among the roadmap's nodes, from a pose, in the map that both are of."""
-
-    nodes: RoadmapState
-    estimate: MapEstimate
-    tfg: TfgMap
-    pose: PoseEstimate
-    goal: GoalChoice
-    mission: MissionStatus
-    parameters: RoadmapParameters
-
-
-def _plan_or_wait(state: PlannerState, task: _Task, scan: LaserScan) -> PlannerState:
+def _plan_or_wait(state: PlannerState, now: Now) -> PlannerState:
     """The state with a path or, while a robot that stands has every way barred by what it has met, without one."""
-    pose, estimate = task.pose, task.estimate
-    after = _plan(state, task)
-    if len(after.path.points) or task.mission.drives or not _may_go(state, estimate, task.tfg):
+    pose, scan = now.pose, now.scan
+    after = _plan(state, now)
+    if len(after.path.points) or now.mission.drives or not _may_go(state):
         return after
-    _, in_view = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
+    _, in_view = seen_past(obstacles_in_map(state, state.estimate), scan, pose_at(pose, scan.stamp))
     if not in_view.all():
         # What the robot does not see may have gone; if not, it will see it on its way.
         state = _keep_obstacles(state, in_view)
-        after = _plan(state, task)
+        after = _plan(state, now)
     since = min(state.waiting_since, pose.stamp)
     if len(after.path.points) or not len(state.obstacles) or pose.stamp >= since + PATIENCE:
         return after
-    # Who is in the way may go on.
+    # The obstacle may walk away: wait.
     return replace(state, waiting_since=since, asked=pose.stamp)
 
 
-def _plan(state: PlannerState, task: _Task) -> PlannerState:
-    nodes, estimate, pose, goal, mission = task.nodes, task.estimate, task.pose, task.goal, task.mission
-    now = pose.stage == estimate.stage
-    X_MB, speed = (pose.X_MB, float(pose.speed[0])) if now else (estimate.X_MD, 0.0)
+def _plan(state: PlannerState, now: Now) -> PlannerState:
+    pose, goal, mission, parameters = now.pose, now.goal, now.mission, now.parameters
+    estimate, tfg, nodes = state.estimate, state.tfg, state.part
+    if not state.roadmap.reaches(np.array([goal.node]), state.radius)[0]:
+        # A way as long as that may be shorter outside.
+        estimate, tfg, nodes = now.estimate, now.tfg, state.nodes
+    is_new = pose.stage == estimate.stage
+    X_MB, speed = (pose.X_MB, float(pose.speed[0])) if is_new else (estimate.X_MD, 0.0)
     obstacles = obstacles_in_map(state, estimate)
     node = int(np.searchsorted(nodes.ids, goal.node))
     if goal.node not in nodes.ids:
@@ -326,7 +324,7 @@ def _plan(state: PlannerState, task: _Task) -> PlannerState:
             f"goal of stage {goal.stage}: there is no node {goal.node}; choose one of the roadmap's {len(nodes.ids)},"
             f" by its id: {nodes.ids[0]} to {nodes.ids[-1]}"
         )
-    points = plan_path(nodes, estimate, task.tfg, X_MB, node, task.parameters, obstacles, speed)
+    points = plan_path(nodes, estimate, tfg, X_MB, node, parameters, obstacles, speed)
     if _length(state.driven, X_MB[:2]) + np.hypot(*np.diff(points, axis=0).T).sum() > goal.longest_way:
         points = np.zeros((0, 2))
     path = Path(id=state.path.id + 1, stage=mission.stage, points=points)
@@ -334,34 +332,21 @@ def _plan(state: PlannerState, task: _Task) -> PlannerState:
     return replace(state, path=path, status=status, replans=mission.replans, waiting_since=np.inf, asked=pose.stamp)
 
 
-def _may_go(state: PlannerState, estimate: MapEstimate, tfg: TfgMap) -> bool:
+def _may_go(state: PlannerState) -> bool:
     """Whether any of what was met on the way is no surface of the map, and may walk away."""
     if not len(state.obstacles):
         return False
-    met = obstacles_in_map(state, estimate)
-    return bool((point_distance(0.5 * (met[:, :2] + met[:, 2:]), tfg.segments) > MAPPED_WITHIN).any())
+    met = obstacles_in_map(state, state.estimate)
+    return bool((point_distance(0.5 * (met[:, :2] + met[:, 2:]), state.tfg.segments) > MAPPED_WITHIN).any())
 
 
-def _look(state: PlannerState, estimate: MapEstimate, pose: PoseEstimate, scan: LaserScan) -> PlannerState:
-    """The state without the obstacles that the scan sees past."""
-    gone, _ = seen_past(obstacles_in_map(state, estimate), scan, pose_at(pose, scan.stamp))
-    return replace(_keep_obstacles(state, ~gone) if gone.any() else state, look_stamp=scan.stamp)
-
-
-def _watch(
-    state: PlannerState,
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    pose: PoseEstimate,
-    scan: LaserScan,
-    radius: float,
-    bold: bool,
-) -> PlannerState:
+def _watch(state: PlannerState, pose: PoseEstimate, scan: LaserScan, radius: float, bold: bool) -> PlannerState:
+    estimate, segments = state.estimate, state.tfg.segments
     X_MS = pose_at(pose, scan.stamp)
     seen = replace(state, scan_stamp=scan.stamp)
-    if path_is_free(state.path.points, scan, X_MS, radius, tfg.segments, bold=bold):
+    if path_is_free(state.path.points, scan, X_MS, radius, segments, bold=bold):
         return seen
-    met = unmapped_obstacles(state.path.points, scan, X_MS, radius, tfg.segments)
+    met = unmapped_obstacles(state.path.points, scan, X_MS, radius, segments)
     in_A = transform(inverse(estimate.X_MA[-1]), met.reshape(-1, 2)).reshape(-1, 4)
     return replace(
         seen,

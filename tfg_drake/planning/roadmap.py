@@ -29,6 +29,7 @@ from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
+from tfg_drake.tfg.near import within
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
@@ -109,6 +110,15 @@ class Edges:
             *(np.concatenate(columns) for columns in zip(*(table._columns() for table in tables), strict=True))
         )
 
+    def changed(self, rows: IntArray, to: Edges, added: Edges) -> Edges:
+        """These edges with some of them as others are, and those added behind them."""
+        tables = zip(self._columns(), to._columns(), added._columns(), strict=True)
+        columns = []
+        for mine, changed, new in tables:
+            columns.append(np.concatenate([mine, new]))
+            columns[-1][rows] = changed
+        return Edges(*columns)
+
     def _columns(self) -> tuple[Any, ...]:
         return (self.nodes, self.travelled, self.free, self.clearance, self.required, self.usable)
 
@@ -119,10 +129,9 @@ class RoadmapState:
 
     stage. ids: (n,) of the nodes, ascending, next_id: that of the next new one. anchor: (n,) the view in whose arrival
     frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m. sigma: (n,) m, the
-    deviation of the robot there relative to the surfaces. known_jointly: (n,) whether sigma follows from landmarks
-    known jointly, now or when the robot was last near. edges: all that were ever proposed, between rows of the nodes.
-    links: edges to nodes of inactive submaps, between ids. way_end: the id of the node where the way that the robot has
-    driven ends, -1 for none.
+    deviation of the robot there relative to the surfaces. edges: all that were ever proposed, between rows of the
+    nodes, smaller node first; those of what is near in the order of the nodes. way_end: the id of the node where the
+    way that the robot has driven ends, -1 for none.
     """
 
     stage: int
@@ -132,9 +141,7 @@ class RoadmapState:
     p_AN: FloatArray
     points: FloatArray
     sigma: FloatArray
-    known_jointly: BoolArray
     edges: Edges
-    links: Edges
     way_end: int
 
 
@@ -156,9 +163,7 @@ def empty_roadmap() -> RoadmapState:
         p_AN=pairs,
         points=pairs,
         sigma=np.zeros(0),
-        known_jointly=np.zeros(0, dtype=np.bool_),
         edges=none,
-        links=none,
         way_end=-1,
     )
 
@@ -425,48 +430,43 @@ def extend(
     *,
     driven: FloatArray | None = None,
     effort: int = 0,
-    views: IntArray | None = None,
-    reach: float = np.inf,
+    radius: float = np.inf,
     sampled: bool = False,
     in_vain: bool = False,
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
 
-    driven: (d, 2) m in M, the way of the robot to the last view. effort: index into EFFORTS. views: (a,) those whose
-    stars the map holds, if it is a part of one. reach: m round the newest view; farther away nothing is added and all
-    stays as it was checked last. sampled: it is on all of the map already, and only that way is new. in_vain: goals
-    could not be reached, so of the ways driven near the robot those that a surface crosses by now have shut. The same
-    arguments give the same roadmap.
+    driven: (d, 2) m in M, the way of the robot to the last view. effort: index into EFFORTS. radius: m round the newest
+    view, within which all of the map is given; by default everywhere. sampled: it is on all of the map already, and
+    only that way is new. in_vain: goals could not be reached, so of the ways driven near the robot those that a surface
+    crosses by now have shut. The same arguments give the same roadmap.
     """
-    views = np.arange(len(estimate.X_MA)) if views is None else views
-    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, effort, reach, sampled)
+    views = np.flatnonzero(within(estimate.X_MA, estimate.X_MA[-1], radius))
+    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, effort, radius, sampled)
     first_new = len(state.anchor)
     fresh = len(points) - first_new
     apart = points[first_new:, None] - estimate.X_MA[views, :2]
     anchor = np.append(state.anchor, views[np.square(apart).sum(axis=2).argmin(axis=1)])
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
-    around = np.append(within(points[:first_new], estimate.X_MA[-1], reach), np.ones(fresh, dtype=np.bool_))
-    sigma = np.append(state.sigma, np.zeros(fresh))
-    known_jointly = np.append(state.known_jointly, np.zeros(fresh, dtype=np.bool_))
-    sigma[around], known_jointly[around] = predicted_deviation(
-        points[around],
+    sigma = predicted_deviation(
+        points,
         estimate,
         tfg,
         parameters.sensor,
         parameters.odometry,
         parameters.robot.max_speed,
-        np.where(known_jointly, sigma, np.inf)[around],
+        np.append(state.sigma, np.full(fresh, np.inf)),
     )
     proposed = np.vstack([chain, _nearest_edges(points, first_new)])
     was_driven = np.arange(len(proposed)) < len(chain)
     edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
-    edges, asked = _checked(edges, around, points, sigma, tfg, parameters, EFFORTS[effort][1])
+    edges = _checked(edges, points, sigma, tfg, parameters, EFFORTS[effort][1])
     if in_vain:
         near = within(points, estimate.X_MD, EDGE_LENGTH)[edges.nodes].any(axis=1)
-        edges = replace(edges, travelled=edges.travelled & ~(near & asked & (edges.clearance == 0.0)))
+        edges = replace(edges, travelled=edges.travelled & ~(near & (edges.clearance == 0.0)))
     home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(views), -1]])
-    edges = _with_needed(edges, asked, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
+    edges = _with_needed(edges, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
     ids = np.append(state.ids, state.next_id + np.arange(fresh))
     return replace(
         state,
@@ -477,7 +477,6 @@ def extend(
         p_AN=p_AN,
         points=points,
         sigma=sigma,
-        known_jointly=known_jointly,
         edges=edges,
         way_end=int(ids[way_end]),
     )
@@ -490,28 +489,28 @@ def _with_new_nodes(
     parameters: RoadmapParameters,
     driven: FloatArray | None,
     effort: int,
-    reach: float,
+    radius: float,
     sampled: bool,
 ) -> tuple[FloatArray, IntArray, int]:
     """The nodes (n, 2), m in M, the old ones first, then those of the way driven (d, 2), then samples; the chain of
     edges (e, 2), smaller node first, along that way; and the node where it ends. Further arguments as of `extend`."""
-    radius = parameters.robot.radius
+    body = parameters.robot.radius
     nodes = place_in_map(state.anchor, state.p_AN, estimate.X_MA)
     way_end = int(np.append(np.flatnonzero(state.ids == state.way_end), -1)[0])
     chain = np.zeros((0, 2), dtype=np.int64)
     if estimate.stage > state.stage:
         # Further efforts at a stage add nothing to the way: the first has.
         driven = np.zeros((0, 2)) if driven is None else driven
-        travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, radius, way_end)
+        travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, body, way_end)
         nodes = np.vstack([nodes, travelled])
     if sampled:
         return nodes, chain, way_end
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
-    proposals, spacing, is_free = _proposals(rng, tfg, radius, EFFORTS[effort][0])
-    if np.isfinite(reach):
-        inside = within(proposals, estimate.X_MA[-1], reach - EDGE_LENGTH)
+    proposals, spacing, is_free = _proposals(rng, tfg, body, EFFORTS[effort][0])
+    if np.isfinite(radius):
+        inside = within(proposals, estimate.X_MA[-1], radius - EDGE_LENGTH)
         proposals, spacing, is_free = proposals[inside], spacing[inside], is_free[inside]
-    stars, room = (tfg.star_offsets, tfg.star_vertices), radius + NODE_MARGIN
+    stars, room = (tfg.star_offsets, tfg.star_vertices), body + NODE_MARGIN
     points = np.vstack([nodes, proposals[fitting(proposals, spacing, is_free, nodes, *stars, tfg.segments, room)]])
     return points, chain, way_end
 
@@ -530,61 +529,45 @@ def _distinct(edges: Edges, proposed: Edges, count: int) -> Edges:
 
 def _checked(
     edges: Edges,
-    around: BoolArray,
     points: FloatArray,
     sigma: FloatArray,
     tfg: TfgMap,
     parameters: RoadmapParameters,
     accepted: float,
-) -> tuple[Edges, BoolArray]:
-    """The edges between points (n, 2), with those checked against the map that join two of the nodes around (n,); and
-    which these are (e,).
+) -> Edges:
+    """The edges between points (n, 2), checked against the map.
 
     An edge is usable where it lies in free space and has the room that it needs. How much that is follows from the
     deviations sigma (n,), m, and the probability of a collision: the accepted one, or the planner's if that is more.
     """
-    has, need = edges.clearance.copy(), edges.required.copy()
     node_need = room_needed(parameters.robot, parameters.planner, sigma, accepted)
-    asked = _measure(has, need, edges.nodes, around, points, node_need, tfg.segments)
+    has, need = _measure(edges.nodes, points, node_need, tfg.segments)
     free = edges.free | edges.travelled
-    ask = np.flatnonzero(asked & ~free & (has >= parameters.robot.radius))
+    ask = np.flatnonzero(~free & (has >= parameters.robot.radius))
     free[ask] = in_free_space(points[edges.nodes[ask]].reshape(-1, 4), tfg)
-    usable = np.where(asked, free & (has >= need), edges.usable)
-    return replace(edges, clearance=has, required=need, free=free, usable=usable), asked
+    return replace(edges, clearance=has, required=need, free=free, usable=free & (has >= need))
 
 
 @njit(cache=True)
 def _measure(
-    has: FloatArray,
-    need: FloatArray,
-    edges: IntArray,
-    around: BoolArray,
-    points: FloatArray,
-    node_need: FloatArray,
-    segments: FloatArray,
-) -> BoolArray:
-    """Which of the edges (e, 2) join two of the points around (n,), (e,).
-
-    Of these it sets, in place, `has` (e,): the clearance from segments (m, 4), m, as far as it is less than COMFORT or
-    than what any of them needs; and `need` (e,): the clearance they need, m, the greater of both ends' node_need (n,).
-    """
-    asked, reach = np.zeros(len(edges), dtype=np.bool_), COMFORT
+    edges: IntArray, points: FloatArray, node_need: FloatArray, segments: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Of the edges (e, 2) between points (n, 2): the clearance (e,) from segments (m, 4), m, as far as it is less than
+    COMFORT or than what any of them needs; and the clearance (e,) that they need, m, the greater of both ends'
+    node_need (n,)."""
+    has, need, reach = np.empty(len(edges)), np.empty(len(edges)), COMFORT
     for e in range(len(edges)):
-        a, b = edges[e, 0], edges[e, 1]
-        if around[a] and around[b]:
-            asked[e], need[e] = True, max(node_need[a], node_need[b])
-            reach = max(reach, need[e])
-    grid, room = segment_grid(segments), np.zeros(len(points))
+        need[e] = max(node_need[edges[e, 0]], node_need[edges[e, 1]])
+        reach = max(reach, need[e])
+    grid, room = segment_grid(segments), np.empty(len(points))
     for n in range(len(points)):
-        if around[n]:
-            room[n] = room_beside(points[n, 0], points[n, 1], points[n, 0], points[n, 1], segments, grid, reach)
+        room[n] = room_beside(points[n, 0], points[n, 1], points[n, 0], points[n, 1], segments, grid, reach)
     for e in range(len(edges)):
-        if asked[e]:
-            # No edge has more room than its ends.
-            a, b = edges[e, 0], edges[e, 1]
-            most = min(room[a], room[b])
-            has[e] = room_beside(points[a, 0], points[a, 1], points[b, 0], points[b, 1], segments, grid, most)
-    return asked
+        # No edge has more room than its ends.
+        a, b = edges[e, 0], edges[e, 1]
+        most = min(room[a], room[b])
+        has[e] = room_beside(points[a, 0], points[a, 1], points[b, 0], points[b, 1], segments, grid, most)
+    return has, need
 
 
 def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, accepted: float) -> FloatArray:
@@ -599,19 +582,19 @@ def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, a
     return np.asarray(np.minimum(own, least) if accepted > planner.collision_probability else own)
 
 
-def _with_needed(edges: Edges, asked: BoolArray, least: float, home: int, here: int, count: int) -> Edges:
-    """The edges, of those just checked (e,) the ones usable too that are `_needed`."""
-    driven = asked & edges.travelled
+def _with_needed(edges: Edges, least: float, home: int, here: int, count: int) -> Edges:
+    """The edges, those usable too that are `_needed`."""
+    driven = edges.travelled
     if not (driven & ~edges.usable).any():
         return edges
     room = np.where(driven, edges.clearance, -np.inf)
     usable = edges.usable | _needed(edges.nodes, edges.usable, room, least, home, here, count)
-    required = np.where(asked & usable, np.minimum(edges.required, edges.clearance), edges.required)
+    required = np.where(usable, np.minimum(edges.required, edges.clearance), edges.required)
     return replace(edges, required=required, usable=usable)
 
 
 def _entry(views: IntArray) -> int:
-    """Of the views (a,) of a part of the map, the first since the robot was last outside."""
+    """Of the views (a,) that are near, the first since the robot was last elsewhere."""
     return int(views[np.flatnonzero(np.diff(views) > 1).max(initial=-1) + 1])
 
 
@@ -644,11 +627,6 @@ def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
     a, b = edges[which].T
     graph = coo_array((np.ones(len(a), dtype=np.bool_), (a, b)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1])
-
-
-def within(points: FloatArray, place: FloatArray, reach: float) -> BoolArray:
-    """Which points (n, 2) lie within reach (m) of a place or pose (2 or 3,), (n,)."""
-    return np.asarray(np.hypot(points[:, 0] - place[0], points[:, 1] - place[1]) <= reach)
 
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:

@@ -93,26 +93,12 @@ def points_of(
 
 def select(points: FrontierPoints, keep: BoolArray) -> FrontierPoints:
     """The points to keep (f,)."""
-    return FrontierPoints(
-        points.view[keep],
-        points.p[keep],
-        points.normal[keep],
-        points.length[keep],
-        points.on_surface[keep],
-        points.id[keep],
-    )
+    return FrontierPoints(*(column[keep] for column in vars(points).values()))
 
 
 def join(*parts: FrontierPoints) -> FrontierPoints:
     """The points of all parts, one part after the other."""
-    return FrontierPoints(
-        np.concatenate([part.view for part in parts]),
-        np.concatenate([part.p for part in parts]),
-        np.concatenate([part.normal for part in parts]),
-        np.concatenate([part.length for part in parts]),
-        np.concatenate([part.on_surface for part in parts]),
-        np.concatenate([part.id for part in parts]),
-    )
+    return FrontierPoints(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:

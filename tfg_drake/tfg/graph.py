@@ -24,6 +24,7 @@ from tfg_drake.geometry.turned import turned
 from tfg_drake.geometry.visibility import surely_visible
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
+from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     GRAZE,
@@ -41,21 +42,21 @@ from tfg_drake.tfg.frontier import (
     in_front,
     join,
     most_within,
-    no_points,
     open_frontiers,
     place_points,
     points_of,
     select,
     uninspected_frontiers,
 )
-from tfg_drake.tfg.overlap import WeaklyTied, nothing_weakly_tied, standing, weakly_tied
+from tfg_drake.tfg.near import within
+from tfg_drake.tfg.overlap import WeaklyTied, known_badly, standing, weakly_tied
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
 from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import Components, panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
-from tfg_drake.tfg.surfaces import END, Surfaces, add_observation, no_surfaces, place
+from tfg_drake.tfg.surfaces import END, add_observation, place
 
 # Attempts from within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
@@ -65,6 +66,8 @@ NEAR_SHARE = 0.5
 # A surface is inspected only where it is seen less slantwise, by this, rad, than the sensor needs to see a tag on it:
 # its direction is known no better.
 SLANT_KNOWN = math.radians(2.5)
+# How far two places that were once next to each other may have been torn apart by a loop that closed, m.
+TORN = 1.0
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
 
@@ -95,66 +98,6 @@ def note_sightings(sightings: UnmappedSightings, pose: PoseEstimate) -> Unmapped
     )
 
 
-@message
-class TfgGraph:
-    """The graph in the coordinates of its landmarks and views.
-
-    stage: number of views in it. surfaces: obstacle surfaces. tag_ids: (n,) ascending, tag_view: (n,) and tag_facing:
-    (n, 2): the side each landmark faces, a unit vector in that view's frame; tag_range: (n,) m from where it was seen.
-    star_offsets: (k + 1,), star_vertices: (v, 2) in each view's frame, m. free_space_frontiers: points where free space
-    ends at the unknown and no star has covered it yet. uninspected: points of surface on which a tag may have been
-    missed. unseen_backs: points on the far faces of thin walls that no view has seen. open_ends: points in front of
-    other faces that none has seen. sighted: tags seen on the way and not mapped, viewpoints: row for row the place of
-    the robot then. tried: places where views have tried a frontier in vain, tried_count: (t,) how often. met: points
-    of dynamic obstacles, until they are seen past, met_stamp: (p,) when they were met, s.
-    """
-
-    stage: int
-    surfaces: Surfaces
-    tag_ids: IntArray
-    tag_view: IntArray
-    tag_facing: FloatArray
-    tag_range: FloatArray
-    star_offsets: IntArray
-    star_vertices: FloatArray
-    free_space_frontiers: FrontierPoints
-    uninspected: FrontierPoints
-    unseen_backs: FrontierPoints
-    open_ends: FrontierPoints
-    sighted: FrontierPoints
-    viewpoints: FrontierPoints
-    tried: FrontierPoints
-    tried_count: IntArray
-    met: FrontierPoints
-    met_stamp: FloatArray
-
-
-def empty_graph() -> TfgGraph:
-    """The graph before the first view."""
-    none, pairs, zero = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(1, dtype=np.int64)
-    points = no_points()
-    return TfgGraph(
-        0,
-        no_surfaces(),
-        none,
-        none,
-        pairs,
-        np.zeros(0),
-        zero,
-        pairs,
-        points,
-        points,
-        points,
-        points,
-        points,
-        points,
-        points,
-        none,
-        points,
-        np.zeros(0),
-    )
-
-
 def update(
     graph: TfgGraph,
     estimate: MapEstimate,
@@ -165,24 +108,52 @@ def update(
     explorer: ExplorerConfig,
     *,
     glance: bool = False,
-    views: IntArray | None = None,
-    reach: float = math.inf,
 ) -> TfgGraph:
-    """The graph with the newest view of the estimate added.
+    """The graph with the newest view of the estimate added. On a large map only what is near that view changes.
 
     estimate: the map at stage graph.stage + 1. panorama: what that view's turn saw, in its arrival frame. sightings:
-    tags seen on the way to it. glance: the view is a glance on the way, no attempt at what was open there. views: (k,)
-    the views whose stars the graph holds, in their order, where it is a part of a larger graph. reach: m, unseen faces
-    are looked for only so near to the newest view.
+    tags seen on the way to it. glance: the view is a glance on the way, no attempt at what was open there.
 
     Raises ValueError where the estimate is of another stage.
     """
     if estimate.stage != graph.stage + 1:
         raise ValueError(f"The graph holds {graph.stage} views: it cannot take stage {estimate.stage} of the map next.")
-    view = graph.stage
-    X_MA = estimate.X_MA
-    earlier = X_MA[:-1] if views is None else X_MA[views]
-    graph, panorama = _without_dynamic(graph, panorama, estimate, earlier)
+    # As far as the view may have seen, as mapped now.
+    seen = panorama.range_max + TORN
+    scene = _Scene(estimate, panorama, sightings, tags, robot, explorer, glance)
+    if estimate.is_joint:
+        return _with_view(graph, np.arange(graph.stage), scene)
+    # While all was known jointly, the newest view looked for unseen faces everywhere.
+    backs, ends = (
+        anchored(of, estimate.X_MA[:-1]) if (of.view == graph.stage - 1).all() else of
+        for of in (graph.unseen_backs, graph.open_ends)
+    )
+    graph = replace(graph, unseen_backs=backs, open_ends=ends)
+    # What the view may have seen was seen by views from as far off again.
+    part = part_of(graph, estimate, 2.0 * seen)
+    scene = dataclasses.replace(scene, estimate=part.estimate, radius=seen)
+    return with_part(graph, part, _with_view(part.graph, np.flatnonzero(part.views), scene))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Scene:
+    """The newest view, see `update`. radius: m, the graph is changed only so near to it."""
+
+    estimate: MapEstimate
+    panorama: Panorama
+    sightings: UnmappedSightings
+    tags: TagSensorConfig
+    robot: RobotConfig
+    explorer: ExplorerConfig
+    glance: bool
+    radius: float = math.inf
+
+
+def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
+    """The graph, or a part of it, with the newest view added; views: (k,) those whose stars it holds."""
+    estimate, tags = scene.estimate, scene.tags
+    view, X_MA = estimate.stage - 1, estimate.X_MA
+    graph, panorama = _without_dynamic(graph, scene.panorama, estimate, X_MA[views])
     links = panorama_links(panorama)
     components = segment(panorama, links)
 
@@ -194,43 +165,46 @@ def update(
     star = star_polygon(panorama)
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
     star_vertices = np.concatenate([graph.star_vertices, star])
-    stars = placed_stars(star_offsets, star_vertices, X_MA if views is None else X_MA[np.append(views, view)])
+    views_now = np.append(views, view)
+    stars = placed_stars(star_offsets, star_vertices, X_MA[views_now])
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
-    weak, seen = nothing_weakly_tied(surfaces, estimate), stars
-    if views is not None and len(views) < view:
-        weak = weakly_tied(surfaces, tag_ids, tag_view, estimate)
-        seen = some_stars(stars, ~weak.views[np.append(views, view)])
+    nothing = np.zeros(len(estimate.ids), dtype=np.bool_)
+    badly = nothing if math.isinf(scene.radius) else known_badly(estimate)
+    weak = weakly_tied(surfaces, tag_ids, tag_view, estimate, badly)
     newest = _Newest(
         estimate,
         tags,
         segments=segments_of(surfaces.offsets, placed)[0],
         star=placed_stars(np.array([0, len(star)]), star, X_MA[view:]),
-        stars=seen,
+        stars=some_stars(stars, ~weak.views[views_now]),
         weak=weak.views,
-        reach=reach,
+        radius=scene.radius,
     )
     backs, ends = newest.unseen_faces(surfaces.offsets, placed, stars)
-    updated = TfgGraph(
-        estimate.stage,
-        surfaces,
-        tag_ids,
-        tag_view,
-        tag_facing,
-        tag_range,
-        star_offsets,
-        star_vertices,
-        newest.free_space_frontiers(graph.free_space_frontiers, *find_frontiers(panorama, links, 2.0 * robot.radius)),
-        newest.uninspected(graph.uninspected, components),
-        newest.found_here(graph.unseen_backs, backs, newest.known),
-        newest.found_here(graph.open_ends, ends, newest.near),
-        *_update_sighted(graph.sighted, graph.viewpoints, sightings, estimate),
-        graph.tried,
-        graph.tried_count,
-        graph.met,
-        graph.met_stamp,
+    sighted, viewpoints = _update_sighted(graph.sighted, graph.viewpoints, scene.sightings, estimate)
+    updated = replace(
+        graph,
+        stage=estimate.stage,
+        surfaces=surfaces,
+        tag_ids=tag_ids,
+        tag_view=tag_view,
+        tag_facing=tag_facing,
+        tag_range=tag_range,
+        star_offsets=star_offsets,
+        star_vertices=star_vertices,
+        free_space_frontiers=newest.free_space_frontiers(
+            graph.free_space_frontiers, *find_frontiers(panorama, links, 2.0 * scene.robot.radius)
+        ),
+        uninspected=newest.uninspected(graph.uninspected, components),
+        unseen_backs=newest.found_here(graph.unseen_backs, backs, newest.known),
+        open_ends=newest.found_here(graph.open_ends, ends, newest.near),
+        sighted=sighted,
+        viewpoints=viewpoints,
     )
-    return updated if glance else _count_attempts(graph, updated, estimate, panorama, tags, explorer, views)
+    if scene.glance:
+        return updated
+    return _count_attempts((graph, views), (updated, views_now), badly, scene)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,7 +213,7 @@ class _Newest:
 
     segments: (s, 4) of the surfaces, the newest included, m. star: the newest view's, stars: of all views that say
     something of the robot's surroundings. weak: (k,) which views are weakly tied.
-    reach: m round the newest view, see `update`.
+    radius: m round the newest view, within which unseen faces are looked for.
     """
 
     estimate: MapEstimate
@@ -248,7 +222,7 @@ class _Newest:
     star: Stars
     stars: Stars
     weak: BoolArray
-    reach: float
+    radius: float
 
     def free_space_frontiers(
         self, old: FrontierPoints, p: FloatArray, normal: FloatArray, length: FloatArray
@@ -296,12 +270,12 @@ class _Newest:
         return self._on_surface(*backs, UNINSPECTED_SPACING), self._on_surface(*ends, END_LENGTH)
 
     def near(self, points: FrontierPoints) -> BoolArray:
-        """Which points lie within reach."""
+        """Which points lie within the radius."""
         X_MA = self.estimate.X_MA
-        return np.asarray(np.hypot(*(place_points(points, X_MA).p - X_MA[-1, :2]).T) <= self.reach)
+        return within(place_points(points, X_MA).p, X_MA[-1], self.radius)
 
     def known(self, points: FrontierPoints) -> BoolArray:
-        """Which points lie within reach, where it is known how far two faces may have drifted apart."""
+        """Which points lie within the radius, where it is known how far two faces may have drifted apart."""
         return self.near(points) & known_jointly(place_points(points, self.estimate.X_MA).p, self.estimate)
 
     def found_here(
@@ -312,7 +286,7 @@ class _Newest:
         Those of a large map are not found anew at every stage: each is kept in the frame of the view nearest to it. In
         the newest view's it would leave its surface when that view's heading is corrected later.
         """
-        if math.isinf(self.reach) and self.estimate.is_joint:
+        if math.isinf(self.radius):
             return now
         # Not a weakly tied one's, which says nothing of the robot's surroundings.
         firm = np.flatnonzero(~self.weak)
@@ -363,36 +337,23 @@ def _without_dynamic(
     return graph, static.panorama
 
 
-def resolve(
-    graph: TfgGraph,
-    estimate: MapEstimate,
-    robot: RobotConfig,
-    explorer: ExplorerConfig,
-    *,
-    views: IntArray | None = None,
-) -> TfgMap:
+def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
     """The graph in the map frame, with the estimate's landmarks and views; the estimate's stage is the graph's.
 
     Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
-    Landmarks that anchor no other surface get no facing, so they count as visible from nowhere. In a part of a larger
-    map the same holds for weakly tied surfaces, landmarks and frontiers; they are in the whole map only.
-
-    views: (k,) those that the graph holds the stars of, if it is a part of one.
+    Landmarks that anchor no other surface get no facing, so they count as visible from nowhere.
     """
-    placed = _placed(graph, estimate, views)
-    weak = placed.weakly_tied
+    placed = _placed(graph, np.arange(graph.stage), estimate, np.zeros(len(estimate.ids), dtype=np.bool_))
+    free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
+    frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
-    bare &= ~weak.landmarks
     posts = estimate.ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
     facing = np.zeros((len(estimate.ids), 2))
     facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
-    facing[weak.landmarks] = 0.0
     if not placed.here.all():
         drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
         facing[np.isin(estimate.ids, drifted)] = 0.0
-    free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
-    frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     in_vain = _attempts(graph, free_space_frontiers, estimate) >= explorer.frontier_attempts
     given_up = _openings(select(free_space_frontiers, in_vain), robot)
     return TfgMap(
@@ -437,20 +398,20 @@ class _Placed:
     """The graph's surfaces and stars where the map estimate puts them.
 
     pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. stand: (m,) which have not
-    drifted into the free space of the stars. stars: in the map frame. weakly_tied: what says nothing of the
-    surroundings of the robot.
+    drifted into the free space of the stars. stars: in the map frame. weak: what says nothing of the surroundings of
+    the robot.
     """
 
     pieces: FloatArray
     owner: IntArray
     stand: BoolArray
     stars: Stars
-    weakly_tied: WeaklyTied
+    weak: WeaklyTied
 
     @functools.cached_property
     def here(self) -> BoolArray:
         """Which pieces (m,) are believed to be where they are placed."""
-        return self.stand & ~self.weakly_tied.surfaces[self.owner]
+        return self.stand & ~self.weak.surfaces[self.owner]
 
     @functools.cached_property
     def segments(self) -> FloatArray:
@@ -458,16 +419,14 @@ class _Placed:
         return self.pieces[self.here]
 
 
-def _placed(graph: TfgGraph, estimate: MapEstimate, views: IntArray | None) -> _Placed:
-    """The graph placed; views: (k,) those that it holds the stars of, if it is a part of one."""
-    of_view = np.arange(graph.stage) if views is None else views
-    stars = placed_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[of_view])
+def _placed(graph: TfgGraph, views: IntArray, estimate: MapEstimate, badly: BoolArray) -> _Placed:
+    """The graph, or a part of it, placed; views: (k,) those whose stars it holds. badly: (n,) landmarks, see
+    `known_badly`."""
+    stars = placed_stars(graph.star_offsets, graph.star_vertices, estimate.X_MA[views])
     vertices = place(graph.surfaces, estimate)
     pieces, owner = segments_of(graph.surfaces.offsets, vertices)
-    stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_view, stars, of_view, estimate)
-    weak = nothing_weakly_tied(graph.surfaces, estimate)
-    if len(of_view) < graph.stage:
-        weak = weakly_tied(graph.surfaces, graph.tag_ids, graph.tag_view, estimate)
+    stand = standing(graph.surfaces, vertices, graph.tag_ids, graph.tag_view, stars, views, estimate)
+    weak = weakly_tied(graph.surfaces, graph.tag_ids, graph.tag_view, estimate, badly)
     return _Placed(pieces, owner, stand[owner], stars, weak)
 
 
@@ -484,12 +443,12 @@ def _live_frontiers(
     Those that explorer.frontier_attempts views have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
-    poorly = _poorly_seen(graph.uninspected, graph.unseen_backs, estimate)
+    poorly = uninspected_frontiers(place_points(join(graph.uninspected, graph.unseen_backs), estimate.X_MA))
     poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
     points = join(free_space_frontiers, poorly)
     points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    here = ~placed.weakly_tied.views[points.view]
+    here = ~placed.weak.views[points.view]
     return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
@@ -503,16 +462,10 @@ def explored_elsewhere(points: FrontierPoints, stars: Stars, estimate: MapEstima
     return np.asarray(explored)
 
 
-@functools.lru_cache(maxsize=1)
-def _poorly_seen(uninspected: FrontierPoints, unseen_backs: FrontierPoints, estimate: MapEstimate) -> FrontierPoints:
-    """Frontier points, in the map frame, on the stretches of surface that no turn has seen well or at all."""
-    return uninspected_frontiers(place_points(join(uninspected, unseen_backs), estimate.X_MA))
-
-
 def _open_free_space_frontiers(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
     """Frontier points of free space, in the map frame, that no surface explains, without those of weakly tied views."""
     points = place_points(graph.free_space_frontiers, estimate.X_MA)
-    return select(points, open_frontiers(points, placed.segments) & ~placed.weakly_tied.views[points.view])
+    return select(points, open_frontiers(points, placed.segments) & ~placed.weak.views[points.view])
 
 
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
@@ -623,22 +576,23 @@ def _update_sighted(
 
 
 def _count_attempts(
-    before: TfgGraph,
-    after: TfgGraph,
-    estimate: MapEstimate,
-    panorama: Panorama,
-    tags: TagSensorConfig,
-    explorer: ExplorerConfig,
-    views: IntArray | None,
+    before: tuple[TfgGraph, IntArray],
+    after: tuple[TfgGraph, IntArray],
+    badly: BoolArray,
+    scene: _Scene,
 ) -> TfgGraph:
     """Counts the newest view as an attempt at every frontier point that it should have seen and that lives on.
 
-    views: (k,) those that the graph before holds the stars of, if it is a part of one.
+    before, after: the graph without and with that view, and the views (k,) whose stars it holds. Returns the latter.
+    badly: (n,) landmarks, see `known_badly`.
     """
+    estimate, tags = scene.estimate, scene.tags
     center = estimate.X_MA[-1, :2]
 
     def in_view_of(graph: TfgGraph, placed: _Placed) -> FloatArray:
-        points = _live_frontiers(graph, estimate, placed, _open_free_space_frontiers(graph, estimate, placed), explorer)
+        points = _live_frontiers(
+            graph, estimate, placed, _open_free_space_frontiers(graph, estimate, placed), scene.explorer
+        )
         towards = center - points.p
         distance = np.hypot(towards[:, 0], towards[:, 1])
         # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
@@ -646,24 +600,23 @@ def _count_attempts(
         slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
         clear = surely_visible(placed.segments, center, points.p, GRAZE)
         in_A = transform(inverse(estimate.X_MA[-1]), points.p)
-        looked = panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
+        looked = scene.panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
         reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
         return np.asarray(points.p[(distance <= reach) & ~slant & clear & looked])
 
-    def in_view(graph: TfgGraph, views: IntArray | None) -> FloatArray:
-        placed = _placed(graph, estimate, views)
+    def in_view(graph: TfgGraph, views: IntArray) -> FloatArray:
+        placed = _placed(graph, views, estimate, badly)
         here = in_view_of(graph, placed)
         # If no other frontier is in view, the robot came for a weakly tied one.
-        if len(here) or not placed.weakly_tied.landmarks.any():
+        if len(here) or not placed.weak.landmarks.any():
             return here
-        all_of_it = nothing_weakly_tied(graph.surfaces, estimate)
-        return in_view_of(graph, dataclasses.replace(placed, weakly_tied=all_of_it))
+        return in_view_of(graph, _placed(graph, views, estimate, np.zeros_like(badly)))
 
     # Seen from here by the old map, alive, and no surface found since that explains why.
-    then, failed = in_view(before, views), in_view(after, None if views is None else np.append(views, after.stage - 1))
+    then, failed, graph = in_view(*before), in_view(*after), after[0]
     failed = failed[~far_from(failed, then, TRIED_DISTANCE)]
 
-    tried = place_points(after.tried, estimate.X_MA)
+    tried = place_points(graph.tried, estimate.X_MA)
     again = ~far_from(tried.p, failed, TRIED_DISTANCE)
     first: list[FloatArray] = []
     for p in failed[far_from(failed, tried.p, TRIED_DISTANCE)]:
@@ -672,7 +625,7 @@ def _count_attempts(
     added = transform(inverse(estimate.X_MA[-1]), np.array(first).reshape(-1, 2))
     nothing = np.zeros(len(added))
     return replace(
-        after,
-        tried=join(after.tried, points_of(after.stage - 1, added, np.zeros_like(added), nothing)),
-        tried_count=np.concatenate([after.tried_count + again, np.ones(len(added), dtype=np.int64)]),
+        graph,
+        tried=join(graph.tried, points_of(graph.stage - 1, added, np.zeros_like(added), nothing)),
+        tried_count=np.concatenate([graph.tried_count + again, np.ones(len(added), dtype=np.int64)]),
     )

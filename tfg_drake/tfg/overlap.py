@@ -5,13 +5,13 @@ space seen from the other side, such as the walls of a room in the corridor outs
 view is closer to the newest view along the ties of the map, as its place relative to the robot is known better.
 
 A room that was reached along another arm of the loop is tied to the robot so weakly that its place relative to the
-corridor is unknown. Its surfaces and its free space are not used for the surroundings of the robot at all.
+corridor is unknown. What its views found and what the newest view finds say nothing of each other: else frontiers would
+be lost where the two lie over each other.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -74,33 +74,7 @@ class WeaklyTied:
     surfaces: BoolArray
 
 
-def weakly_tied(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate) -> WeaklyTied:
-    """The weakly tied parts of the map: landmarks of unknown place relative to the robot, views that saw none but such
-    of the landmarks known jointly, and the surfaces of these views or landmarks.
-
-    tag_ids, tag_view: (n,) landmarks and a view that saw each.
-    """
-    landmarks = _known_badly(estimate)
-    if not landmarks.any():
-        return nothing_weakly_tied(surfaces, estimate)
-    known = estimate.is_local
-    view, ids = _saw(surfaces, tag_ids, tag_view)
-    row = np.searchsorted(estimate.ids, ids)
-    these, others = (
-        np.bincount(view[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
-    )
-    views = (these > 0) & (others == 0)
-    anchored = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
-    return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
-
-
-def nothing_weakly_tied(surfaces: Surfaces, estimate: MapEstimate) -> WeaklyTied:
-    """No part of the map is weakly tied."""
-    return WeaklyTied(*(np.zeros(len(of), dtype=np.bool_) for of in (estimate.ids, estimate.X_MA, surfaces.view)))
-
-
-@functools.lru_cache(maxsize=1)
-def _known_badly(estimate: MapEstimate) -> BoolArray:
+def known_badly(estimate: MapEstimate) -> BoolArray:
     """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains.
 
     The least variance of all is the robot's own and is subtracted. Landmarks seen by the newest view are never among
@@ -114,6 +88,27 @@ def _known_badly(estimate: MapEstimate) -> BoolArray:
         badly[known] = largest - largest.min() > (MOST_DRIFT + SWING * distance) ** 2
         badly &= ~np.isin(estimate.ids, estimate.observation.ids)
     return badly
+
+
+def weakly_tied(
+    surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate, landmarks: BoolArray
+) -> WeaklyTied:
+    """The weakly tied parts of a large map: landmarks (n,) of unknown place relative to the robot, see `known_badly`,
+    views that saw none but such of the landmarks known jointly, and the surfaces of these views or landmarks.
+
+    tag_ids, tag_view: (m,) landmarks and a view that saw each.
+    """
+    if not landmarks.any():
+        return WeaklyTied(landmarks, *(np.zeros(len(of), dtype=np.bool_) for of in (estimate.X_MA, surfaces.view)))
+    known = estimate.is_local
+    view, ids = _saw(surfaces, tag_ids, tag_view)
+    row = np.searchsorted(estimate.ids, ids)
+    these, others = (
+        np.bincount(view[which[row]], minlength=len(estimate.X_MA)) for which in (landmarks, known & ~landmarks)
+    )
+    views = (these > 0) & (others == 0)
+    anchored = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
+    return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
 
 
 def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[IntArray, IntArray]:

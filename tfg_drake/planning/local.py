@@ -1,0 +1,113 @@
+"""What lies round the newest view: of a large map planning works on that alone, wherever it is enough.
+
+What is near `tfg_drake.tfg.near` says. A place within a radius is judged by what can be seen from there: by landmarks,
+surfaces and free space within the radius and the sensor's range. Whatever lies within a circle hides nothing from
+sight but what is in it, too.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.config import ExplorerConfig
+from tfg_drake.geometry.distance import clearance
+from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, replace
+from tfg_drake.planning.roadmap import Edges, RoadmapState, place_in_map
+from tfg_drake.tfg.near import of_landmarks, radius_of, within
+from tfg_drake.tfg.polyline import taken
+
+# Rules that look for the next goal in the whole map at every stage.
+FAR_SIGHTED = ("argmax", "random")
+
+
+def planning_radius(estimate: MapEstimate, explorer: ExplorerConfig) -> float:
+    """Distance, m, from the newest view within which planning looks first: as `radius_of`, but inf with rules that
+    choose the next goal from the whole map, and where the robot must know the length of its way home."""
+    looks_far = explorer.goal in FAR_SIGHTED or explorer.return_home
+    return math.inf if looks_far else radius_of(estimate)
+
+
+def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tuple[MapEstimate, TfgMap]:
+    """The map and the TFG as far as places within a radius (m) of the newest view are judged by them: frontiers within
+    the radius, and landmarks, surfaces and stars within the radius and what is seen from there, sight (m).
+
+    Where that is all, it is what was given. All views stay in the map.
+    """
+    if math.isinf(radius):
+        return estimate, tfg
+    here = estimate.X_MA[-1, :2]
+    far = radius + sight
+    landmarks, stars = within(estimate.p_ML, here, far), within(tfg.star_centers, here, far)
+    near = {
+        ("segments", "segment_kind", "segment_ids"): clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= far,
+        ("facing",): landmarks,
+        ("star_centers",): stars,
+        ("frontiers", "frontier_length", "frontier_normal"): within(tfg.frontiers, here, radius),
+        ("given_up", "given_up_length", "given_up_normal"): within(tfg.given_up, here, radius),
+        ("viewpoints",): within(tfg.viewpoints, here, radius),
+    }
+    if all(rows.all() for rows in near.values()):
+        return estimate, tfg
+    star_offsets, star_vertices = taken(np.flatnonzero(stars), tfg.star_offsets, tfg.star_vertices)
+    columns: dict[str, Any] = {name: getattr(tfg, name)[rows] for names, rows in near.items() for name in names}
+    part = replace(tfg, star_offsets=star_offsets, star_vertices=star_vertices, **columns)
+    return of_landmarks(estimate, landmarks), part
+
+
+def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> tuple[RoadmapState, BoolArray]:
+    """The roadmap with those of its nodes (n,) only that lie within a radius (m) of the map's newest view, and the
+    edges between them; and which these are (n,)."""
+    if math.isinf(radius):
+        return nodes, np.ones(len(nodes.ids), dtype=np.bool_)
+    points = place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA)
+    near = within(points, estimate.X_MA[-1], radius)
+    rows = _rows_between(near, nodes.edges)
+    ends = (np.cumsum(near) - 1)[nodes.edges.nodes[rows]]
+    order = np.argsort(_pairs(ends, len(near)))
+    part = replace(
+        nodes,
+        ids=nodes.ids[near],
+        anchor=nodes.anchor[near],
+        p_AN=nodes.p_AN[near],
+        points=points[near],
+        sigma=nodes.sigma[near],
+        edges=replace(nodes.edges.of(rows[order]), nodes=ends[order]),
+    )
+    return part, near
+
+
+def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate: MapEstimate) -> RoadmapState:
+    """The roadmap, placed by the map, with that part of it of which the nodes near (n,) are, as it has become since.
+    Its new edges are the last."""
+    old, first, count = np.flatnonzero(near), np.count_nonzero(near), len(near) + len(part.ids)
+    names = np.append(old, len(near) + np.arange(len(part.ids) - first))
+    edges, rows = replace(part.edges, nodes=names[part.edges.nodes]), _rows_between(near, nodes.edges)
+    # The part's edges are in the order of the nodes, and those that it had are among them.
+    at = np.searchsorted(_pairs(edges.nodes, count), _pairs(nodes.edges.nodes[rows], count))
+    is_new = np.ones(len(edges), dtype=np.bool_)
+    is_new[at] = False
+    sigma = nodes.sigma.copy()
+    sigma[old] = part.sigma[:first]
+    anchor, p_AN = np.append(nodes.anchor, part.anchor[first:]), np.vstack([nodes.p_AN, part.p_AN[first:]])
+    return replace(
+        part,
+        ids=np.append(nodes.ids, part.ids[first:]),
+        anchor=anchor,
+        p_AN=p_AN,
+        points=place_in_map(anchor, p_AN, estimate.X_MA),
+        sigma=np.append(sigma, part.sigma[first:]),
+        edges=nodes.edges.changed(rows, edges.of(at), edges.of(is_new)),
+    )
+
+
+def _rows_between(near: BoolArray, edges: Edges) -> IntArray:
+    """The edges (k,) between two of the nodes near (n,)."""
+    return np.flatnonzero(near[edges.nodes[:, 0]] & near[edges.nodes[:, 1]])
+
+
+def _pairs(nodes: IntArray, count: int) -> IntArray:
+    """A number (e,) for each edge's nodes (e, 2), of count nodes: in the order of the nodes."""
+    return nodes[:, 0] * count + nodes[:, 1]
