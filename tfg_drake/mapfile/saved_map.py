@@ -118,6 +118,7 @@ REGISTRY: Registry = {
         "y_AD": (3,),
         "information": ("r", "r"),
         "vector": (SHARED,),
+        "on_error": ("n", 2, 2),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -203,7 +204,15 @@ def state_of_map(estimate: MapEstimate) -> EstimatorState:
     covariance[np.ix_(joint, joint)] = estimate.covariance + LEAST_SIGMA**2 * np.eye(len(joint))
     information = np.zeros((len(covariance) + SHARED, len(covariance) + SHARED))
     information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
-    one = Keyframe(estimate.ids, estimate.p_ML, estimate.X_MD, RANGE_SCALE, information, np.zeros(SHARED))
+    one = Keyframe(
+        estimate.ids,
+        estimate.p_ML,
+        estimate.X_MD,
+        RANGE_SCALE,
+        information,
+        np.zeros(SHARED),
+        np.zeros((n, 2, 2)),
+    )
     prior = exactly_known()
     graph = extended(empty_graph(prior), one, estimate.X_MD, is_view=True)
     graph = replace(

@@ -22,9 +22,9 @@ from tfg_drake.slam.dissection import (
     solution,
 )
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.keyframe_kernels import Unknowns, assemble, batch_gradient
+from tfg_drake.slam.keyframe_kernels import Unknowns, Values, assemble, batch_gradient
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.solver import Factors, Places, Values, factors_of
+from tfg_drake.slam.solver import Factors, factors_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +35,7 @@ class DissectedSystem:
     elimination: Elimination
     gradient: FloatArray
     error: float
-    poses: FloatArray
+    places: FloatArray
 
     @property
     def log_determinant(self) -> float:
@@ -54,57 +54,62 @@ class DissectedSystem:
 class DissectionSolver:
     """See `solver.Solver`."""
 
-    def __init__(self, graph: KeyframeGraph) -> None:
-        self._factors: Factors = factors_of(graph)
-        n, k, rows = len(graph.ids), len(graph.keyframes), self._factors.keyframes.rows
-        seen_by = np.repeat(np.arange(k), np.diff(self._factors.keyframes.offsets))
-        # Landmarks, nodes 1 to k, the parameters.
-        variable = np.concatenate([rows, n + np.arange(k), n + np.arange(k - 1), np.full(k, n + k)])
-        keyframe = np.concatenate([seen_by, np.arange(k), np.arange(1, k), np.arange(k)])
-        own = variable < n + k
-        leaf = leaves(graph.X_MN[:-1, :2], variable[own], keyframe[own])
-        width = np.repeat([2, 3, SHARED], [n, k, 1])
+    def __init__(self, graph: KeyframeGraph, *, landmarks: bool = True) -> None:
+        """landmarks: whether they are unknowns."""
+        self._graph = graph
+        self.factors: Factors = factors_of(graph)
+        n, k, rows = len(graph.ids), len(graph.keyframes), self.factors.keyframes.rows
+        seen_by = np.repeat(np.arange(k), np.diff(self.factors.keyframes.offsets))
+        # Landmarks, their errors, nodes 1 to k, the parameters.
+        nodes = 2 * n + np.append(np.arange(k), np.arange(k - 1))
+        variable = np.concatenate([rows, n + rows, nodes, np.full(k, 2 * n + k)])
+        keyframe = np.concatenate([seen_by, seen_by, np.arange(k), np.arange(1, k), np.arange(k)])
+        # A landmark's error is in the keyframes that the landmark is in, and the parameters are in all.
+        cut = (variable < n) | ((variable >= 2 * n) & (variable < 2 * n + k))
+        leaf = leaves(graph.X_MN[:-1, :2], variable[cut], keyframe[cut])
+        width = np.repeat([2 * landmarks, 2 * self.factors.has_errors, 3, SHARED], [n, n, k, 1])
         self._dissection = dissected(leaf, variable, keyframe, width)
-        at = self._dissection.at
-        self.places = Places(at[:n], np.append(-1, at[n:-1]), int(at[-1]))
+        landmark_at, error_at, node_at, shared_at = np.split(self._dissection.at, [n, 2 * n, 2 * n + k])
+        self.unknowns = Unknowns(landmark_at, np.append(-1, node_at), int(shared_at[0]), error_at)
 
     def linearised(self, values: Values, damping: float) -> DissectedSystem:
         """See `solver.Solver`."""
-        size, k = self._dissection.size, len(self._factors.keyframes.y_AD)
-        gradient, poses, error = np.zeros(size), np.empty((k, 6 + SHARED, 6 + SHARED)), 0.0
+        factors, u, size = self.factors, self.unknowns, self._dissection.size
+        gradient, error = np.zeros(size), 0.0
+        places = np.empty((len(factors.keyframes.rows), 2, 3))
         # A variable that is left out has no unknown, not even after its first.
-        entry = np.full(size + 1, -SHARED)
-        landmark_at, node_at, shared_at = self.places
+        entry, has_prior = np.full(size + 1, -SHARED), np.ones(len(u.error_at), dtype=bool)
 
         def block(front: Front) -> FloatArray:
-            """The information (f, f) that the keyframes of a leaf have on its unknowns."""
+            """The information (f, f) that the keyframes of a leaf have on its unknowns, and priors in the first."""
             nonlocal error
             f = len(front.unknowns)
             whole, own = np.zeros((f, f)), np.zeros(f)
             entry[front.unknowns] = np.arange(f)
-            at = Unknowns(entry[landmark_at], entry[node_at], int(entry[shared_at]))
+            at = Unknowns(entry[u.landmark_at], entry[u.node_at], int(entry[u.shared_at]), entry[u.error_at])
             entry[front.unknowns] = -SHARED
-            where = values.X_MN, values.p_ML, values.shared
-            error += assemble(front.keyframes, self._factors.keyframes, *where, at, whole, own, poses)
-            if front is first:
-                whole[at.shared_at :, at.shared_at :] += self._factors.information
-                own[at.shared_at :] += force
-                error += float(off @ force)
+            error += assemble(front.keyframes, factors.keyframes, values, at, whole, own, places)
             gradient[front.unknowns] += own
+            if front is first:
+                whole[at.shared_at : at.shared_at + SHARED, at.shared_at : at.shared_at + SHARED] += factors.information
+            rows = np.flatnonzero((at.error_at >= 0) & has_prior)
+            if len(rows):
+                has_prior[rows] = False
+                i = at.error_at[rows][:, None] + [0, 1]
+                whole[i, i] += factors.of_errors
             return whole
 
-        off = values.shared - self._factors.mean
-        force = self._factors.information @ off
         first = next(front for front in self._dissection.fronts if not front.halves)
         elimination = eliminated(self._dissection, block, damping)
-        return DissectedSystem(self._dissection, elimination, gradient, error, poses)
+        error += factors.priors(values, u, gradient)
+        return DissectedSystem(self._dissection, elimination, gradient, error, places)
+
+    def log_determinant_given_landmarks(self, values: Values) -> float:
+        """See `solver.Solver`."""
+        return DissectionSolver(self._graph, landmarks=False).linearised(values, 0.0).log_determinant
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
         """See `solver.Solver`."""
         gradient = np.zeros(self._dissection.size)
-        where = values.X_MN, values.p_ML, values.shared
-        error = batch_gradient(self._factors.keyframes, *where, Unknowns(*self.places), gradient)
-        off = values.shared - self._factors.mean
-        force = self._factors.information @ off
-        gradient[self.places.shared_at :][:SHARED] += force
-        return gradient, error + float(off @ force)
+        error = batch_gradient(self.factors.keyframes, values, self.unknowns, gradient)
+        return gradient, error + self.factors.priors(values, self.unknowns, gradient)

@@ -144,7 +144,7 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
         rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
         shared = graph.shared.mean
         H, g, _ = linearised(
-            rows, one.y_AL, one.y_AD, one.unit, one.information, one.vector, X_MA, X_MD, graph.p_ML, shared
+            graph.p_ML[rows], one.y_AL, one.y_AD, one.unit, one.information, one.vector, X_MA, X_MD, shared
         )
         own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
         apart = np.linalg.solve(own, force)

@@ -79,6 +79,9 @@ CONTRADICTIONS = 3
 LONGEST_DOUBT = 60.0
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
 MOST_TAKEN_BACK = 10
+# The last map is solved until the deviation of the tags' errors changes by no more than this share, so often at most.
+SAME_TAG_ERROR = 0.05
+MOST_SOLVES = 6
 # A frame's ranges are compared with a scan's where the robot has moved by no more than this meanwhile, m and rad.
 SAME_PLACE = 0.004
 # A scan tells whether something hid the tags of a frame where it has moved by no more than this.
@@ -224,7 +227,11 @@ def finished_map(state: EstimatorState) -> EstimatorState:
     if estimate is None:
         return state
     graph, evidence = fused(replace(state.graph, p_ML=estimate.p_ML)), state.evidence
-    graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+    for _ in range(MOST_SOLVES):
+        before = graph.tag_error
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+        if np.allclose(graph.tag_error, before, rtol=SAME_TAG_ERROR):
+            break
     for _ in range(MOST_TAKEN_BACK):
         wrong = contradicted(graph)
         if wrong is None:

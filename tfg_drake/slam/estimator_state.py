@@ -60,12 +60,12 @@ class FirstLook:
 class EstimatorState:
     """All the estimator knows.
 
-    noise: (3,) random walks of odometry, see `random_walks`. correlation: what is known of the noise of tags. path_keyframe_period: s of way that are
-    mapped as one piece; 0 where only its motion is. newest: the last odometry message. odometry: dead reckoning from
-    the localiser's instant on. pending: frames that wait for it. scans: the newest scans. ranges: how the
-    tags' ranges compare with theirs, told: (8, 9) information on the parameters and gradient where they are zero, by
-    these, that the keyframes have. offset: s, the camera's clock is taken to be so much ahead. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
-    reckoning then. contradictions:
+    noise: (3,) random walks of odometry, see `random_walks`. correlation: what is known of the noise of tags.
+    path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last odometry
+    message. odometry: dead reckoning from the localiser's instant on. pending: frames that wait for it. scans: the
+    newest scans. ranges: how the tags' ranges compare with theirs, told: (8, 9) information on the parameters, and
+    gradient where they are zero, by these, that the keyframes have. offset: s, the camera's clock is taken to be so
+    much ahead. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
     frames that contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was
     seen since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
     kidnapped: the robot was moved since the last view by something else than its wheels. turn, piece: the open turn and

@@ -29,6 +29,7 @@ class Keyframe:
     With y = (the tags in A row by row, D in A) in the keyframe's unit and the shared parameters s, it costs e^T W e / 2
     + v^T s, e = (y - y_0, s). ids: (n,) ascending; 0 tags: odometry's way. y_AL: (n, 2), y_AD: (3,), y_0. unit: the
     parameter that is the scale of its lengths. information: W, (2n + 11, 2n + 11). vector: v, (8,).
+    on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad.
     """
 
     ids: IntArray
@@ -37,6 +38,7 @@ class Keyframe:
     unit: int
     information: FloatArray
     vector: FloatArray
+    on_error: FloatArray
 
     def given(self, shared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (8,)."""
@@ -61,14 +63,22 @@ class Keyframe:
         return 0.5 * (own + own.T), self.vector
 
 
-def keyframe(ids: IntArray, y: FloatArray, shared: FloatArray, unit: int, W: FloatArray, g: FloatArray) -> Keyframe:
+def keyframe(
+    ids: IntArray,
+    y: FloatArray,
+    shared: FloatArray,
+    unit: int,
+    W: FloatArray,
+    g: FloatArray,
+    on_error: FloatArray,
+) -> Keyframe:
     """The keyframe of a cost that has gradient g (2n + 11,) and Hessian W (2n + 11, 2n + 11) at (y, shared), y: (2n +
     3,), shared: (8,)."""
     m = len(y)
     back = np.linalg.solve(W[:m, :m], W[:m, m:] @ shared - g[:m])
     y_0 = y + back
     vector = g[m:] + W[m:, :m] @ back - W[m:, m:] @ shared
-    return Keyframe(ids, y_0[:-3].reshape(-1, 2), y_0[-3:], unit, W, vector)
+    return Keyframe(ids, y_0[:-3].reshape(-1, 2), y_0[-3:], unit, W, vector, on_error)
 
 
 def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
@@ -80,7 +90,13 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
     W = one.information
     across = W[np.ix_(rows, ~rows)]
     information = W[np.ix_(rows, rows)] - across @ np.linalg.solve(W[np.ix_(~rows, ~rows)], across.T)
-    return replace(one, ids=one.ids[keep], y_AL=one.y_AL[keep], information=0.5 * (information + information.T))
+    return replace(
+        one,
+        ids=one.ids[keep],
+        y_AL=one.y_AL[keep],
+        information=0.5 * (information + information.T),
+        on_error=one.on_error[keep],
+    )
 
 
 def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
@@ -88,7 +104,7 @@ def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
     information = np.zeros((3 + SHARED, 3 + SHARED))
     information[:3, :3] = np.linalg.inv(covariance)
     nothing = np.empty(0, dtype=np.int64)
-    return Keyframe(nothing, np.empty((0, 2)), X_AD, DISTANCE_SCALE, information, np.zeros(SHARED))
+    return Keyframe(nothing, np.empty((0, 2)), X_AD, DISTANCE_SCALE, information, np.zeros(SHARED), np.empty((0, 2, 2)))
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
@@ -111,7 +127,7 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     for _ in range(MOST_STEPS):
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
-            H_k, g_k, _ = linearised(row, one.y_AL, one.y_AD, -1, one.information, one.vector, begin, end, y_AL, shared)
+            H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, -1, one.information, one.vector, begin, end, shared)
             H[np.ix_(place, place)] += H_k
             g[place] += g_k
         free = np.append(np.arange(2 * n + 3), np.arange(size - 3, size))
@@ -124,10 +140,24 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     across, of_B = H[:m, m:size], np.linalg.inv(H[m:size, m:size])
     W, gradient = H[:m, :m] - across @ of_B @ across.T, g[:m] - across @ of_B @ g[m:size]
     covariance = np.linalg.inv(H[np.ix_(free, free)])
-    both = keyframe(ids, np.append(y_AL.ravel(), D), shared, RANGE_SCALE, 0.5 * (W + W.T), gradient)
+    y, on_error = np.append(y_AL.ravel(), D), _errors_of_both(first, second, rows, n, float(B[2]))
+    both = keyframe(ids, y, shared, RANGE_SCALE, 0.5 * (W + W.T), gradient, on_error)
     both = replace(both, y_AD=np.append(both.y_AD[:2], wrap(float(both.y_AD[2]))))
     share = 1.0 / (1.0 + shared[RANGE_SCALE])
     return both, B * np.array([share, share, 1.0]), share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
+
+
+def _errors_of_both(
+    first: Keyframe, second: Keyframe, rows: tuple[IntArray, IntArray], n: int, heading: float
+) -> FloatArray:
+    """(n, 2, 2) on_error of a fusion whose second keyframe begins with this heading, rad: the mean by weight."""
+    weight, weighted = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
+    for one, row, R in zip((first, second), rows, (np.eye(2), se2.rotation(heading)), strict=True):
+        i = 2 * np.arange(len(row))[:, None] + [0, 1]
+        own = R @ one.information[i[:, :, None], i[:, None, :]] @ R.T
+        weight[row] += own
+        weighted[row] += own @ R @ one.on_error
+    return np.asarray(np.linalg.solve(weight, weighted), dtype=float)
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
@@ -140,20 +170,19 @@ def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
 
 @njit(cache=True)
 def residual(
-    rows: IntArray,
+    p_ML: FloatArray,
     y_AL: FloatArray,
     y_AD: FloatArray,
     unit: int,
     A: FloatArray,
     D: FloatArray,
-    p_ML: FloatArray,
     shared: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """The error (2n + 11,) of a keyframe, see Keyframe, and its Jacobian (2n + 11, 11) on A and the parameters.
 
-    rows: (n,) of its tags in p_ML. unit: -1 where all lengths are in the keyframe's unit.
+    p_ML: (n, 2) its tags. unit: -1 where all lengths are in the keyframe's unit.
     """
-    n, scale = len(rows), 1.0
+    n, scale = len(p_ML), 1.0
     if unit >= 0:
         scale = 1.0 + shared[unit]
     c, s = math.cos(A[2]), math.sin(A[2])
@@ -161,7 +190,7 @@ def residual(
     error, on = np.empty(m + SHARED), np.zeros((m + SHARED, 3 + SHARED))
     for i in range(n + 1):
         if i < n:
-            dx, dy = p_ML[rows[i], 0] - A[0], p_ML[rows[i], 1] - A[1]
+            dx, dy = p_ML[i, 0] - A[0], p_ML[i, 1] - A[1]
             seen_x, seen_y = y_AL[i, 0], y_AL[i, 1]
         else:
             dx, dy, seen_x, seen_y = D[0] - A[0], D[1] - A[1], y_AD[0], y_AD[1]
@@ -181,7 +210,7 @@ def residual(
 
 @njit(cache=True)
 def linearised(
-    rows: IntArray,
+    p_ML: FloatArray,
     y_AL: FloatArray,
     y_AD: FloatArray,
     unit: int,
@@ -189,7 +218,6 @@ def linearised(
     vector: FloatArray,
     A: FloatArray,
     D: FloatArray,
-    p_ML: FloatArray,
     shared: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Hessian (2n + 14, 2n + 14) and gradient (2n + 14,) of a keyframe's cost, in the order of tags, D, A and
@@ -198,7 +226,7 @@ def linearised(
     The Jacobian on tags and D's position is a scaled rotation, so that their block of the Hessian is the information,
     turned.
     """
-    error, on = residual(rows, y_AL, y_AD, unit, A, D, p_ML, shared)
+    error, on = residual(p_ML, y_AL, y_AD, unit, A, D, shared)
     m, size = len(error) - SHARED, len(error) + 3
     scale = 1.0
     if unit >= 0:
@@ -223,7 +251,7 @@ def linearised(
         H[m:, i] = H[i, m:]
     H[m:, m:] = on.T @ weighted_on
     g[m:, 0] = on.T @ weighted
-    cost = error @ weighted
+    cost = float(error @ weighted)
     for i in range(SHARED):
         g[m + 3 + i, 0] += vector[i]
         cost += 2.0 * vector[i] * shared[i]

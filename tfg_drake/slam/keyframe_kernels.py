@@ -19,13 +19,15 @@ NEWEST = 3 + SHARED
 class Keyframes(NamedTuple):
     """k keyframes in flat arrays.
 
-    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows and y_AL. rows: of its landmarks in
-    p_ML. y_AL: (., 2), y_AD: (k, 3), unit: (k,), vector: (k, 8). starts: (k + 1,) the same of information, flattened.
+    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL and on_error. rows: of its
+    landmarks in p_ML. y_AL: (., 2), on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 8). starts: (k + 1,) the
+    same of information, flattened.
     """
 
     offsets: IntArray
     rows: IntArray
     y_AL: FloatArray
+    on_error: FloatArray
     y_AD: FloatArray
     unit: IntArray
     vector: FloatArray
@@ -33,50 +35,82 @@ class Keyframes(NamedTuple):
     information: FloatArray
 
 
+class Values(NamedTuple):
+    """X_MN: (k + 1, 3), p_ML: (n, 2), shared: (8,), errors: (n, 2) of the tags' range and bearing, m and rad."""
+
+    X_MN: FloatArray
+    p_ML: FloatArray
+    shared: FloatArray
+    errors: FloatArray
+
+
 class Unknowns(NamedTuple):
-    """Which unknown the first of a landmark (n,), of a node (k + 1,) and of the parameters is; negative for what is
-    none."""
+    """Which unknown the first of a landmark (n,), of a node (k + 1,), of the parameters and of a tag's errors (n,) is;
+    negative for what is none: the origin, and errors where tags have none."""
 
     landmark_at: IntArray
     node_at: IntArray
     shared_at: int
+    error_at: IntArray
+
+
+@njit(cache=True)
+def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Of keyframe k: the rows (n,) of its landmarks, how errors of theirs seem to move them in M, (n, 2, 2), where they
+    seem to be, (n, 2), and its information (2n + 11, 2n + 11)."""
+    some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
+    rows, scale = keyframes.rows[some], 1.0 + values.shared[keyframes.unit[k]]
+    c, s = math.cos(values.X_MN[k, 2]) / scale, math.sin(values.X_MN[k, 2]) / scale
+    by_error, p_ML = np.empty((len(rows), 2, 2)), np.empty((len(rows), 2))
+    for i in range(len(rows)):
+        on = keyframes.on_error[keyframes.offsets[k] + i]
+        for a in range(2):
+            by_error[i, 0, a], by_error[i, 1, a] = c * on[0, a] - s * on[1, a], s * on[0, a] + c * on[1, a]
+        for a in range(2):
+            p_ML[i, a] = values.p_ML[rows[i], a]
+            for b in range(2):
+                p_ML[i, a] += by_error[i, a, b] * values.errors[rows[i], b]
+    m = 2 * len(rows) + 3 + SHARED
+    W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
+    return rows, by_error, p_ML, W
 
 
 @njit(cache=True)
 def assemble(
     which: IntArray,
     keyframes: Keyframes,
-    X_MN: FloatArray,
-    p_ML: FloatArray,
-    shared: FloatArray,
+    values: Values,
     unknowns: Unknowns,
     block: FloatArray,
     gradient: FloatArray,
-    poses: FloatArray,
+    places: FloatArray,
 ) -> float:
-    """Add the Hessians and gradients of some of k keyframes, which (q,), to a block (u, u) and gradient (u,) of unknowns;
-    set their blocks (14, 14) of D, A and the parameters among poses (k, 14, 14). Returns twice the cost."""
+    """Add the Hessians and gradients of some of k keyframes, which (q,), to a block (u, u) and gradient (u,) of
+    unknowns, and set the Hessian and the gradient on each of their tags among places (., 2, 3). Returns twice the cost.
+    """
     total = 0.0
     for k in which:
-        some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
-        rows = keyframes.rows[some]
-        m = 2 * len(rows) + 3
-        W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m + SHARED, m + SHARED)
+        begin = keyframes.offsets[k]
+        rows, by_error, p_ML, W = _seen(k, keyframes, values)
+        n = len(rows)
         H, g, cost = linearised(
-            rows,
-            keyframes.y_AL[some],
+            p_ML,
+            keyframes.y_AL[begin : begin + n],
             keyframes.y_AD[k],
             keyframes.unit[k],
             W,
             keyframes.vector[k],
-            X_MN[k],
-            X_MN[k + 1],
-            p_ML,
-            shared,
+            values.X_MN[k],
+            values.X_MN[k + 1],
+            values.shared,
         )
         total += cost
-        poses[k] = H[m - 3 :, m - 3 :]
+        for i in range(n):
+            places[begin + i, :, :2] = H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+            places[begin + i, :, 2] = g[2 * i : 2 * i + 2]
         at = _of_keyframe(k, rows, unknowns)
+        if n > 0 and unknowns.error_at[rows[0]] >= 0:
+            H, g, at = _with_errors(H, g, at, by_error, rows, unknowns)
         for i in range(len(at)):
             if at[i] >= 0:
                 gradient[at[i]] += g[i]
@@ -88,33 +122,50 @@ def assemble(
 
 
 @njit(cache=True)
-def batch_gradient(
-    keyframes: Keyframes,
-    X_MN: FloatArray,
-    p_ML: FloatArray,
-    shared: FloatArray,
-    unknowns: Unknowns,
-    gradient: FloatArray,
-) -> float:
+def _with_errors(
+    H: FloatArray, g: FloatArray, at: IntArray, by_error: FloatArray, rows: IntArray, unknowns: Unknowns
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Hessian, gradient and unknowns of a keyframe with its tags' errors behind: they act as if the tags were moved."""
+    n, m = len(rows), len(at)
+    wide, longer, places = np.zeros((m, m + 2 * n)), np.empty(m + 2 * n), np.empty(m + 2 * n, dtype=np.int64)
+    wide[:, :m], longer[:m], places[:m] = np.eye(m), g, at
+    for i in range(n):
+        wide[2 * i : 2 * i + 2, m + 2 * i : m + 2 * i + 2] = by_error[i]
+        places[m + 2 * i], places[m + 2 * i + 1] = unknowns.error_at[rows[i]], unknowns.error_at[rows[i]] + 1
+    return wide.T @ (H @ wide), wide.T @ g, places
+
+
+@njit(cache=True)
+def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gradient: FloatArray) -> float:
     """Add the gradient of the cost of k keyframes, and return twice that cost."""
     total = 0.0
     for k in range(len(keyframes.y_AD)):
-        some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
-        rows = keyframes.rows[some]
+        begin = keyframes.offsets[k]
+        rows, by_error, p_ML, W = _seen(k, keyframes, values)
         error, on = residual(
-            rows, keyframes.y_AL[some], keyframes.y_AD[k], keyframes.unit[k], X_MN[k], X_MN[k + 1], p_ML, shared
+            p_ML,
+            keyframes.y_AL[begin : begin + len(rows)],
+            keyframes.y_AD[k],
+            keyframes.unit[k],
+            values.X_MN[k],
+            values.X_MN[k + 1],
+            values.shared,
         )
         m = len(error) - SHARED
-        W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m + SHARED, m + SHARED)
         weighted = W @ error
-        total += error @ weighted + 2.0 * (keyframes.vector[k] @ shared)
+        total += error @ weighted + 2.0 * (keyframes.vector[k] @ values.shared)
         beyond, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
-        scale = 1.0 + shared[keyframes.unit[k]]
-        c, s = scale * math.cos(X_MN[k, 2]), scale * math.sin(X_MN[k, 2])
+        scale = 1.0 + values.shared[keyframes.unit[k]]
+        c, s = scale * math.cos(values.X_MN[k, 2]), scale * math.sin(values.X_MN[k, 2])
         for i in range(0, m - 1, 2):
+            x, y = c * weighted[i] - s * weighted[i + 1], s * weighted[i] + c * weighted[i + 1]
             if at[i] >= 0:
-                gradient[at[i]] += c * weighted[i] - s * weighted[i + 1]
-                gradient[at[i] + 1] += s * weighted[i] + c * weighted[i + 1]
+                gradient[at[i]] += x
+                gradient[at[i] + 1] += y
+            if i < 2 * len(rows) and unknowns.error_at[rows[i // 2]] >= 0:
+                for a in range(2):
+                    own = by_error[i // 2, 0, a] * x + by_error[i // 2, 1, a] * y
+                    gradient[unknowns.error_at[rows[i // 2]] + a] += own
         if at[m - 1] >= 0:
             gradient[at[m - 1]] += weighted[m - 1]
         for i in range(NEWEST):
@@ -139,23 +190,3 @@ def _of_keyframe(k: int, rows: IntArray, unknowns: Unknowns) -> IntArray:
     for i in range(SHARED):
         at[2 * n + 6 + i] = unknowns.shared_at + i if unknowns.shared_at >= 0 else -1
     return at
-
-
-def log_of_chain(prior: FloatArray, poses: FloatArray) -> float:
-    """log det of the information on all nodes and the parameters, given the landmarks: a chain, eliminated from its
-    beginning.
-
-    prior: (8, 8) information on the parameters. poses: (k, 14, 14) what keyframes add, as `assemble` has it.
-    """
-    total, newest = 0.0, np.zeros((NEWEST, NEWEST))
-    newest[3:, 3:] = prior
-    A, others = np.arange(3, 6), np.append(np.arange(3), np.arange(6, 6 + SHARED))
-    for k, of_keyframe in enumerate(poses):
-        M = of_keyframe.copy()
-        M[3:, 3:] += newest
-        newest = M[np.ix_(others, others)]
-        # The first node is the origin.
-        if k > 0:
-            total += float(np.linalg.slogdet(M[3:6, 3:6])[1])
-            newest -= M[np.ix_(others, A)] @ np.linalg.solve(M[3:6, 3:6], M[np.ix_(A, others)])
-    return total + float(np.linalg.slogdet(newest)[1])

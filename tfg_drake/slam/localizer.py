@@ -38,8 +38,8 @@ class Localizer:
     """The filter's Gaussian in D.
 
     map: what it considers, D is its X_MD. mean: (3 + 2k,) pose and local tags, covariance: (3 + 2k, 3 + 2k). seen: (s,)
-    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (8 + 2s, 8 + 2s) covariance
-    of the parameters and of these in D, with_D: (8 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 8 + 2s), W above.
+    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (8 + 2s, 8 + 2s)
+    covariance of the parameters and of these in D, with_D: (8 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 8 + 2s), W above.
     local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags.
     """
 
@@ -274,10 +274,10 @@ def _corrected(
     H_c[:, 0, RANGE_SCALE] = r
     bearing = np.arctan2(d[:, 1], d[:, 0]) - mean[2] + earlier * twist[1] - shared[CAMERA_YAW]
     residual = np.stack([z[:, 0] - scale * r, se2.wrap_angle(z[:, 1] - bearing)], axis=1).ravel()
-    H, H_c = H.reshape(2 * m, -1), H_c.reshape(2 * m, -1)
-    HW = H @ W + H_c
-    HP = H @ P + H_c @ (C @ W.T)
-    S = HP @ H.T + (H @ W @ C + H_c @ C) @ H_c.T + np.diag(np.square(z[:, 2:]).ravel())
+    by_state, by_c = H.reshape(2 * m, -1), H_c.reshape(2 * m, -1)
+    HW = by_state @ W + by_c
+    HP = by_state @ P + by_c @ (C @ W.T)
+    S = HP @ by_state.T + HW @ C @ by_c.T + np.diag(np.square(z[:, 2:]).ravel())
     own, off = S.reshape(m, 2, m, 2)[i, :, i, :], residual.reshape(m, 2, 1)
     accepted = (off * np.linalg.solve(own, off)).sum(axis=(1, 2)) <= GATE
     if not accepted.any():
@@ -312,11 +312,11 @@ def _with_local(
     G_c[:, :, CAMERA_YAW], G_c[:, :, RANGE_SCALE] = r * across, -r * direction / (1.0 + shared[RANGE_SCALE])
     G_c[:, :, [LEVER_X, LEVER_Y]] = R
     G_c[:, :, CLOCK] = -twist[0] * R[:, 0] - twist[1] * r * across
-    G, G_c = G.reshape(2 * m, -1), G_c.reshape(2 * m, -1)
-    with_old, of_c = G @ P + G_c @ C @ W.T, G_c @ C
+    by_state, by_c = G.reshape(2 * m, -1), G_c.reshape(2 * m, -1)
+    with_old = by_state @ P + by_c @ C @ W.T
     joined = np.empty((size + 2 * m, size + 2 * m))
     joined[:size, :size], joined[size:, :size], joined[:size, size:] = P, with_old, with_old.T
-    joined[size:, size:] = with_old @ G.T + (G @ W @ C + of_c) @ G_c.T
+    joined[size:, size:] = with_old @ by_state.T + (by_state @ W + by_c) @ C @ by_c.T
     along, aside = z[:, 2, None] * direction, (r * z[:, 3:]) * across
     own = along[:, :, None] * along[:, None, :] + aside[:, :, None] * aside[:, None, :]
     joined[size:, size:].reshape(m, 2, m, 2)[i, :, i, :] += own
@@ -324,7 +324,7 @@ def _with_local(
         localizer,
         mean=np.append(mean, p_DU.ravel()),
         covariance=joined,
-        sensitivity=np.vstack([W, G @ W + G_c]),
+        sensitivity=np.vstack([W, by_state @ W + by_c]),
         local_ids=np.append(localizer.local_ids, ids),
         last_seen=np.append(localizer.last_seen, np.full(m, stamp)),
         local_frames=np.append(localizer.local_frames, np.ones(m, dtype=np.int64)),

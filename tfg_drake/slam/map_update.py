@@ -72,7 +72,7 @@ def updated(
 
     What `estimate` says of the stage is not brought up to date, see `finished`.
     """
-    told, before = _told(one, graph.prior), _in_ranges_unit(estimate)
+    told, before = _told(one, graph), _in_ranges_unit(estimate)
     row, known = rows_of(one.ids, estimate.ids)
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
@@ -85,7 +85,7 @@ def updated(
     rejected = np.delete(one.ids[seen], kept)
     if len(rejected):
         one = without_tags(one, rejected)
-        told = _told(one, graph.prior)
+        told = _told(one, graph)
     return *_joined(graph, estimate, *before, one, told, local_row[kept], update, is_view), rejected
 
 
@@ -106,7 +106,7 @@ def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> F
     by = np.where(lever != 0.0, scale, 1.0)
     P = by[:, None] * P * by
     across = np.outer(lever, P[of_scale])
-    return P + across + across.T + P[of_scale, of_scale] * np.outer(lever, lever)
+    return np.asarray(P + across + across.T + P[of_scale, of_scale] * np.outer(lever, lever))
 
 
 def _scale(unit: int, shared: FloatArray) -> tuple[float, FloatArray]:
@@ -117,10 +117,15 @@ def _scale(unit: int, shared: FloatArray) -> tuple[float, FloatArray]:
     return float(scale), on
 
 
-def _told(one: Keyframe, prior: Shared) -> _Told:
+def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:
+    """It is as uncertain as the constant errors of its tags make it, as if they were others in each keyframe: a solve
+    knows better."""
     covariance, by_shared = one.conditional()
+    if graph.tag_error.any():
+        root, n, i = one.on_error * graph.tag_error, len(one.ids), np.arange(len(one.ids))
+        covariance[:-3, :-3].reshape(n, 2, n, 2)[i, :, i, :] += root @ root.transpose(0, 2, 1)
     information, vector = one.alone()
-    sigma = prior.sigma
+    sigma = graph.prior.sigma
     value, direction = np.linalg.eigh(sigma[:, None] * information * sigma)
     some = value > LEAST_TOLD
     root = np.sqrt(value[some])

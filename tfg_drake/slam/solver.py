@@ -14,9 +14,10 @@ import numpy as np
 from tfg_drake.messages import FloatArray, IntArray, replace
 from tfg_drake.slam.keyframe import rows_of
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.keyframe_kernels import Keyframes, log_of_chain
+from tfg_drake.slam.keyframe_kernels import Keyframes, Unknowns, Values
 from tfg_drake.slam.map_update import entropy_of
 from tfg_drake.slam.shared import SHARED, Shared
+from tfg_drake.slam.tag_error import learnt, suspected
 
 # Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
 MOST_STEPS = 20
@@ -34,40 +35,39 @@ MOST_DAMPING = 1e10
 
 @dataclasses.dataclass(frozen=True)
 class Factors:
-    """All keyframes in flat arrays, and the prior of the parameters, mean (8,) and information (8, 8)."""
+    """All keyframes in flat arrays, the prior of the parameters, mean (8,) and information (8, 8), and the information
+    (2,) on the errors of each tag, infinite where tags have none."""
 
     keyframes: Keyframes
     mean: FloatArray
     information: FloatArray
+    of_errors: FloatArray
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether tags have errors."""
+        return bool(np.isfinite(self.of_errors).all())
+
+    def priors(self, values: Values, unknowns: Unknowns, gradient: FloatArray) -> float:
+        """Add the gradient of the priors' cost; twice that cost."""
+        off = values.shared - self.mean
+        force = self.information @ off
+        gradient[unknowns.shared_at : unknowns.shared_at + SHARED] += force
+        if not self.has_errors:
+            return float(off @ force)
+        pull = values.errors * self.of_errors
+        gradient[unknowns.error_at[:, None] + [0, 1]] += pull
+        return float(off @ force) + float(np.sum(values.errors * pull))
 
 
-@dataclasses.dataclass(frozen=True)
-class Values:
-    """X_MN: (k + 1, 3), p_ML: (n, 2), shared: (8,)."""
-
-    X_MN: FloatArray
-    p_ML: FloatArray
-    shared: FloatArray
-
-
-class Places(NamedTuple):
-    """The first unknown of each landmark (n,), of each node (k + 1,), -1 for the origin, and of the parameters."""
-
-    landmark_at: IntArray
-    node_at: IntArray
-    shared_at: int
-
-    def moved(self, values: Values, step: FloatArray) -> Values:
-        """Values moved by a step (u,) of the unknowns."""
-        X_MN = values.X_MN.copy()
-        X_MN[1:] += step[self.node_at[1:, None] + [0, 1, 2]]
-        p_ML = values.p_ML + step[self.landmark_at[:, None] + [0, 1]]
-        return Values(X_MN, p_ML, values.shared + step[self.shared_at : self.shared_at + SHARED])
-
-    def of(self, landmarks: IntArray, node: int) -> IntArray:
-        """(2m + 11,) the unknowns of some landmarks, by their rows (m,), of a node and of the parameters."""
-        some = (self.landmark_at[landmarks][:, None] + [0, 1]).ravel()
-        return np.concatenate([some, self.node_at[node] + np.arange(3), self.shared_at + np.arange(SHARED)])
+def moved(values: Values, unknowns: Unknowns, step: FloatArray) -> Values:
+    """Values moved by a step (u,) of the unknowns."""
+    X_MN, errors = values.X_MN.copy(), values.errors
+    X_MN[1:] += step[unknowns.node_at[1:, None] + [0, 1, 2]]
+    if np.any(unknowns.error_at >= 0):
+        errors = errors + step[unknowns.error_at[:, None] + [0, 1]]
+    shared = values.shared + step[unknowns.shared_at : unknowns.shared_at + SHARED]
+    return Values(X_MN, values.p_ML + step[unknowns.landmark_at[:, None] + [0, 1]], shared, errors)
 
 
 class System(Protocol):
@@ -82,8 +82,8 @@ class System(Protocol):
         """Twice the cost."""
 
     @property
-    def poses(self) -> FloatArray:
-        """(k, 14, 14) the Hessians' blocks of D, A and the parameters of each keyframe."""
+    def places(self) -> FloatArray:
+        """(., 2, 3) Hessian and gradient of each keyframe on each of its tags."""
 
     @property
     def log_determinant(self) -> float:
@@ -99,13 +99,17 @@ class System(Protocol):
 class Solver(Protocol):
     """A way to eliminate one graph."""
 
-    places: Places
+    factors: Factors
+    unknowns: Unknowns
 
     def linearised(self, values: Values, damping: float) -> System:
         """The system at some values, with `damping` added to the information on each unknown.
 
         Raises numpy.linalg.LinAlgError where it is singular.
         """
+
+    def log_determinant_given_landmarks(self, values: Values) -> float:
+        """Of the information on all unknowns but the landmarks, given these."""
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
         """Gradient (u,) of the cost and twice the cost at some values."""
@@ -128,13 +132,17 @@ def factors_of(graph: KeyframeGraph) -> Factors:
         offsets=np.append(0, np.cumsum(counts)),
         rows=rows_of(ids, graph.ids)[0],
         y_AL=np.concatenate([one.y_AL for one in graph.keyframes]),
+        on_error=np.concatenate([one.on_error for one in graph.keyframes]),
         y_AD=np.array([one.y_AD for one in graph.keyframes]),
         unit=np.array([one.unit for one in graph.keyframes]),
         vector=np.array([one.vector for one in graph.keyframes]),
         starts=np.append(0, np.cumsum((2 * counts + 3 + SHARED) ** 2)),
         information=np.concatenate([one.information.ravel() for one in graph.keyframes]),
     )
-    return Factors(keyframes, graph.prior.mean, np.linalg.inv(graph.prior.covariance))
+    with np.errstate(divide="ignore"):
+        of_errors = np.where(graph.tag_error > 0.0, graph.tag_error**-2.0, np.inf)
+    information = np.asarray(np.linalg.inv(graph.prior.covariance), dtype=float)
+    return Factors(keyframes, graph.prior.mean, information, of_errors)
 
 
 def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> Solution:
@@ -142,14 +150,29 @@ def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> 
 
     local: (m,) rows of the landmarks whose joint covariance is asked for, with that of a node.
     """
-    values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean))
-    covariance = system.covariance(solver.places.of(local, node))
+    nothing = np.zeros(graph.p_ML.shape)
+    values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
+    u, m = solver.unknowns, 2 * len(local)
+    at = np.concatenate(
+        [
+            (u.landmark_at[local][:, None] + [0, 1]).ravel(),
+            u.node_at[node] + np.arange(3),
+            u.shared_at + np.arange(SHARED),
+            (u.error_at[local][:, None] + [0, 1]).ravel() if solver.factors.has_errors else np.empty(0, dtype=np.int64),
+        ]
+    )
+    covariance = system.covariance(at)
+    of_errors = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
+    covariance = covariance[: m + 3 + SHARED, : m + 3 + SHARED].copy()
+    if solver.factors.has_errors:
+        tag_error = learnt(graph.tag_error, values.errors[local], of_errors)
+    else:
+        tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
     X_MN, p_ML = values.X_MN.copy(), values.p_ML
     X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
-    m = 2 * len(local)
     entropy = of_local = entropy_of(covariance[:m, :m])
     if len(local) < len(p_ML):
-        log_information = system.log_determinant - log_of_chain(np.linalg.inv(graph.prior.covariance), system.poses)
+        log_information = system.log_determinant - solver.log_determinant_given_landmarks(values)
         entropy = 0.5 * (2 * len(p_ML) * math.log(2.0 * math.pi * math.e) - log_information)
     each, rows = graph.landmark_covariance.copy(), np.arange(len(local))
     each[local] = covariance[:m, :m].reshape(m // 2, 2, m // 2, 2)[rows, :, rows, :]
@@ -162,6 +185,7 @@ def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> 
         entropy=entropy,
         entropy_beyond=entropy - of_local,
         shared=shared,
+        tag_error=tag_error,
     )
     return Solution(graph, local, covariance)
 
@@ -178,12 +202,12 @@ def _converged(solver: Solver, values: Values) -> tuple[Values, System]:
             gradient, error = solver.gradient(values)
         step = system.step(gradient)
         length = float(np.max(np.abs(step)))
-        moved, share = _lowered(solver, error, values, step)
+        there, share = _lowered(solver, error, values, step)
         if share < 1.0 and not anew:
             # A barely constrained unknown follows the error of a reused factorisation: factorise again.
             moved_since = math.inf
             continue
-        values, moved_since = moved, moved_since + (length if share == 1.0 else math.inf)
+        values, moved_since = there, moved_since + (length if share == 1.0 else math.inf)
         if length < SMALL_STEP:
             if anew:
                 break
@@ -208,8 +232,32 @@ def _lowered(solver: Solver, error: float, values: Values, step: FloatArray) -> 
     """Values moved by a step (u,), or by the share of it that lowers the error, and that share."""
     share = 1.0
     for _ in range(MOST_HALVINGS if np.max(np.abs(step)) >= SMALL_STEP else 1):
-        moved = solver.places.moved(values, share * step)
-        if solver.gradient(moved)[1] <= error + 1e-9 * (1.0 + abs(error)):
+        there = moved(values, solver.unknowns, share * step)
+        if solver.gradient(there)[1] <= error + 1e-9 * (1.0 + abs(error)):
             break
         share *= 0.5
-    return moved, share
+    return there, share
+
+
+def _tag_pulls(keyframes: Keyframes, values: Values, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How hard all keyframes pull at the errors (n, 2) of each tag where these are zero, and the variance (n, 2)
+    of that where only noise does.
+
+    Of two keyframes that see a tag from the same side the place of the tag takes all; poses are taken to be known.
+    """
+    keyframe = np.repeat(np.arange(len(keyframes.y_AD)), np.diff(keyframes.offsets))
+    row, n = keyframes.rows, len(values.p_ML)
+    heading, scale = values.X_MN[keyframe, 2], 1.0 + values.shared[keyframes.unit[keyframe]]
+    c, s = np.cos(heading) / scale, np.sin(heading) / scale
+    by_error = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1) @ keyframes.on_error
+    own, force = places[:, :, :2], places[:, :, 2]
+    pull, variance = np.zeros((n, 2)), np.zeros((n, 2))
+    total, by_place = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
+    np.add.at(total, row, own)
+    np.add.at(by_place, row, own @ by_error)
+    np.add.at(pull, row, np.einsum("eji,ej->ei", by_error, force))
+    np.add.at(variance, row, np.einsum("eji,ejk,eki->ei", by_error, own, by_error))
+    seen = np.flatnonzero(np.bincount(row, minlength=n))
+    taken = np.einsum("nji,njk->nik", by_place[seen], np.linalg.solve(total[seen], by_place[seen]))
+    variance[seen] = np.maximum(variance[seen] - np.einsum("nii->ni", taken), 0.0)
+    return pull, variance

@@ -154,7 +154,7 @@ def reduced(
         solution = _solved(noise, shared, problem, solution.X_AB, kept)
     scale = 1.0 + _unit(solution, shared)[1]
     return Reduced(
-        keyframe=_keyframe(solution, shared),
+        keyframe=_keyframe(solution, shared, _on_error(solution, problem, kept)),
         sightings=solution.sightings,
         dropped=int(np.sum(~kept)),
         stamps=stamps,
@@ -178,7 +178,7 @@ def _by_shared(mean: FloatArray, *, has_tags: bool) -> FloatArray:
     return on
 
 
-def _keyframe(solution: _Solution, shared: Shared) -> Keyframe:
+def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray) -> Keyframe:
     n, unit = len(solution.ids), _unit(solution, shared)[0]
     on = _by_shared(shared.mean, has_tags=bool(n))
     # From (D, parameters, tags) to (tags, D, shared parameters).
@@ -191,7 +191,19 @@ def _keyframe(solution: _Solution, shared: Shared) -> Keyframe:
     if n:
         at[DISTANCE_SCALE] = (1.0 + found[0]) * (1.0 + at[RANGE_SCALE]) - 1.0
     y = np.append(solution.y_AL.ravel(), solution.X_AB[-1])
-    return keyframe(solution.ids, y, at, unit, J.T @ solution.information @ J, J.T @ solution.gradient)
+    W, g = J.T @ solution.information @ J, J.T @ solution.gradient
+    return keyframe(solution.ids, y, at, unit, W, g, on_error)
+
+
+def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatArray:
+    """(n, 2, 2) derivative of each tag's place on its constant errors of range and bearing: along the line of sight and
+    across it, in the mean of the frames that saw it."""
+    tag, X = np.searchsorted(solution.ids, problem[3][kept]), solution.X_AB[problem[2][kept]]
+    d = solution.y_AL[tag] - X[:, :2]
+    ahead = d / np.maximum(np.hypot(*d.T), 1e-6)[:, None]
+    columns = np.stack([ahead[:, 0], -d[:, 1], ahead[:, 1], d[:, 0]])
+    each = np.stack([np.bincount(tag, column, len(solution.ids)) for column in columns], axis=1)
+    return np.asarray(each.reshape(-1, 2, 2) / np.maximum(solution.sightings, 1)[:, None, None])
 
 
 def _compared(
@@ -258,7 +270,17 @@ def _solved(
     for i, direction in enumerate((np.cos(angle), np.sin(angle))):
         border[PARAMETERS + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
     information, gradient, squared = solved_chain(
-        X_AB, np.diff(clock), X_OB, noise, prior, np.linalg.inv(covariance), node, tag, z, border, huber
+        X_AB,
+        np.diff(clock),
+        X_OB,
+        noise,
+        prior,
+        np.asarray(np.linalg.inv(covariance), dtype=float),
+        node,
+        tag,
+        z,
+        border,
+        huber,
     )
     X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
     y_AL, parameters = border[PARAMETERS:].reshape(-1, 2), border[:PARAMETERS]
