@@ -230,6 +230,5 @@ def MapOfExplorer(
 
 
 def map_frame(X_WS: FloatArray | None) -> FloatArray:
-    """(3,) pose X_WM of the map frame in the world, as far as is known: where the robot started, X_WS (3,); zeros where that is
-    not known."""
+    """(3,) pose X_WM of the map frame in the world: where the robot started, X_WS (3,); zeros where that is unknown."""
     return np.zeros(3) if X_WS is None else X_WS

@@ -43,10 +43,10 @@ from tfg_drake.slam.doubt import (
     weighed,
     with_doubts,
 )
-from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, instant, opened, unknown_way
+from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, Source, instant, opened, unknown_way
 from tfg_drake.slam.first_look import Message, held_against_odometry, told
-from tfg_drake.slam.keyframe import Keyframe, rows_of
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, taken_back
+from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
@@ -77,6 +77,9 @@ MOST_IGNORED = 0.5
 CONTRADICTIONS = 3
 # Frames seen while the pose is in doubt wait to be mapped, for this long at most, s.
 LONGEST_DOUBT = 60.0
+# A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
+REDUCED_WITHIN = 0.5
+NOTHING_TOLD = np.zeros((SHARED, SHARED + 1))
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
 MOST_TAKEN_BACK = 10
 # The last map is solved until the deviation of the tags' errors changes by no more than this share, so often at most.
@@ -409,13 +412,14 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         return replace(state, piece=opened(state)) if piece is not None else state
     if state.kidnapped:
         X_MB, _ = localized_pose(state.localizer, state.noise, np.zeros(3), 0.0)
-        way: tuple[Sighted, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
+        way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
         solution = _solve(state, piece)
-        state, seen = replace(state, correlation=solution.correlation), _sighted(solution)
+        source = Source(piece, instant(state), state.graph.shared, NOTHING_TOLD)
+        state, seen = replace(state, correlation=solution.correlation), Sighted(solution.keyframe, solution.sightings)
         if not state.path_keyframe_period:
             seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
-        way = (*state.way, seen)
+        way = (*state.way, (seen, source))
     return replace(state, piece=opened(state), way=way)
 
 
@@ -424,18 +428,38 @@ def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
     return reduced(state.noise, turn.begin, turn.frames, instant(state), state.graph.shared, state.correlation)
 
 
-def _sighted(solution: Reduced) -> Sighted:
-    return Sighted(solution.keyframe, solution.sightings)
-
-
-def _with_ranges(state: EstimatorState, one: Keyframe) -> tuple[EstimatorState, Keyframe]:
-    """The state and a keyframe that says what the scan has said of the parameters since the one before it."""
+def _ranges_told(state: EstimatorState) -> tuple[EstimatorState, FloatArray]:
+    """The state, and information and gradient (8, 9) on the parameters that the scan has told since the last view."""
     if not state.ranges.pairs:
-        return state, one
+        return state, NOTHING_TOLD
     told = np.column_stack(told_by_scan(state.ranges))
-    more, information = told - state.told, one.information.copy()
-    information[-SHARED:, -SHARED:] += more[:, :-1]
-    return replace(state, told=told), replace(one, information=information, vector=one.vector + more[:, -1])
+    return replace(state, told=told), told - state.told
+
+
+def _with_told(one: Keyframe, told: FloatArray) -> Keyframe:
+    """The keyframe with what else is told (8, 9) of the parameters."""
+    information = one.information.copy()
+    information[-SHARED:, -SHARED:] += told[:, :-1]
+    return replace(one, information=information, vector=one.vector + told[:, -1])
+
+
+def _reduced_anew(
+    state: EstimatorState, graph: KeyframeGraph, sources: tuple[Source | None, ...]
+) -> tuple[KeyframeGraph, tuple[Source | None, ...]]:
+    """The graph with those of its newest keyframes reduced anew that were reduced where the parameters were believed to
+    be others; their sources."""
+    keyframes, kept, shared = list(graph.keyframes), list(sources), graph.shared
+    for k, source in enumerate(sources):
+        at = k - len(sources)
+        if source is None or np.all(np.abs(shared.mean - source.at.mean) <= REDUCED_WITHIN * source.at.sigma):
+            continue
+        anew = reduced(state.noise, source.seen.begin, source.seen.frames, source.end, shared, state.correlation)
+        one = without_tags(anew.keyframe, np.setdiff1d(anew.keyframe.ids, keyframes[at].ids))
+        if np.array_equal(one.ids, keyframes[at].ids):
+            keyframes[at], kept[k] = _with_told(one, source.told), replace(source, at=shared)
+    if tuple(kept) == sources:
+        return graph, sources
+    return replace(graph, keyframes=tuple(keyframes)), tuple(kept)
 
 
 def _with_scale_told(state: EstimatorState) -> EstimatorState:
@@ -456,17 +480,19 @@ def _with_scale_told(state: EstimatorState) -> EstimatorState:
 def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
     """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
-    state, keyframe = _with_ranges(
-        _with_scale_told(replace(state, correlation=solution.correlation)), solution.keyframe
-    )
+    state, told = _ranges_told(_with_scale_told(replace(state, correlation=solution.correlation)))
+    keyframe = _with_told(solution.keyframe, told)
     way, view = state.way, Sighted(keyframe, solution.sightings)
+    source = Source(turn, instant(state), state.graph.shared, told)
     observation = Observation(keyframe.ids, solution.stamps, solution.X_AB)
     if state.kidnapped and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
     before, known = realigned(state.graph, state.map or no_map(state), keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
-    for seen in (*way, view):
+    sources: tuple[Source | None, ...] = state.sources
+    for seen, of in (*way, (view, source)):
         is_view = seen is view
+        sources = (*sources, of)[-UNFUSED:]
         graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
         if len(anew):
             _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
@@ -478,14 +504,16 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(gone))
         evidence = disputed(evidence, gone)
     solved = state.solved
+    anew_graph, sources = _reduced_anew(state, graph, sources)
     if (
         moved
+        or anew_graph is not graph
         or state.kidnapped
         or before is not state.graph
         or needs_solve(graph, solved, estimate)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
-        graph = fused(replace(graph, p_ML=estimate.p_ML))
+        graph = fused(replace(anew_graph, p_ML=estimate.p_ML))
         graph, estimate = solve(graph, state.stamp, observation, spread=spread)
         solved = graph
     else:
@@ -510,6 +538,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         watch=renewed(state.watch, estimate.ids),
         rejected=rejected,
         dropped=solution.dropped,
+        sources=sources,
     )
     return replace(state, piece=opened(state))
 

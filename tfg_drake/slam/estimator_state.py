@@ -49,6 +49,17 @@ class OpenObservation:
 
 
 @message
+class Source:
+    """Where a keyframe comes from, to reduce it anew. seen, end: its frames. at: the parameters as they were known when
+    it was reduced. told: (8, 9) information and gradient on them that it has from the scan."""
+
+    seen: OpenObservation
+    end: TurnFrame
+    at: Shared
+    told: FloatArray
+
+
+@message
 class FirstLook:
     """The newest messages before the first turn is over, in the order of their arrival, and the state before any."""
 
@@ -73,7 +84,7 @@ class EstimatorState:
     when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
     view. rejected: (r,) ids of known tags left out of the newest view, dropped: sightings left out of its turn.
     evidence: for the places where it has its tags, and against them. watch: which of them should have been seen since.
-    look: the first look, None once it is over.
+    look: the first look, None once it is over. sources: of the newest keyframes, None of one that has none.
     """
 
     noise: FloatArray
@@ -97,7 +108,7 @@ class EstimatorState:
     kidnapped: bool
     turn: OpenObservation | None
     piece: OpenObservation | None
-    way: tuple[Sighted, ...]
+    way: tuple[tuple[Sighted, Source | None], ...]
     graph: KeyframeGraph
     solved: KeyframeGraph
     map: MapEstimate | None
@@ -106,6 +117,7 @@ class EstimatorState:
     rejected: IntArray
     dropped: int
     look: FirstLook | None = None
+    sources: tuple[Source | None, ...] = ()
 
 
 def initial_state(
@@ -165,6 +177,6 @@ def opened(state: EstimatorState) -> OpenObservation:
     return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 
-def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Sighted:
+def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> tuple[Sighted, None]:
     """The motion of a kidnapped robot: it seems to have led to X_DA (3,), with deviations sigma (3,), m, m, rad."""
-    return Sighted(way(X_DA, np.diag(sigma**2)), np.empty(0, dtype=np.int64))
+    return Sighted(way(X_DA, np.diag(sigma**2)), np.empty(0, dtype=np.int64)), None

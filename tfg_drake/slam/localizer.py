@@ -39,7 +39,7 @@ class Localizer:
 
     map: what it considers, D is its X_MD. mean: (3 + 2k,) pose and local tags, covariance: (3 + 2k, 3 + 2k). seen: (s,)
     rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (8 + 2s, 8 + 2s)
-    covariance of the parameters and of these in D, with_D: (8 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 8 + 2s), W above.
+    covariance of the parameters and of these in D, with_D: (8 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 8 + 2s), W.
     local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags.
     """
 

@@ -98,7 +98,9 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     graph = replace(graph, p_ML=estimate.p_ML)
     _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
     graph, estimate = solve(graph, estimate.stamp, estimate.observation)
-    state = replace(state, graph=graph, solved=graph, map=estimate, watch=renewed(state.watch, estimate.ids))
+    state = replace(
+        state, graph=graph, solved=graph, map=estimate, watch=renewed(state.watch, estimate.ids), sources=()
+    )
     localizer = _restarted(state, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
     return _kidnapped(state, begun)
