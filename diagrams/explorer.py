@@ -7,7 +7,6 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPor
 
 from tfg_drake.diagrams.parts import Factory, MakePart
 from tfg_drake.diagrams.scenario import CheckScenario, Scenario
-from tfg_drake.geometry.se2 import compose
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map, state_of_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.slam.estimator_state import EstimatorState
@@ -226,10 +225,9 @@ def MapOfExplorer(
     tfg_graph = explorer.GetOutputPort("tfg_graph").Eval(context)
     if final is not None and scenario is not None and tfg_graph.stage == state.map.stage:
         tfg = resolve(tfg_graph, state.map, scenario.robot, scenario.explorer)
-    return saved_map(map_frame(X_WS, state), state, tfg_graph, tfg), state.map, tfg
+    return saved_map(map_frame(X_WS), state, tfg_graph, tfg), state.map, tfg
 
 
-def map_frame(X_WS: FloatArray | None, state: EstimatorState) -> FloatArray:
-    """(3,) pose X_WM of the map frame in the world, as far as is known: where the robot started, X_WS (3,), the x axis
-    where its camera looked; zeros where the start is not known."""
-    return np.zeros(3) if X_WS is None else compose(X_WS, np.array([0.0, 0.0, state.graph.yaw[0]]))
+def map_frame(X_WS: FloatArray | None) -> FloatArray:
+    """(3,) pose X_WM of the map frame in the world: where the robot started, X_WS (3,); zeros where that is unknown."""
+    return np.zeros(3) if X_WS is None else X_WS

@@ -15,9 +15,7 @@ from tfg_drake.messages import (
     PoseEstimate,
     TagDetections,
 )
-from tfg_drake.slam.camera_model import camera_model
 from tfg_drake.slam.estimator import (
-    NO_MAP,
     begin_turn,
     end_turn,
     map_estimate,
@@ -27,6 +25,8 @@ from tfg_drake.slam.estimator import (
     process_scan,
 )
 from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.slam.shared import by_data_sheet
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
@@ -71,10 +71,12 @@ class SlamEstimator(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         self._goal = declare_message_input(self, "goal")
-        self._state = MessageState(self, initial_state(odometry_config, path_keyframe_period, camera_model(sensor)))
+        prior = by_data_sheet(odometry_config, sensor)
+        self._state = MessageState(self, initial_state(odometry_config, path_keyframe_period, prior))
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
-        self._state.declare_output(self, "map", lambda now: map_estimate(now) or NO_MAP)
+        nothing = empty_map(prior)
+        self._state.declare_output(self, "map", lambda now: map_estimate(now) or nothing)
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 

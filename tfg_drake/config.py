@@ -87,6 +87,9 @@ class TagSensorConfig:
     # learnt with the map; 0 where they are known.
     yaw_deviation: float = 0.0175
     clock_deviation: float = 0.05
+    # How far from its place it may sit, ahead and to the side, m, and its ranges be too long, as a share. Likewise.
+    mount_deviation: float = 0.005
+    range_scale_deviation: float = 0.01
 
 
 @dataclasses.dataclass

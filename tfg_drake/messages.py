@@ -143,25 +143,12 @@ class PoseEstimate:
 
 @message
 class Observation:
-    """The tags seen in a turn, glance or piece of the way, solved in its arrival frame A, its other poses eliminated.
-
-    ids: (n,). p_AL: (n, 2) tag positions in A, m. X_AD: (3,) departure pose in A. covariance: (2n + 3, 2n + 3) joint
-    covariance of (p_AL row by row, X_AD). stamps: (t,) s and X_AB: (t, 3), the turn's poses in A. range_scale: the
-    error of scale that was taken out of its ranges. yaw: rad, the camera's in the body frame as it was taken to be, all
-    else given that; on_yaw: (2n + 3,) derivative of (p_AL row by row, X_AD) on it, empty where there is none. on_error:
-    (n, 2, 2) derivative of each tag's p_AL on its constant errors of range, m, and bearing, rad; empty: there is none.
-    """
+    """What a turn, glance or piece of the way saw. ids: (n,) tags. stamps: (t,) s and X_AB: (t, 3), its poses in its
+    arrival frame A."""
 
     ids: IntArray
-    p_AL: FloatArray
-    X_AD: FloatArray
-    covariance: FloatArray
     stamps: FloatArray
     X_AB: FloatArray
-    range_scale: float = 0.0
-    yaw: float = 0.0
-    on_yaw: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    on_error: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 2)))
 
 
 @message
@@ -177,6 +164,8 @@ class MapEstimate:
     they are landmarks or not. doubtful_places: (d, 2) where each of these was seen most, in M, m. frame_worth:
     information of one frame in a long sequence, as a share of an independent one's; below 1 where the noise is
     correlated in time. tag_error: (2,) standard deviation of the tags' constant errors of range, m, and bearing, rad.
+    shared: (q,) the parameters that all keyframes share (`tfg_drake.slam.shared`), with_shared: (2m + 3 + q, q) their
+    covariance with (p_ML[local] row by row, X_MD, shared).
     """
 
     stage: int
@@ -194,6 +183,8 @@ class MapEstimate:
     doubtful_places: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     frame_worth: float = 1.0
     tag_error: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    shared: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    with_shared: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def is_doubtful(self) -> BoolArray:
@@ -216,6 +207,14 @@ class MapEstimate:
         entry = np.full(len(self.ids), -1)
         entry[self.local] = np.arange(len(self.local))
         return entry
+
+    @property
+    def joint_covariance(self) -> FloatArray:
+        """(2m + 3 + q, 2m + 3 + q) of (p_ML[local] row by row, X_MD, shared)."""
+        m = len(self.covariance)
+        joint = np.empty((m + len(self.shared), m + len(self.shared)))
+        joint[:m, :m], joint[:, m:], joint[m:, :m] = self.covariance, self.with_shared, self.with_shared[:m].T
+        return joint
 
     @property
     def local_p_ML(self) -> FloatArray:

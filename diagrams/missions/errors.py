@@ -47,9 +47,7 @@ class KnownWorld:
         """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
         segments = _mapped_surfaces(mission.X_WM, tfg, mission.grid)
         return {
-            **landmark_figures(
-                self._world, self.reachable, estimate, mission.grid is None, mission.X_WM, mission.camera.sigma[0]
-            ),
+            **landmark_figures(self._world, self.reachable, estimate, mission.grid is None, mission.X_WM),
             **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
         }
 
@@ -106,14 +104,13 @@ def landmark_figures(
     estimate: MapEstimate | None,
     maps_landmarks: bool,
     X_WM: FloatArray,
-    yaw_sigma: float,
 ) -> dict[str, Any]:
     """How many of the tags are mapped, and how well.
 
     Args:
         world: with the true tags; reachable (n,): those of them that can be seen from where the robot can be.
         estimate: the map, None where there is none; maps_landmarks: whether the method makes one.
-        X_WM: (3,) pose of the map frame. yaw_sigma: rad, of the camera's yaw, which turns the map as a whole.
+        X_WM: (3,) pose of the map frame.
     """
     mapped = estimate.ids if estimate is not None else np.zeros(0, dtype=np.int64)
     trusted = ~estimate.is_doubtful if estimate is not None else np.zeros(0, dtype=np.bool_)
@@ -136,14 +133,12 @@ def landmark_figures(
     rows = np.array([row_of_tag[mapped[i]] for i in known], dtype=np.int64)
     p_ML_true = transform(inverse(X_WM), world.p_WT[rows])
     p_ML = estimate.p_ML[known]
-    # It turns all of the map.
-    turned = yaw_sigma * np.stack([-p_ML[:, 1], p_ML[:, 0]], axis=1)
-    each = estimate.landmark_covariance[known] + turned[:, :, None] * turned[:, None, :]
+    each = estimate.landmark_covariance[known]
     entry = estimate.local_entry[known]
     of_joint = entry >= 0
     entry = entry[of_joint]
     entries = np.stack([2 * entry, 2 * entry + 1], axis=1).ravel()
-    covariance = estimate.covariance[np.ix_(entries, entries)] + np.outer(turned[of_joint], turned[of_joint])
+    covariance = estimate.covariance[np.ix_(entries, entries)]
     return figures | {
         "landmark_rmse_m": metrics.landmark_rmse(p_ML, p_ML_true),
         "landmark_error_max_m": float(np.max(np.hypot(*(p_ML - p_ML_true).T), initial=0.0)),
@@ -154,9 +149,8 @@ def landmark_figures(
 
 
 def _consistency(mission: Mission, X_MD_true: FloatArray) -> dict[str, Any]:
-    """The ANEES of the departures, judged by the true ones (n, 3) in the M of the mission's last yaw."""
-    # The estimator knows the robot by the camera's heading.
-    X_MD = np.array([one.X_MD for one in mission.departures]).reshape(-1, 3) - [0.0, 0.0, mission.camera.yaw]
+    """The ANEES of the departures, judged by the true ones (n, 3)."""
+    X_MD = np.array([one.X_MD for one in mission.departures]).reshape(-1, 3)
     covariance = np.array([one.covariance for one in mission.departures]).reshape(-1, 3, 3)
     return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
 

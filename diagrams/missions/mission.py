@@ -27,10 +27,10 @@ from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.pictures import scene
-from tfg_drake.slam.camera_model import CameraModel, exact_camera
 from tfg_drake.slam.estimator import finished_map
-from tfg_drake.slam.estimator_state import EstimatorState, known_camera
+from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.pose_prediction import pose_at
+from tfg_drake.slam.shared import Shared, exactly_known
 from tfg_drake.storage.port_recording import GOAL, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.blas_threads import keep_to_one_thread
@@ -227,18 +227,15 @@ class Mission:
         return self.end_time if self.outcome == "complete" else math.nan
 
     @property
-    def camera(self) -> CameraModel:
-        """What the estimator knows of the camera; of a method without one it looks ahead."""
+    def shared(self) -> Shared:
+        """What the estimator knows of the parameters that all keyframes share; of a method without one all are zero."""
         state = self._estimator_state()
-        return exact_camera() if state is None else known_camera(state)
+        return exactly_known() if state is None else state.graph.shared
 
     @property
     def X_WM(self) -> FloatArray:
         """(3,) pose of the map frame in the world, see `map_frame`."""
-        state = self._estimator_state()
-        if state is None:
-            return np.zeros(3) if self._X_WS is None else self._X_WS
-        return map_frame(self._X_WS, state)
+        return map_frame(self._X_WS)
 
     def _estimator_state(self) -> EstimatorState | None:
         """What the estimator knows, in the end with the final map; None of a method without one."""

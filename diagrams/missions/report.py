@@ -25,6 +25,19 @@ SCHEMA = 1
 NO_POSES = np.zeros((0, 3))
 
 
+# Names of the shared parameters in the summary.
+CALIBRATED = (
+    "odometry_distance_scale",
+    "odometry_gyro_bias_rad_s",
+    "odometry_gyro_scale",
+    "camera_yaw_rad",
+    "camera_ahead_m",
+    "camera_left_m",
+    "camera_clock_offset_s",
+    "range_scale",
+)
+
+
 def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
     """Write map.npz or grid.npz, summary.json, trajectory.tum, truth.tum and figure.png, and return the summary.
 
@@ -136,12 +149,11 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
 
 
 def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, Any]:
-    """What the estimator has learnt of camera and tags."""
-    camera, errors = mission.camera, np.zeros(2) if estimate is None else estimate.tag_error
-    yaw, offset = camera.sigma.tolist()
+    """What the estimator has learnt of odometry, camera and tags."""
+    errors, shared = np.zeros(2) if estimate is None else estimate.tag_error, mission.shared
+    known = zip(shared.mean.tolist(), shared.sigma.tolist(), strict=True)
     return {
-        "camera_yaw_rad": {"value": camera.yaw, "deviation": yaw},
-        "camera_clock_offset_s": {"value": camera.offset, "deviation": offset},
+        **{name: {"value": value, "deviation": sigma} for name, (value, sigma) in zip(CALIBRATED, known, strict=True)},
         "tag_range_error_m": float(errors[0]),
         "tag_bearing_error_rad": float(errors[1]),
     }

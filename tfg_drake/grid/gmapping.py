@@ -33,15 +33,15 @@ from tfg_drake.messages import (
 )
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
-    OdometryModel,
     arc,
     first_reckoning,
     interpolate,
     interpolate_clock,
-    odometry_model,
     predict_increment,
+    random_walks,
     reckon,
 )
+from tfg_drake.slam.shared import calibration_sigma
 
 # Odometry is kept for scans that come late, messages; and carried on for those that come before it, s.
 KEPT = 16
@@ -56,9 +56,9 @@ POSE_FLOOR = np.array([1e-3, 1e-3, 5e-4])
 class GmappingState:
     """All that the filter knows, n particles; immutable, so that a copy of a state goes on as the state does.
 
-    config: never changed. model: of the odometry. seed, updates: of the random generator and of the scans put in; each
-    draws from its own stream. odometry: newest message, None before the first. reckonings: the newest, in order.
-    stamp: s, of the newest scan put in, -inf before the first. clock: s, X_OU: (3,) odometry then. motion_noise: (3, 3)
+    config: never changed. noise, sigma: (3,) of the odometry, see `random_walks` and `calibration_sigma`.
+    seed, updates: of the random generator and of the scans put in; each draws from its own stream. odometry: newest
+    message, None before the first. reckonings: the newest, in order. stamp: s, of the newest scan put in, -inf before the first. clock: s, X_OU: (3,) odometry then. motion_noise: (3, 3)
     random covariance of X_UB, of (x, y) in U and theta, motion_calibration: (3, 3) its Jacobian on the constants of the
     odometry's calibration. X_MU: (n, 3). log_weight: (n,), normalised. score: (n,) sum of all log weights of a
     particle's history. parents: (n,) each particle's row before the newest scan. waiting: the newest scan, if odometry
@@ -66,7 +66,8 @@ class GmappingState:
     """
 
     config: GridConfig
-    model: OdometryModel
+    noise: FloatArray
+    sigma: FloatArray
     seed: int
     updates: int
     odometry: Odometry | None
@@ -89,7 +90,8 @@ def initial_state(config: GridConfig, odometry: OdometryConfig, seed: int) -> Gm
     n = config.particles
     return GmappingState(
         config=dataclasses.replace(config),
-        model=odometry_model(odometry),
+        noise=random_walks(odometry),
+        sigma=np.maximum(calibration_sigma(odometry), 1e-6),
         seed=seed,
         updates=0,
         odometry=None,
@@ -133,7 +135,7 @@ def process_odometry(state: GmappingState, odometry: Odometry) -> GmappingState:
             se2.between(state.X_OU, before.X_OB),
             arc(before.X_OB, newest.X_OB),
             newest.clock - before.clock,
-            state.model.noise,
+            state.noise,
         )
         state = replace(
             state, odometry=odometry, reckonings=reckonings, motion_noise=noise, motion_calibration=jacobian
@@ -258,7 +260,7 @@ def _since(state: GmappingState, stamp: float) -> GmappingState:
     noise, jacobian = np.zeros((3, 3)), np.zeros((3, 3))
     if newest.stamp > stamp:
         noise, jacobian = _accumulate(
-            noise, jacobian, np.zeros(3), arc(here.X_OB, newest.X_OB), newest.clock - here.clock, state.model.noise
+            noise, jacobian, np.zeros(3), arc(here.X_OB, newest.X_OB), newest.clock - here.clock, state.noise
         )
     return replace(
         state,
@@ -285,7 +287,7 @@ def _motion_covariance(state: GmappingState, X_MU: FloatArray) -> FloatArray:
 
     The calibration's constants are drawn afresh with every scan: what earlier scans told of them is in the poses.
     """
-    calibration = state.motion_calibration * state.model.calibration_sigma
+    calibration = state.motion_calibration * state.sigma
     covariance = state.motion_noise + calibration @ calibration.T + np.diag(POSE_FLOOR**2)
     R = np.zeros((len(X_MU), 3, 3))
     R[:, 0, 0] = R[:, 1, 1] = np.cos(X_MU[:, 2])

@@ -35,11 +35,11 @@ def _lines(saved: SavedMap) -> Iterator[str]:
     for tag, p_WL in zip(graph.ids.tolist(), transform(saved.X_WM, graph.p_ML), strict=True):
         yield f"VERTEX_XY {base + tag} {_numbers(p_WL)}"
     for j, one in enumerate(graph.keyframes):
-        covariance = one.covariance
-        yield _motion(j, j + 1, one.X_AD, covariance[-3:, -3:])
+        p_AL, X_AD, covariance = one.given(graph.shared.mean)
+        yield _motion(j, j + 1, X_AD, covariance[-3:, -3:])
         for i, tag in enumerate(one.ids.tolist()):
             block = covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-            yield f"EDGE_SE2_XY {j} {base + tag} {_numbers(one.p_AL[i])} {_information(block)}"
+            yield f"EDGE_SE2_XY {j} {base + tag} {_numbers(p_AL[i])} {_information(block)}"
     # At the end: GTSAM's readG2o finds no edge after a line that it does not know.
     yield "FIX 0"
     yield f"# keyframe j leads from vertex j to vertex j + 1; tag i is vertex {base} + i"

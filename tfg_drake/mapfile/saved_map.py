@@ -16,20 +16,19 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, TfgMap, message, replace
-from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel
-from tfg_drake.slam.estimator_state import EstimatorState, initial_state, known_camera
-from tfg_drake.slam.keyframe_graph import Keyframe, KeyframeGraph, empty_graph, empty_map
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
+from tfg_drake.slam.estimator_state import EstimatorState, initial_state
+from tfg_drake.slam.keyframe import Keyframe
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.map_update import updated
-from tfg_drake.slam.range_scale import RangeScale
+from tfg_drake.slam.shared import LEAST_SIGMA, RANGE_SCALE, SHARED, Shared, exactly_known
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 8
+SCHEMA = 9
 # Fields of the TfgMap that are places.
 _PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
@@ -43,8 +42,7 @@ class SavedMap:
     """A map as it is kept on disk.
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: views in it. stamp: time of the last, s. graph: the
-    estimator's keyframes and values. odometry_calibration: (3,), odometry_covariance: (3, 3), camera and range_scale:
-    what it knows of the odometry, see OdometryModel, of the camera, and of the tag sensor's ranges. doubtful: (d,) ids,
+    estimator's keyframes and values. compared: how many sightings were compared with the scan. doubtful: (d,) ids,
     ascending, of tags that were seen but are not known to be at any one place, landmarks or not. tfg_graph: the
     topological feature graph, anchored to landmarks and views, of the same stage or, where a run was cut short between
     the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
@@ -54,10 +52,7 @@ class SavedMap:
     stage: int
     stamp: float
     graph: KeyframeGraph
-    odometry_calibration: FloatArray
-    odometry_covariance: FloatArray
-    camera: CameraModel
-    range_scale: RangeScale
+    compared: int
     doubtful: IntArray
     tfg_graph: TfgGraph
     tfg: TfgMap
@@ -105,12 +100,9 @@ class SavedMap:
 REGISTRY: Registry = {
     SavedMap: {
         "X_WM": (3,),
-        "odometry_calibration": (3,),
-        "odometry_covariance": (3, 3),
         "doubtful": ("d",),
     },
-    CameraModel: {"mean": (2,), "covariance": (2, 2)},
-    RangeScale: {"information": (2, 2), "vector": (2,)},
+    Shared: {"mean": (SHARED,), "covariance": (SHARED, SHARED)},
     KeyframeGraph: {
         "X_MN": ("v", 3),
         "view_keyframe": ("g",),
@@ -118,20 +110,15 @@ REGISTRY: Registry = {
         "ids": ("n",),
         "p_ML": ("n", 2),
         "landmark_covariance": ("n", 2, 2),
-        "pose_information": (3, 3),
-        "yaw": (2,),
-        "yaw_prior": (2,),
         "tag_error": (2,),
     },
     Keyframe: {
         "ids": ("n",),
-        "p_AL": ("n", 2),
-        "X_AD": (3,),
+        "y_AL": ("n", 2),
+        "y_AD": (3,),
         "information": ("r", "r"),
-        "on_yaw": ("r",),
-        "on_error": ("e", "q"),
-        "error_curvature": ("q", "q"),
-        "error_slope": ("q",),
+        "vector": (SHARED,),
+        "on_error": ("n", 2, 2),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -197,10 +184,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         stage=estimate.stage,
         stamp=estimate.stamp,
         graph=replace(state.graph, p_ML=estimate.p_ML),
-        odometry_calibration=state.model.calibration,
-        odometry_covariance=state.model.calibration_covariance,
-        camera=known_camera(state),
-        range_scale=state.scale,
+        compared=state.ranges.pairs,
         doubtful=estimate.doubtful,
         tfg_graph=tfg_graph,
         tfg=tfg,
@@ -218,19 +202,33 @@ def state_of_map(estimate: MapEstimate) -> EstimatorState:
         covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own
     joint = np.append(np.stack([2 * estimate.local, 2 * estimate.local + 1], axis=1).ravel(), 2 * n + np.arange(3))
     covariance[np.ix_(joint, joint)] = estimate.covariance + LEAST_SIGMA**2 * np.eye(len(joint))
-    none = np.zeros(0), np.zeros((0, 3))
-    graph = updated(
-        empty_graph(), empty_map(), Observation(estimate.ids, estimate.p_ML, estimate.X_MD, covariance, *none)
-    )[0]
-    graph = replace(graph, view_keyframe=np.zeros(estimate.stage, dtype=np.int64), X_AV=estimate.X_MA)
-    return replace(initial_state(OdometryConfig()), graph=graph, map=estimate)
+    information = np.zeros((len(covariance) + SHARED, len(covariance) + SHARED))
+    information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
+    one = Keyframe(
+        estimate.ids,
+        estimate.p_ML,
+        estimate.X_MD,
+        RANGE_SCALE,
+        information,
+        np.zeros(SHARED),
+        np.zeros((n, 2, 2)),
+    )
+    prior = exactly_known()
+    graph = extended(empty_graph(prior), one, estimate.X_MD, is_view=True)
+    graph = replace(
+        graph,
+        view_keyframe=np.zeros(estimate.stage, dtype=np.int64),
+        X_AV=estimate.X_MA,
+        landmark_covariance=estimate.landmark_covariance,
+        entropy=estimate.entropy,
+    )
+    return replace(initial_state(OdometryConfig(), prior=prior), graph=graph, map=estimate)
 
 
 def restored_estimate(saved: SavedMap) -> MapEstimate:
     """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
     round the last view. Its observation is empty: what the newest view saw is in the keyframes."""
-    nothing = empty_map().observation
-    estimate = solve(saved.graph, saved.stamp, nothing, joint=known_jointly(saved.graph))[1]
+    estimate = solve(saved.graph, saved.stamp, no_observation(), joint=known_jointly(saved.graph))[1]
     return replace(estimate, doubtful=saved.doubtful)
 
 
@@ -240,7 +238,7 @@ def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    buffer, saved = io.BytesIO(), replace(saved, graph=_without_unused(saved.graph))
+    buffer = io.BytesIO()
     save = np.savez_compressed if final else np.savez
     save(buffer, schema=np.int64(SCHEMA), **to_arrays(saved, REGISTRY))  # type: ignore[arg-type]
     write_atomic(path, buffer.getvalue(), durable=final)
@@ -270,29 +268,7 @@ def load_map(path: Path) -> SavedMap:
     contradiction = _contradiction(saved)
     if contradiction:
         raise MapFileError(f"{path} is not a whole map: {contradiction}")
-    return replace(saved, graph=replace(saved.graph, keyframes=tuple(_whole(one) for one in saved.graph.keyframes)))
-
-
-def _without_unused(graph: KeyframeGraph) -> KeyframeGraph:
-    """The graph, without what its keyframes say of errors of tags where these have none: two thirds of its size."""
-    if graph.tag_error.any():
-        return graph
-    nothing, none = np.zeros((0, 0)), np.zeros(0)
-    return replace(
-        graph,
-        keyframes=tuple(
-            replace(one, on_error=nothing, error_curvature=nothing, error_slope=none) for one in graph.keyframes
-        ),
-    )
-
-
-def _whole(one: Keyframe) -> Keyframe:
-    """A keyframe, where it says nothing of errors of tags with zeros in their place."""
-    size = 2 * len(one.ids)
-    if len(one.on_error):
-        return one
-    curvature = np.zeros((size, size))
-    return replace(one, on_error=np.zeros((size + 3, size)), error_curvature=curvature, error_slope=np.zeros(size))
+    return saved
 
 
 def _read(path: Path) -> dict[str, Array]:
@@ -322,11 +298,10 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.ids is not ascending"
     if not all(_within(one.ids, known) and np.all(np.diff(one.ids) > 0) for one in graph.keyframes):
         return "graph.keyframes.ids does not fit graph.ids"
-    if any(len(one.information) != 2 * len(one.ids) + 3 for one in graph.keyframes):
+    if any(len(one.information) != 2 * len(one.ids) + 3 + SHARED for one in graph.keyframes):
         return "graph.keyframes.information does not fit graph.keyframes.ids"
-    shapes = ((one.on_error.shape, 2 * len(one.ids)) for one in graph.keyframes)
-    if any(shape not in ((0, 0), (size + 3, size)) for shape, size in shapes):
-        return "graph.keyframes.on_error does not fit graph.keyframes.ids"
+    if any(not 0 <= one.unit < SHARED for one in graph.keyframes):
+        return "graph.keyframes.unit is no parameter"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != landmarks:

@@ -6,6 +6,7 @@ import numpy as np
 
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.slam.shared import RANGE_SCALE
 
 # Of surfaces, by number.
 KINDS = ("edges between landmarks", "wall ends at a landmark", "surfaces without one")
@@ -52,11 +53,7 @@ def _deviation(saved: SavedMap) -> str:
 
 def _calibration(saved: SavedMap) -> str:
     """What the map's estimator has learnt of the tag sensor."""
-    scale = saved.range_scale
-    if not scale.pairs:
+    if not saved.compared:
         return "none"
-    share, offset = scale.mean
-    return (
-        f"tag ranges {100.0 * share:+.2f} % (1\u03c3 {100.0 * scale.sigma:.2f} %), tags {100.0 * offset:.1f} cm before"
-        " their surface"
-    )
+    share, sigma = saved.graph.shared.mean[RANGE_SCALE], saved.graph.shared.sigma[RANGE_SCALE]
+    return f"tag ranges {100.0 * share:+.2f} % (1\u03c3 {100.0 * sigma:.2f} %)"

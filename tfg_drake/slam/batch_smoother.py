@@ -16,16 +16,16 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Odometry, TagDetections, message
 from tfg_drake.slam.odometry_model import (
-    OdometryModel,
     arc,
     first_reckoning,
     interpolate,
     interpolate_clock,
-    odometry_model,
     predict_increments,
+    random_walks,
     reckon,
 )
 from tfg_drake.slam.planar_graph import Motions, OnProgress, PlanarGraph, Sightings, in_body, in_map
+from tfg_drake.slam.shared import LEAST_SIGMA, calibration_sigma
 
 # A sighting this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 4.0
@@ -112,7 +112,7 @@ def smooth(
     if not odometry:
         raise ValueError("A run without odometry cannot be smoothed.")
     run = _run(odometry, detections)
-    graph = _graph(run, odometry_model(config))
+    graph = _graph(run, config)
     start = np.full((graph.poses, 3), np.nan)
     start[0] = run.X_OB[0]
     x = graph.unknowns(start, np.full((graph.landmarks, 2), np.nan))
@@ -185,12 +185,12 @@ def _run(odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ...]) 
     )
 
 
-def _graph(run: _Run, model: OdometryModel) -> PlanarGraph:
+def _graph(run: _Run, config: OdometryConfig) -> PlanarGraph:
     """The first pose is held where odometry has it."""
     k = len(run.stamps)
     increment = np.array([arc(*pair) for pair in itertools.pairwise(run.X_OB)]).reshape(-1, 3)
     dt = np.diff(run.clock)
-    X_ij, _, covariance = predict_increments(increment, dt, np.zeros(3), model.noise)
+    X_ij, _, covariance = predict_increments(increment, dt, np.zeros(3), random_walks(config))
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     tags, landmark = np.unique(run.ids, return_inverse=True)
     bearing, distance = run.z[:, 0], run.z[:, 1]
@@ -201,7 +201,7 @@ def _graph(run: _Run, model: OdometryModel) -> PlanarGraph:
         motions=_Odometry(np.arange(k - 1), np.arange(1, k), X_ij, whitener, increment, dt),
         sightings=_BearingRange(run.node, landmark, p_BL, run.z),
         held=np.zeros(1, dtype=np.int64),
-        calibration_sigma=model.calibration_sigma,
+        calibration_sigma=np.maximum(calibration_sigma(config), LEAST_SIGMA),
     )
 
 

@@ -159,8 +159,8 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
         if level == 0:
             some = np.unique(np.append(variable_of[i], alone) if i == 0 else variable_of[i])
             some = some[width[some] > 0]
-            has = np.concatenate([at[some[width[some] == w]][:, None] + np.arange(w) for w in (2, 3)], axis=None)
-            has = np.sort(has)
+            each = np.repeat(at[some], width[some])
+            has = np.sort(each + np.arange(len(each)) - np.repeat(np.cumsum(width[some]) - width[some], width[some]))
         else:
             parts = (place[level - 1, 2 * i], place[level - 1, 2 * i + 1])
             has = np.union1d(*(unknowns[half][own[half] :] for half in parts))

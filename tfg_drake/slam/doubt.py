@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, rows_of, without_tags
-from tfg_drake.slam.keyframe_kernels import linearised
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
+from tfg_drake.slam.keyframe import Keyframe, linearised, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import REJECTED
 from tfg_drake.slam.tag_error import in_place
 
@@ -34,9 +34,9 @@ MAPPED = -1
 
 @message
 class Sighted:
-    """The observation of one keyframe. frames: (n,) in how many of its frames each of its tags was seen."""
+    """A keyframe, before it is in the map. frames: (n,) in how many of its frames each of its tags was seen."""
 
-    observation: Observation
+    keyframe: Keyframe
     frames: IntArray
 
 
@@ -66,10 +66,10 @@ class Evidence:
 
 
 def only(seen: Sighted, tags: BoolArray) -> Sighted:
-    """The observation with some of its tags (n,) only."""
+    """The keyframe with some of its tags (n,) only."""
     if tags.all():
         return seen
-    return Sighted(without_tags(seen.observation, seen.observation.ids[~tags]), seen.frames[tags])
+    return Sighted(without_tags(seen.keyframe, seen.keyframe.ids[~tags]), seen.frames[tags])
 
 
 def no_evidence() -> Evidence:
@@ -105,12 +105,13 @@ def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: Keyfram
     old = old.kept(~joins & (old.is_mapped | (old.frames > 0)))
     new = np.ones(len(once), dtype=bool)
     new[tag[same & ~joins]] = False
-    p_AL = se2.transform(se2.between(_of_views(graph, newest), X_MA)[0], seen.observation.p_AL[new])
+    p_AL, variance = _places_and_variance(seen, graph)
+    p_AL = se2.transform(se2.between(_of_views(graph, newest), X_MA)[0], p_AL[new])
     return Evidence(
-        np.concatenate([old.ids, seen.observation.ids[new]]),
+        np.concatenate([old.ids, seen.keyframe.ids[new]]),
         np.concatenate([old.view, np.where(agrees[new], MAPPED, newest)]),
         np.concatenate([old.p_AL, p_AL]),
-        np.concatenate([old.variance, _variance(seen.observation)[new]]),
+        np.concatenate([old.variance, variance[new]]),
         np.concatenate([old.frames, np.minimum(gain[new], MOST)]),
     )
 
@@ -141,7 +142,10 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
     for j, one in enumerate(graph.keyframes):
         n = len(one.ids)
         rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
-        H, g, _ = linearised(rows, one.p_AL, one.X_AD, one.information, X_MA, X_MD, graph.p_ML)
+        shared = graph.shared.mean
+        H, g, _ = linearised(
+            graph.p_ML[rows], one.y_AL, one.y_AD, one.unit, one.information, one.vector, X_MA, X_MD, shared
+        )
         own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
         apart = np.linalg.solve(own, force)
         spread = np.linalg.inv(own) + in_place(graph.p_ML[rows] - X_MA[:2], graph.tag_error)
@@ -182,15 +186,15 @@ def _against(evidence: Evidence) -> tuple[IntArray, IntArray, IntArray]:
 def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: KeyframeGraph) -> tuple[IntArray, BoolArray]:
     """Of each place (h,) which of the tags of a keyframe at X_MA (3,) it is one of, -1 for none, and whether that was
     seen there; of places that the map has that is not told."""
-    observation = seen.observation
-    row, is_seen = rows_of(evidence.ids, observation.ids)
+    row, is_seen = rows_of(evidence.ids, seen.keyframe.ids)
     tag = np.where(is_seen, row, -1)
     same = np.zeros(len(tag), dtype=bool)
     at = np.flatnonzero(is_seen & ~evidence.is_mapped)
     if len(at):
-        p_ML = se2.transform(X_MA, observation.p_AL[tag[at]])
+        p_AL, own = _places_and_variance(seen, graph)
+        p_ML = se2.transform(X_MA, p_AL[tag[at]])
         before = _places(evidence.kept(at), graph)
-        variance = evidence.variance[at] + _variance(observation)[tag[at]] + LEAST_DEVIATION**2
+        variance = evidence.variance[at] + own[tag[at]] + LEAST_DEVIATION**2
         same[at] = np.square(p_ML - before).sum(axis=1) <= SAME * variance
     return tag, same
 
@@ -207,9 +211,10 @@ def _places(evidence: Evidence, graph: KeyframeGraph) -> FloatArray:
     return se2.compose(_of_views(graph, evidence.view), in_V)[:, :2]
 
 
-def _variance(observation: Observation) -> FloatArray:
-    """(n,) of each tag's place in A, m^2, as if it were the same in all directions."""
-    return np.asarray(0.5 * np.diag(observation.covariance)[:-3].reshape(-1, 2).sum(axis=1))
+def _places_and_variance(seen: Sighted, graph: KeyframeGraph) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) the tags' places in A, m, and (n,) their variances, m^2, as if these were the same in all directions."""
+    p_AL, _, covariance = seen.keyframe.given(graph.shared.mean)
+    return p_AL, np.asarray(0.5 * np.diag(covariance)[:-3].reshape(-1, 2).sum(axis=1))
 
 
 def _of_tags(n: int, tag: IntArray, frames: IntArray) -> IntArray:

@@ -30,7 +30,6 @@ from tfg_drake.messages import (
     TagDetections,
     replace,
 )
-from tfg_drake.slam.camera_model import seen_from_camera
 from tfg_drake.slam.doubt import (
     Evidence,
     Sighted,
@@ -44,9 +43,10 @@ from tfg_drake.slam.doubt import (
     weighed,
     with_doubts,
 )
-from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, camera_prior, instant, opened, unknown_way
+from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, Source, instant, opened, unknown_way
 from tfg_drake.slam.first_look import Message, held_against_odometry, told
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, forget, fused, rescaled, rows_of, taken_back
+from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
@@ -59,13 +59,13 @@ from tfg_drake.slam.odometry_model import (
     first_reckoning,
     interpolate,
     interpolate_clock,
-    learnt,
     reckon,
 )
-from tfg_drake.slam.range_scale import compare, corrected, correction, great_error
 from tfg_drake.slam.realign import realigned
+from tfg_drake.slam.scan_ranges import compared, great_error, told_by_scan
+from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED
 from tfg_drake.slam.sightings import sanitized
-from tfg_drake.slam.turn import TurnFrame, TurnSolution, no_detections, solve_turn
+from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
 
 # Without frames the filters follow odometry in steps of this length, s.
 LONGEST_STEP = 0.25
@@ -77,13 +77,14 @@ MOST_IGNORED = 0.5
 CONTRADICTIONS = 3
 # Frames seen while the pose is in doubt wait to be mapped, for this long at most, s.
 LONGEST_DOUBT = 60.0
+# A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
+REDUCED_WITHIN = 0.5
+NOTHING_TOLD = np.zeros((SHARED, SHARED + 1))
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
 MOST_TAKEN_BACK = 10
 # The last map is solved until the deviation of the tags' errors changes by no more than this share, so often at most.
 SAME_TAG_ERROR = 0.05
 MOST_SOLVES = 6
-# A turn that ends this near to where it began was one in place, m.
-IN_PLACE = 0.1
 # A frame's ranges are compared with a scan's where the robot has moved by no more than this meanwhile, m and rad.
 SAME_PLACE = 0.004
 # A scan tells whether something hid the tags of a frame where it has moved by no more than this.
@@ -92,7 +93,6 @@ NEARLY_THERE = 0.05
 SCANS = 4
 # Messages of the first look that are kept, at most: two minutes of them.
 MOST_KEPT = 5000
-NO_MAP = empty_map()
 
 _log = logging.getLogger("tfg_drake.slam")
 # What somebody can mend is told on the screen, too.
@@ -123,7 +123,7 @@ def process_detections(state: EstimatorState, detections: TagDetections) -> Esti
     """The state after one frame of tags, or with the frame waiting for odometry; one older than the filters is
     ignored."""
     state = _kept(state, detections)
-    detections = replace(detections, stamp=detections.stamp - state.camera.offset)
+    detections = replace(detections, stamp=detections.stamp - state.offset)
     if not detections.stamp >= state.stamp:
         return state
     detections, impossible = sanitized(detections)
@@ -189,26 +189,16 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
-    """The pose at the newest odometry message; at the origin, stamp 0, before the first.
-
-    The localiser knows the camera's heading in M, theta_MD. The body's is theta_MB = theta_MD - y with the camera's yaw
-    y in the body frame, so Var(theta_MB) = Var(theta_MD) + Var(y) - 2 Cov(theta_MD, y). The covariance of X_MD and y
-    is known inside a solve of the map only and not kept. They count as independent here: exact until the robot drives;
-    afterwards mostly too large, for theta_MD mostly grows with y. Cov(p_MB, theta_MB) lacks -Cov(p_MD, y) likewise.
-    """
-    estimate = state.map or NO_MAP
+    """The pose at the newest odometry message; at the origin, stamp 0, before the first."""
     stamp, speed = 0.0, np.zeros(2)
     increment, dt = np.zeros(3), 0.0
     if state.odometry:
         newest = state.odometry[-1]
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
-            increment = seen_from_camera(arc(state.X_OB, newest.X_OB), float(state.graph.yaw[0]))
-            dt = newest.clock - state.clock
-    X_MB, covariance = localized_pose(state.localizer, state.model, increment, dt)
-    yaw, yaw_sigma = state.graph.yaw
-    X_MB[2] = se2.wrap_angle(X_MB[2] - yaw)
-    covariance[2, 2] += yaw_sigma**2
+            increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
+    X_MB, covariance = localized_pose(state.localizer, state.noise, increment, dt)
+    estimate = state.map or state.localizer.map
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     return PoseEstimate(
         stamp=stamp,
@@ -265,20 +255,32 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     look, turn = state.look, state.turn
     if look is None or turn is None:
         return state
-    camera = look.start.camera
-    tags, scan = held_against_odometry(look.messages, camera.offset)
+    tags, scan = held_against_odometry(look.messages, look.start.offset)
     for line in told(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
-        mean = camera.mean + np.array([0.0, tags.ahead])
-        state = replace(look.start, look=None, camera=replace(camera, mean=mean))
+        state = _with_clock(replace(look.start, look=None), tags.ahead)
         for message in look.messages:
             state = process[type(message)](state, message)
             if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
                 state = begin_turn(state, turn.begin.stamp)
     return replace(state, look=None)
+
+
+def _with_clock(state: EstimatorState, ahead: float) -> EstimatorState:
+    """The state before any message with the camera's clock so much, s, farther ahead than its data sheet says."""
+    prior = state.graph.prior
+    prior = replace(prior, mean=prior.mean + ahead * np.eye(SHARED)[CLOCK])
+    graph = replace(state.graph, prior=prior, shared=prior)
+    return replace(
+        state,
+        offset=state.offset + ahead,
+        graph=graph,
+        solved=graph,
+        localizer=start_localizer(empty_map(prior)),
+    )
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
@@ -312,25 +314,29 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     before = max(after - 1, 0)
     X_OB = interpolate(state.odometry[before], state.odometry[after], stamp)
     clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
-    increment, dt = seen_from_camera(arc(state.X_OB, X_OB), float(state.graph.yaw[0])), clock - state.clock
+    increment, dt = arc(state.X_OB, X_OB), clock - state.clock
     twist = _twist(state.odometry[before], state.odometry[after])
-    scale, compared = state.scale, state.compared
+    ranges = state.ranges
     scan = _scan_beside(state, frame, twist, SAME_PLACE)
     if scan is not None:
-        seen_from_body = replace(frame, bearing=frame.bearing + state.graph.yaw[0])
-        scale, compared = compare(scale, compared, seen_from_body, scan)
-    seen = corrected(frame, correction(scale, compared))
+        ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
-    taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.camera.offset)
+    taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.offset)
     if turn is not None:
         turn = replace(turn, frames=(*turn.frames, taken))
     elif piece is not None:
         piece = replace(piece, frames=(*piece.frames, taken))
     localizer, known, ignored = step_localizer(
-        state.localizer, state.model, increment, dt, less_certain(seen, state.correlation.frame_worth)
+        state.localizer,
+        state.noise,
+        increment,
+        dt,
+        less_certain(frame, state.correlation.frame_worth),
+        twist,
+        state.offset,
     )
     if state.map is not None and not state.map.is_joint:
-        elsewhere = mapped_elsewhere(state, localizer, seen)
+        elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere
     contradictions, agreed = state.contradictions, state.agreed
     if ignored > MOST_IGNORED * known:
@@ -342,8 +348,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         state,
         odometry=state.odometry[before:],
         pending=pending,
-        scale=scale,
-        compared=compared,
+        ranges=ranges,
         stamp=stamp,
         clock=clock,
         X_OB=X_OB,
@@ -376,8 +381,9 @@ def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> 
     scan = _scan_beside(state, frame, twist, NEARLY_THERE)
     if scan is None or state.map is None or state.contradictions or state.lost or state.kidnapped:
         return state.watch
-    X_MC = se2.compose(state.localizer.X_MD, state.localizer.filter.mean[:3])
-    return watched(state.watch, state.map.p_ML, X_MC, float(state.graph.yaw[0]), frame, scan)
+    yaw = float(state.graph.shared.mean[CAMERA_YAW])
+    X_MC = state.localizer.X_MB + np.array([0.0, 0.0, yaw])
+    return watched(state.watch, state.map.p_ML, X_MC, yaw, frame, scan)
 
 
 def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
@@ -400,44 +406,60 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
     if piece is None or state.map is None or state.stamp <= piece.begin.stamp:
         return replace(state, piece=opened(state)) if piece is not None else state
     if state.kidnapped:
-        X_MB, _ = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
-        way: tuple[Sighted, ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
+        X_MB, _ = localized_pose(state.localizer, state.noise, np.zeros(3), 0.0)
+        way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
         solution = _solve(state, piece)
-        state, seen = _with_camera(state, solution), _sighted(solution)
+        source = Source(piece, instant(state), state.graph.shared, NOTHING_TOLD)
+        state, seen = replace(state, correlation=solution.correlation), Sighted(solution.keyframe, solution.sightings)
         if not state.path_keyframe_period:
             seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
-        way = (*state.way, seen)
+        way = (*state.way, (seen, source))
     return replace(state, piece=opened(state), way=way)
 
 
-def _solve(state: EstimatorState, turn: OpenObservation) -> TurnSolution:
+def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
     """A turn or piece solved by itself."""
-    r = correction(state.scale, state.compared)
-    frames = tuple(replace(frame, detections=corrected(frame.detections, r)) for frame in turn.frames)
-    solution = solve_turn(state.model, turn.begin, frames, instant(state), camera_prior(state), state.correlation)
-    # The body's heading is what the scans are placed by.
-    X_AB = solution.observation.X_AB - np.array([0.0, 0.0, state.graph.yaw[0]])
-    observation = replace(solution.observation, X_AB=X_AB, range_scale=r)
-    return replace(solution, observation=observation)
+    return reduced(state.noise, turn.begin, turn.frames, instant(state), state.graph.shared, state.correlation)
 
 
-def _sighted(solution: TurnSolution) -> Sighted:
-    return Sighted(solution.observation, solution.sightings)
+def _ranges_told(state: EstimatorState) -> tuple[EstimatorState, FloatArray]:
+    """The state, and information and gradient (8, 9) on the parameters that the scan has told since the last view."""
+    if not state.ranges.pairs:
+        return state, NOTHING_TOLD
+    told = np.column_stack(told_by_scan(state.ranges))
+    return replace(state, told=told), told - state.told
 
 
-def _with_camera(state: EstimatorState, solution: TurnSolution) -> EstimatorState:
-    """The state with what a turn or piece tells of camera and noise by itself; what the yaw does to how they fit
-    together is the graph's to tell."""
-    yaw = np.array([solution.camera.yaw, solution.camera.sigma[0]])
-    graph, later = replace(state.graph, yaw_prior=yaw), state.camera.offset - solution.camera.offset
-    pending = tuple(replace(frame, stamp=frame.stamp + later) for frame in state.pending)
-    return replace(state, camera=solution.camera, correlation=solution.correlation, graph=graph, pending=pending)
+def _with_told(one: Keyframe, told: FloatArray) -> Keyframe:
+    """The keyframe with what else is told (8, 9) of the parameters."""
+    information = one.information.copy()
+    information[-SHARED:, -SHARED:] += told[:, :-1]
+    return replace(one, information=information, vector=one.vector + told[:, -1])
+
+
+def _reduced_anew(
+    state: EstimatorState, graph: KeyframeGraph, sources: tuple[Source | None, ...]
+) -> tuple[KeyframeGraph, tuple[Source | None, ...]]:
+    """The graph with those of its newest keyframes reduced anew that were reduced where the parameters were believed to
+    be others; their sources."""
+    keyframes, kept, shared = list(graph.keyframes), list(sources), graph.shared
+    for k, source in enumerate(sources):
+        at = k - len(sources)
+        if source is None or np.all(np.abs(shared.mean - source.at.mean) <= REDUCED_WITHIN * source.at.sigma):
+            continue
+        anew = reduced(state.noise, source.seen.begin, source.seen.frames, source.end, shared, state.correlation)
+        one = without_tags(anew.keyframe, np.setdiff1d(anew.keyframe.ids, keyframes[at].ids))
+        if np.array_equal(one.ids, keyframes[at].ids):
+            keyframes[at], kept[k] = _with_told(one, source.told), replace(source, at=shared)
+    if tuple(kept) == sources:
+        return graph, sources
+    return replace(graph, keyframes=tuple(keyframes)), tuple(kept)
 
 
 def _with_scale_told(state: EstimatorState) -> EstimatorState:
     """The state once the operator knows of ranges that are so wrong that a setting must be."""
-    share = 0.0 if state.compared.told else great_error(state.scale, state.compared)
+    share = 0.0 if state.ranges.told else great_error(state.ranges, state.graph.shared)
     if not share:
         return state
     _remarks.warning(
@@ -447,19 +469,25 @@ def _with_scale_told(state: EstimatorState) -> EstimatorState:
         1.0 + share,
         1.0 / (1.0 + share),
     )
-    return replace(state, compared=replace(state.compared, told=True))
+    return replace(state, ranges=replace(state.ranges, told=True))
 
 
 def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
     """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
-    state, way = _with_camera(_with_scale_told(state), solution), state.way
+    state, told = _ranges_told(_with_scale_told(replace(state, correlation=solution.correlation)))
+    keyframe = _with_told(solution.keyframe, told)
+    way, view = state.way, Sighted(keyframe, solution.sightings)
+    source = Source(turn, instant(state), state.graph.shared, told)
+    observation = Observation(keyframe.ids, solution.stamps, solution.X_AB)
     if state.kidnapped and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
-    before, known = realigned(state.graph, state.map or NO_MAP, solution.observation)
+    before, known = realigned(state.graph, state.map or state.localizer.map, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
-    for seen in (*way, _sighted(solution)):
-        is_view = seen.observation is solution.observation
+    sources: tuple[Source | None, ...] = state.sources
+    for seen, of in (*way, (view, source)):
+        is_view = seen is view
+        sources = (*sources, of)[-UNFUSED:]
         graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
         if len(anew):
             _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
@@ -470,27 +498,26 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
     if len(gone):
         _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(gone))
         evidence = disputed(evidence, gone)
-    corrected_graph, solved = rescaled(graph, correction(state.scale, state.compared)), state.solved
+    solved = state.solved
+    anew_graph, sources = _reduced_anew(state, graph, sources)
     if (
         moved
+        or anew_graph is not graph
         or state.kidnapped
         or before is not state.graph
-        or corrected_graph is not graph
         or needs_solve(graph, solved, estimate)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
-        corrected_graph = fused(replace(corrected_graph, p_ML=estimate.p_ML))
-        graph, estimate = _solved(corrected_graph, state.stamp, solution.observation, spread)
+        graph = fused(replace(anew_graph, p_ML=estimate.p_ML))
+        graph, estimate = solve(graph, state.stamp, observation, spread=spread)
         solved = graph
     else:
-        graph, estimate = finished(graph, estimate, state.stamp, solution.observation)
-    model = state.model
-    if state.turn is not None and np.hypot(*solution.observation.X_AD[:2]) < IN_PLACE:
-        # A turn in place ends where it began and tells the gyro's scale; on the way a slip could pass for a scale.
-        model = learnt(model, solution.calibration, solution.calibration_covariance)
+        graph, estimate = finished(graph, estimate, state.stamp, observation)
+    later = state.offset - float(graph.shared.mean[CLOCK])
     state = replace(
         state,
-        model=model,
+        offset=float(graph.shared.mean[CLOCK]),
+        pending=tuple(replace(frame, stamp=frame.stamp + later) for frame in state.pending),
         turn=None,
         piece=None,
         way=(),
@@ -501,11 +528,12 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         graph=graph,
         solved=solved,
         map=with_doubts(replace(estimate, frame_worth=state.correlation.frame_worth), evidence, graph),
-        localizer=start_localizer(model, estimate),
+        localizer=start_localizer(estimate),
         evidence=evidence,
         watch=renewed(state.watch, estimate.ids),
         rejected=rejected,
         dropped=solution.dropped,
+        sources=sources,
     )
     return replace(state, piece=opened(state))
 
@@ -518,15 +546,15 @@ def _with_keyframe(
 
     is_view: whether it is a turn or glance, not a piece of the way.
     """
-    ids = seen.observation.ids
+    ids = seen.keyframe.ids
     far = ids[~jointly_known(estimate, ids)]
     if len(far):
         graph = replace(graph, p_ML=estimate.p_ML)
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
     known = rows_of(ids, graph.ids)[1]
     believed = only(seen, known | believable(evidence, seen, estimate.X_MD, graph))
-    longer, after, rejected = updated(graph, estimate, believed.observation, is_view=is_view)
-    agrees, counted = np.isin(ids, np.setdiff1d(believed.observation.ids, rejected)), seen
+    longer, after, rejected = updated(graph, estimate, believed.keyframe, is_view=is_view)
+    agrees, counted = np.isin(ids, np.setdiff1d(believed.keyframe.ids, rejected)), seen
     if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
         # It may be the robot that is elsewhere.
         counted, agrees = only(seen, agrees), agrees[agrees]
@@ -539,13 +567,6 @@ def _with_keyframe(
     evidence = forgotten(evidence, anew)
     graph, estimate, evidence, rejected, others = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
     return graph, estimate, evidence, rejected, np.union1d(anew, others)
-
-
-def _solved(
-    graph: KeyframeGraph, stamp: float, observation: Observation, spread: int
-) -> tuple[KeyframeGraph, MapEstimate]:
-    """A graph of one keyframe or more solved, the empty graph as it is."""
-    return solve(graph, stamp, observation, spread=spread) if graph.keyframes else (graph, NO_MAP)
 
 
 def _names(ids: IntArray) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import (
     FloatArray,
     IntArray,
@@ -15,19 +15,22 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.camera_model import LEAST_SIGMA, CameraModel, exact_camera
 from tfg_drake.slam.doubt import Evidence, Sighted, no_evidence
 from tfg_drake.slam.first_look import Message
+from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.missing_tags import TagWatch, no_watch
 from tfg_drake.slam.noise_correlation import NoiseCorrelation, no_correlation
-from tfg_drake.slam.odometry_model import DeadReckoning, OdometryModel, odometry_model
-from tfg_drake.slam.range_scale import Compared, RangeScale, none_compared, unknown_scale
+from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
+from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
+from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, SHARED, Shared, by_data_sheet
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
 KIDNAPPED = np.array([100.0, 100.0, 10.0])
+# A camera that is mounted, and whose clock runs, as is believed.
+EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_deviation=0.0, range_scale_deviation=0.0)
 
 
 @message
@@ -46,6 +49,17 @@ class OpenObservation:
 
 
 @message
+class Source:
+    """Where a keyframe comes from, to reduce it anew. seen, end: its frames. at: the parameters as they were known when
+    it was reduced. told: (8, 9) information and gradient on them that it has from the scan."""
+
+    seen: OpenObservation
+    end: TurnFrame
+    at: Shared
+    told: FloatArray
+
+
+@message
 class FirstLook:
     """The newest messages before the first turn is over, in the order of their arrival, and the state before any."""
 
@@ -57,11 +71,12 @@ class FirstLook:
 class EstimatorState:
     """All the estimator knows.
 
-    camera, correlation: what is known of the camera and of the noise of tags. path_keyframe_period: s of way that are
-    mapped as one piece; 0 where only its motion is. newest: the last odometry message. odometry: dead reckoning from
-    the localiser's instant on. pending: frames that wait for it. scans: the newest scans. scale, compared: what they
-    say of the tags' ranges, and by which frames. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
-    reckoning then. contradictions:
+    noise: (3,) random walks of odometry, see `random_walks`. correlation: what is known of the noise of tags.
+    path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last odometry
+    message. odometry: dead reckoning from the localiser's instant on. pending: frames that wait for it. scans: the
+    newest scans. ranges: how the tags' ranges compare with theirs, told: (8, 9) information on the parameters, and
+    gradient where they are zero, by these, that the keyframes have. offset: s, the camera's clock is taken to be so
+    much ahead. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
     frames that contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was
     seen since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
     kidnapped: the robot was moved since the last view by something else than its wheels. turn, piece: the open turn and
@@ -69,19 +84,19 @@ class EstimatorState:
     when they were first seen, solved: the graph at that solve. map: what has become of it since, None before the first
     view. rejected: (r,) ids of known tags left out of the newest view, dropped: sightings left out of its turn.
     evidence: for the places where it has its tags, and against them. watch: which of them should have been seen since.
-    look: the first look, None once it is over.
+    look: the first look, None once it is over. sources: of the newest keyframes, None of one that has none.
     """
 
-    model: OdometryModel
-    camera: CameraModel
+    noise: FloatArray
     correlation: NoiseCorrelation
     path_keyframe_period: float
     newest: Odometry | None
     odometry: tuple[DeadReckoning, ...]
     pending: tuple[TagDetections, ...]
     scans: tuple[LaserScan, ...]
-    scale: RangeScale
-    compared: Compared
+    ranges: ScanRanges
+    told: FloatArray
+    offset: float
     stamp: float
     clock: float
     X_OB: FloatArray
@@ -93,7 +108,7 @@ class EstimatorState:
     kidnapped: bool
     turn: OpenObservation | None
     piece: OpenObservation | None
-    way: tuple[Sighted, ...]
+    way: tuple[tuple[Sighted, Source | None], ...]
     graph: KeyframeGraph
     solved: KeyframeGraph
     map: MapEstimate | None
@@ -102,34 +117,36 @@ class EstimatorState:
     rejected: IntArray
     dropped: int
     look: FirstLook | None = None
+    sources: tuple[Source | None, ...] = ()
 
 
 def initial_state(
-    config: OdometryConfig, path_keyframe_period: float = 0.0, camera: CameraModel | None = None
+    config: OdometryConfig, path_keyframe_period: float = 0.0, prior: Shared | None = None
 ) -> EstimatorState:
     """The estimator at the map's origin, before any message.
 
-    camera: what is known of it beforehand; none: that it looks ahead and its clock is right.
-    path_keyframe_period: s; the way between views is mapped in pieces of this length, inf: in those that `close_piece`
-    ends. 0: of the way only its motion is mapped, and path sightings localise (the paper's Sec. III).
+    prior: what is known of the shared parameters beforehand; none: what the odometry's data sheet says, and of the
+    camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
+    this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
+    localise (the paper's Sec. III).
     """
-    model, camera = odometry_model(config), camera or exact_camera()
-    yaw = np.array([camera.yaw, camera.sigma[0]])
+    prior = prior or by_data_sheet(config, EXACT_CAMERA)
+    graph = empty_graph(prior)
     state = EstimatorState(
-        model=model,
-        camera=camera,
+        noise=random_walks(config),
         correlation=no_correlation(),
         path_keyframe_period=path_keyframe_period,
         newest=None,
         odometry=(),
         pending=(),
         scans=(),
-        scale=unknown_scale(),
-        compared=none_compared(),
+        ranges=none_compared(),
+        told=np.zeros((SHARED, SHARED + 1)),
+        offset=float(prior.mean[CLOCK]),
         stamp=-np.inf,
         clock=-np.inf,
         X_OB=np.zeros(3),
-        localizer=start_localizer(model, None),
+        localizer=start_localizer(empty_map(prior)),
         contradictions=0,
         agreed=-np.inf,
         suspect=None,
@@ -138,8 +155,8 @@ def initial_state(
         turn=None,
         piece=None,
         way=(),
-        graph=empty_graph(yaw),
-        solved=empty_graph(yaw),
+        graph=graph,
+        solved=graph,
         map=None,
         evidence=no_evidence(),
         watch=no_watch(),
@@ -149,16 +166,6 @@ def initial_state(
     return replace(state, look=FirstLook(state))
 
 
-def known_camera(state: EstimatorState) -> CameraModel:
-    """The camera as known from everything: its clock from the observations, its yaw from the whole graph."""
-    return state.camera.with_yaw(state.graph.yaw)
-
-
-def camera_prior(state: EstimatorState) -> CameraModel:
-    """The camera as known from each observation by itself, without how the keyframes fit together."""
-    return state.camera.with_yaw(state.graph.yaw_prior)
-
-
 def instant(state: EstimatorState) -> TurnFrame:
     """The filters' instant, nothing seen."""
     return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))
@@ -166,11 +173,10 @@ def instant(state: EstimatorState) -> TurnFrame:
 
 def opened(state: EstimatorState) -> OpenObservation:
     """A turn or piece of the way that begins now."""
-    X_MB, covariance = localized_pose(state.localizer, state.model, np.zeros(3), 0.0)
+    X_MB, covariance = localized_pose(state.localizer, state.noise, np.zeros(3), 0.0)
     return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 
-def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Sighted:
+def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> tuple[Sighted, None]:
     """The motion of a kidnapped robot: it seems to have led to X_DA (3,), with deviations sigma (3,), m, m, rad."""
-    observation = replace(empty_map().observation, X_AD=X_DA, covariance=np.diag(sigma**2))
-    return Sighted(observation, np.empty(0, dtype=np.int64))
+    return Sighted(way(X_DA, np.diag(sigma**2)), np.empty(0, dtype=np.int64)), None

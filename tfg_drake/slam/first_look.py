@@ -3,7 +3,7 @@
 A sensor that is mounted upside down, or whose clock is wrong, shows it before anything is mapped: it says by itself how
 far the robot has turned from one of its messages to the next, and odometry says so of any two instants. Mirrored, all
 turns against the robot; by a wrong clock, it begins and ends to turn too soon or too late. (Whether the tags' ranges
-are those of the scan is the subject of `tfg_drake.slam.range_scale`.)
+are those of the scan is the subject of `tfg_drake.slam.scan_ranges`.)
 """
 
 from __future__ import annotations

@@ -12,15 +12,15 @@ import logging
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import TagDetections, replace
-from tfg_drake.slam.camera_model import seen_from_camera
+from tfg_drake.messages import FloatArray, MapEstimate, TagDetections, replace
 from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, opened, unknown_way
-from tfg_drake.slam.keyframe_graph import decoupled, rows_of
+from tfg_drake.slam.keyframe import rows_of
+from tfg_drake.slam.keyframe_graph import decoupled
 from tfg_drake.slam.localizer import Localizer, localized_pose, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.missing_tags import renewed
-from tfg_drake.slam.range_scale import corrected, correction
 from tfg_drake.slam.relocalization import Expected, disagreeing, relocalize
+from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.sightings import select
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
@@ -40,10 +40,12 @@ _log = logging.getLogger("tfg_drake.slam")
 def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
     """The number of a frame's tags that are mapped too far away for the localiser and seen far from there."""
     row, mapped = rows_of(seen.ids, state.graph.ids)
-    mapped &= ~rows_of(seen.ids, localizer.filter.map_ids)[1]
+    estimate = localizer.map
+    mapped &= ~rows_of(seen.ids, estimate.ids[estimate.local])[1]
     if state.map is None or not mapped.any():
         return 0
-    X_MB, _ = localized_pose(localizer, state.model, np.zeros(3), 0.0)
+    X_MB, _ = localized_pose(localizer, state.noise, np.zeros(3), 0.0)
+    seen = seen_from_body(seen, state.graph.shared)
     angle = X_MB[2] + seen.bearing[mapped]
     p_ML = X_MB[:2] + seen.range[mapped, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
@@ -55,7 +57,7 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     if estimate is None or suspect is None:
         return state
     seen = gathered(state, suspect)
-    way = seen_from_camera(se2.between(suspect.begin.X_OB, state.X_OB), float(state.graph.yaw[0]))
+    way = se2.between(suspect.begin.X_OB, state.X_OB)
     moved = np.sqrt(suspect.sigma**2 + PUSHES**2 + (suspect.unwatched * CARRIES) ** 2)
     expected = Expected(se2.compose(suspect.X_MB, way), suspect.sigma, moved)
     found = relocalize(estimate, seen, expected)
@@ -74,9 +76,9 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     if not found.is_known:
         if not state.lost:
             _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
-        localizer = restart_localizer(state.model, estimate, found.X_MB, tags)
+        localizer = _restarted(state, estimate, found.X_MB, tags)
         return _kidnapped(replace(state, localizer=localizer, lost=True), begun)
-    X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.model, np.zeros(3), 0.0)[0]
+    X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.noise, np.zeros(3), 0.0)[0]
     error = found.X_MB - X_MB
     error[2] = se2.wrap_angle(error[2])
     distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
@@ -96,10 +98,25 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     graph = replace(graph, p_ML=estimate.p_ML)
     _, nearby = solve(graph, estimate.stamp, estimate.observation, node=witness + 1)
     graph, estimate = solve(graph, estimate.stamp, estimate.observation)
-    state = replace(state, graph=graph, solved=graph, map=estimate, watch=renewed(state.watch, estimate.ids))
-    localizer = restart_localizer(state.model, nearby, found.X_MB, tags)
+    state = replace(
+        state, graph=graph, solved=graph, map=estimate, watch=renewed(state.watch, estimate.ids), sources=()
+    )
+    localizer = _restarted(state, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
     return _kidnapped(state, begun)
+
+
+def _restarted(
+    state: EstimatorState, estimate: MapEstimate, X_MB: FloatArray, seen_from_body: TagDetections
+) -> Localizer:
+    """The localiser at a pose X_MB (3,) found by geometry; the tags as of `gathered`."""
+    shared = estimate.shared
+    tags = replace(
+        seen_from_body,
+        range=seen_from_body.range * (1.0 + shared[RANGE_SCALE]),
+        bearing=seen_from_body.bearing - shared[CAMERA_YAW],
+    )
+    return restart_localizer(estimate, state.noise, X_MB, tags)
 
 
 def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
@@ -116,15 +133,15 @@ def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
 def gathered(state: EstimatorState, since: OpenObservation) -> TagDetections:
     """All tags seen since an observation began, each once, as seen from where the robot is now. Their deviations
     include the error of odometry since they were seen."""
-    model, ids, p_BL, variance = state.model, [], [], []
+    noise, sigma, ids, p_BL, variance = state.noise, state.graph.shared.sigma, [], [], []
     for frame in since.frames:
-        seen = corrected(frame.detections, correction(state.scale, state.compared))
+        seen = seen_from_body(frame.detections, state.graph.shared)
         if not len(seen.ids):
             continue
-        way = seen_from_camera(se2.between(state.X_OB, frame.X_OB), float(state.graph.yaw[0]))
+        way = se2.between(state.X_OB, frame.X_OB)
         distance, dt = float(np.hypot(way[0], way[1])), state.clock - frame.clock
-        turned = float(np.sum(np.square([model.noise[1] * dt**0.5, *(model.calibration_sigma[1:] * (dt, way[2]))])))
-        driven = model.noise[0] ** 2 * distance + (model.calibration_sigma[0] * distance) ** 2
+        turned = float(np.sum(np.square([noise[1] * dt**0.5, *(sigma[1:3] * (dt, way[2]))])))
+        driven = noise[0] ** 2 * distance + (sigma[0] * distance) ** 2
         lever = seen.range + distance
         ids.append(seen.ids)
         direction = np.column_stack([np.cos(seen.bearing), np.sin(seen.bearing)])

@@ -14,9 +14,9 @@ import scipy.linalg
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, at_yaw, extended, rows_of, without_tags
-from tfg_drake.slam.keyframe_kernels import chain, linearised
-from tfg_drake.slam.map_solver import estimate_of, with_local
+from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
+from tfg_drake.slam.shared import RANGE_SCALE, SHARED, Shared
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: it was
 # misread, has been moved or is tied to the wrong place. What comes of that, `doubt` says.
@@ -24,18 +24,35 @@ REJECTED = 49.0
 # Iterations of an update.
 ITERATIONS = 4
 # The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes
-# more, or so many, when one of so many landmarks nearest to the robot is not known jointly, or when the heading is
-# known no better than this, rad: a sighting then turns more than a linearisation can follow.
+# more, or so many, when one of so many landmarks nearest to the robot is not known jointly, when the heading is known
+# no better than this, rad: a sighting then turns more than a linearisation can follow; or when a parameter has moved by
+# this share of the deviation that it had at the last solve.
 FAR_MOVED = 0.05
 LOOSE_HEADING = 0.1
 MANY_KEYFRAMES = 32
 NEAREST = 100
+PARAMETER_MOVED = 1.0
+# Directions of the parameters of which a keyframe says less than this, in prior deviations, are left out.
+LEAST_TOLD = 1e-9
+
+
+@message
+class _Told:
+    """What a keyframe says in the terms of an update: y ~ (mean + by_shared s, covariance) given the parameters s, and
+    of these u^T s = told within one, u: (8, r)."""
+
+    mean: FloatArray
+    by_shared: FloatArray
+    covariance: FloatArray
+    of_shared: FloatArray
+    told: FloatArray
 
 
 @message
 class _Update:
-    """An update by m tags, linearised at its result. H: (2m, 2m + 3) by the tags and A. root: (2m, 2m) lower Cholesky
-    factor of the innovation's covariance, nu: (2m,) the innovation from the prior mean, in units of that root."""
+    """An update by m tags and what is told of the parameters, linearised at its result. H: (2m + r, 2m + 11) by the
+    tags, A and the parameters. root: lower Cholesky factor of the innovation's covariance, nu: the innovation from the
+    prior mean, in units of that root."""
 
     H: FloatArray
     root: FloatArray
@@ -43,47 +60,79 @@ class _Update:
 
 
 def updated(
-    graph: KeyframeGraph,
-    estimate: MapEstimate,
-    observation: Observation,
-    *,
-    is_view: bool = True,
+    graph: KeyframeGraph, estimate: MapEstimate, one: Keyframe, *, is_view: bool = True
 ) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
     """Graph and map with one keyframe more, which begins where the map's newest pose is, and the ids of the known tags
     left out of it because they contradict all others.
 
     Args:
         graph: with the values of its last solve. estimate: what has become of the landmarks and the newest pose since.
-        observation: those of its tags that are known must be known jointly.
+        one: those of its tags that are known must be known jointly.
         is_view: whether it is a turn or glance, not a piece of the way.
 
     What `estimate` says of the stage is not brought up to date, see `finished`.
     """
-    observation = at_yaw(observation, float(graph.yaw[0]))
-    loose = _with_tag_errors(observation, graph.tag_error)
-    row, known = rows_of(observation.ids, estimate.ids)
+    told, before = _told(one, graph), _in_ranges_unit(estimate)
+    row, known = rows_of(one.ids, estimate.ids)
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
     while True:
-        update = _iterated(estimate, local_row[kept], loose, seen[kept])
-        distance = _distances(update)
+        update = _iterated(*before, local_row[kept], one.unit, told, seen[kept])
+        distance = _distances(update, len(kept))
         if np.max(distance, initial=0.0) <= REJECTED:
             break
         kept = np.delete(kept, np.argmax(distance))
-    rejected = np.delete(observation.ids[seen], kept)
-    observation, loose = without_tags(observation, rejected), without_tags(loose, rejected)
-    return *_joined(graph, estimate, observation, loose.covariance, local_row[kept], update, is_view), rejected
+    rejected = np.delete(one.ids[seen], kept)
+    if len(rejected):
+        one = without_tags(one, rejected)
+        told = _told(one, graph)
+    return *_joined(graph, estimate, *before, one, told, local_row[kept], update, is_view), rejected
 
 
-def _with_tag_errors(observation: Observation, tag_error: FloatArray) -> Observation:
-    """The observation as uncertain as the constant errors of its tags, of these deviations (2,), make it, as if they
-    were others in each keyframe: a solve knows better."""
-    n = len(observation.on_error)
-    if not n or not tag_error.any():
-        return observation
-    root, covariance, i = observation.on_error * tag_error, observation.covariance.copy(), np.arange(n)
-    covariance[:-3, :-3].reshape(n, 2, n, 2)[i, :, i, :] += root @ root.transpose(0, 2, 1)
-    return replace(observation, covariance=covariance)
+def _in_ranges_unit(estimate: MapEstimate) -> tuple[FloatArray, FloatArray]:
+    """(p_ML[local] row by row, X_MD, shared) and their covariance with lengths in the unit of ranges: there no keyframe
+    that saw tags has the scale in it, so that linearising one after the other tells nothing of it."""
+    x = np.concatenate([estimate.local_p_ML.ravel(), estimate.X_MD, estimate.shared])
+    lengths = len(x) - SHARED - 1
+    lever, scale = np.append(x[:lengths], np.zeros(1 + SHARED)), 1.0 + float(estimate.shared[RANGE_SCALE])
+    P = _in_unit(estimate.joint_covariance, scale, lever, len(x) - SHARED + RANGE_SCALE)
+    x[:lengths] *= scale
+    return x, P
+
+
+def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> FloatArray:
+    """The covariance of x with all entries of x that have a lever (u,) by the scale, in the row of_scale, in another
+    unit: x' = scale * x, which the scale moves by the lever."""
+    by = np.where(lever != 0.0, scale, 1.0)
+    P = by[:, None] * P * by
+    across = np.outer(lever, P[of_scale])
+    return np.asarray(P + across + across.T + P[of_scale, of_scale] * np.outer(lever, lever))
+
+
+def _scale(unit: int, shared: FloatArray) -> tuple[float, FloatArray]:
+    """A keyframe's unit in that of ranges, and its derivative (8,) on the parameters."""
+    scale, on = (1.0 + shared[unit]) / (1.0 + shared[RANGE_SCALE]), np.zeros(SHARED)
+    if unit != RANGE_SCALE:
+        on[unit], on[RANGE_SCALE] = 1.0 / (1.0 + shared[RANGE_SCALE]), -scale / (1.0 + shared[RANGE_SCALE])
+    return float(scale), on
+
+
+def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:
+    """It is as uncertain as the constant errors of its tags make it, as if they were others in each keyframe: a solve
+    knows better."""
+    covariance, by_shared = one.conditional()
+    if graph.tag_error.any():
+        root, n, i = one.on_error * graph.tag_error, len(one.ids), np.arange(len(one.ids))
+        covariance[:-3, :-3].reshape(n, 2, n, 2)[i, :, i, :] += root @ root.transpose(0, 2, 1)
+    information, vector = one.alone()
+    sigma = graph.prior.sigma
+    value, direction = np.linalg.eigh(sigma[:, None] * information * sigma)
+    some = value > LEAST_TOLD
+    root = np.sqrt(value[some])
+    told = -(direction[:, some].T @ (sigma * vector)) / root
+    return _Told(
+        np.append(one.y_AL.ravel(), one.y_AD), by_shared, covariance, direction[:, some] * root / sigma[:, None], told
+    )
 
 
 def jointly_known(estimate: MapEstimate, ids: IntArray) -> BoolArray:
@@ -98,6 +147,8 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
         return True
     if estimate.covariance[-1, -1] > LOOSE_HEADING**2:
         return True
+    if np.any(np.abs(estimate.shared - solved.shared.mean) > PARAMETER_MOVED * solved.shared.sigma):
+        return True
     moved = estimate.p_ML[np.searchsorted(estimate.ids, solved.ids)] - solved.p_ML
     if np.max(np.abs(moved), initial=0.0) > FAR_MOVED:
         return True
@@ -107,52 +158,94 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
     return not estimate.is_local[np.argpartition(distance, NEAREST)[:NEAREST]].all()
 
 
+def estimate_of(
+    graph: KeyframeGraph,
+    stamp: float,
+    observation: Observation,
+    p_ML: FloatArray,
+    X_MD: FloatArray,
+    local: IntArray,
+    joint: FloatArray,
+) -> MapEstimate:
+    """The message of a graph, at some values of its landmarks and newest pose; joint: (2m + 11, 2m + 11) covariance of
+    its local landmarks, that pose and the parameters."""
+    return MapEstimate(
+        stage=len(graph.view_keyframe),
+        stamp=stamp,
+        ids=graph.ids,
+        p_ML=p_ML,
+        X_MD=X_MD,
+        local=local,
+        covariance=joint[:-SHARED, :-SHARED].copy(),
+        landmark_covariance=graph.landmark_covariance,
+        X_MA=graph.X_MA,
+        observation=observation,
+        entropy=graph.entropy,
+        tag_error=graph.tag_error,
+        shared=graph.shared.mean,
+        with_shared=joint[:, -SHARED:].copy(),
+    )
+
+
 def finished(
     graph: KeyframeGraph, estimate: MapEstimate, stamp: float, observation: Observation
 ) -> tuple[KeyframeGraph, MapEstimate]:
     """Graph and map after all updates of a stage. stamp: s, observation: the newest view's, with its trajectory."""
-    each = with_local(graph.landmark_covariance, estimate.local, estimate.covariance)
-    graph = replace(graph, landmark_covariance=each)
+    m, each = np.arange(len(estimate.local)), graph.landmark_covariance.copy()
+    each[estimate.local] = estimate.covariance[:-3, :-3].reshape(len(m), 2, len(m), 2)[m, :, m, :]
+    entropy = graph.entropy_beyond + entropy_of(estimate.covariance[:-3, :-3])
+    graph = replace(graph, landmark_covariance=each, entropy=entropy)
     return graph, estimate_of(
-        graph, stamp, observation, estimate.p_ML, estimate.X_MD, estimate.local, estimate.covariance
+        graph, stamp, observation, estimate.p_ML, estimate.X_MD, estimate.local, estimate.joint_covariance
     )
 
 
+def entropy_of(covariance: FloatArray) -> float:
+    """1/2 log|2 pi e Sigma|, nats, of a covariance (u, u)."""
+    return 0.5 * (len(covariance) * math.log(2.0 * math.pi * math.e) + float(np.linalg.slogdet(covariance)[1]))
+
+
 def _entries(size: int, local_row: IntArray) -> IntArray:
-    """Where in a joint covariance of this size some landmarks, by their rows (m,) in local, and the pose are."""
-    return np.append((2 * local_row[:, None] + [0, 1]).ravel(), [size - 3, size - 2, size - 1])
+    """Where in a joint covariance of this size some landmarks, by their rows (m,) in local, the pose and the parameters
+    are."""
+    return np.append((2 * local_row[:, None] + [0, 1]).ravel(), np.arange(size - 3 - SHARED, size))
 
 
-def _iterated(estimate: MapEstimate, local_row: IntArray, observation: Observation, seen: IntArray) -> _Update:
-    """The update by m tags: local_row (m,) where they are in local, seen (m,) where in the observation."""
-    m = len(seen)
-    if m == 0:
-        return _Update(np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0))
-    at = _entries(len(estimate.covariance), local_row)
-    P = estimate.covariance[np.ix_(at, at)]
+def _iterated(
+    mean: FloatArray, covariance: FloatArray, local_row: IntArray, unit: int, told: _Told, seen: IntArray
+) -> _Update:
+    """The update by m tags: local_row (m,) where they are in local, seen (m,) where in the keyframe. mean, covariance:
+    the map's joint, see `_in_ranges_unit`."""
+    m, r = len(seen), len(told.told)
+    at = _entries(len(covariance), local_row)
+    P = covariance[np.ix_(at, at)]
     of_seen = (2 * seen[:, None] + [0, 1]).ravel()
-    noise = observation.covariance[np.ix_(of_seen, of_seen)]
-    x_0 = x = np.append(estimate.local_p_ML[local_row], estimate.X_MD)
-    H = np.zeros((2 * m, 2 * m + 3))
+    noise = scipy.linalg.block_diag(told.covariance[np.ix_(of_seen, of_seen)], np.eye(r))
+    y, by_shared = told.mean[of_seen], told.by_shared[of_seen]
+    x_0 = x = mean[at]
+    H = np.zeros((2 * m + r, 2 * m + 3 + SHARED))
+    H[2 * m :, 2 * m + 3 :] = told.of_shared.T
     i = np.arange(m)
-    for _ in range(ITERATIONS):
-        R_AM = se2.rotation(float(x[-1])).T
-        in_A = (x[:-3].reshape(-1, 2) - x[-3:-1]) @ R_AM.T
-        H[:, :-3].reshape(m, 2, m, 2)[i, :, i, :] = R_AM
-        H[:, -3:-1] = np.tile(-R_AM, (m, 1))
-        H[0::2, -1], H[1::2, -1] = in_A[:, 1], -in_A[:, 0]
-        innovation = (observation.p_AL[seen] - in_A).ravel() - H @ (x_0 - x)
+    for _ in range(ITERATIONS if m else 1):
+        X_MA, shared = x[2 * m : 2 * m + 3], x[2 * m + 3 :]
+        R_AM, (scale, on_shared) = se2.rotation(float(X_MA[2])).T, _scale(unit, shared)
+        in_A = (x[: 2 * m].reshape(-1, 2) - X_MA[:2]) @ R_AM.T
+        H[: 2 * m, : 2 * m].reshape(m, 2, m, 2)[i, :, i, :] = scale * R_AM
+        H[: 2 * m, 2 * m : 2 * m + 2] = np.tile(-scale * R_AM, (m, 1))
+        H[0 : 2 * m : 2, 2 * m + 2], H[1 : 2 * m : 2, 2 * m + 2] = scale * in_A[:, 1], -scale * in_A[:, 0]
+        H[: 2 * m, 2 * m + 3 :] = np.outer(in_A.ravel(), on_shared) - by_shared
+        off = np.append(y + by_shared @ shared - scale * in_A.ravel(), told.told - told.of_shared.T @ shared)
+        innovation = off - H @ (x_0 - x)
         root = np.linalg.cholesky(H @ P @ H.T + noise)
         x = x_0 + P @ (H.T @ scipy.linalg.cho_solve((root, True), innovation, check_finite=False))
     return _Update(H, root, scipy.linalg.solve_triangular(root, innovation, lower=True, check_finite=False))
 
 
-def _distances(update: _Update) -> FloatArray:
+def _distances(update: _Update, m: int) -> FloatArray:
     """(m,) squared Mahalanobis distance of each tag from what all others predict of it."""
-    m = len(update.nu) // 2
-    half = scipy.linalg.solve_triangular(update.root, np.eye(2 * m), lower=True, check_finite=False) if m else None
-    if half is None:
+    if not m:
         return np.zeros(0)
+    half = scipy.linalg.solve_triangular(update.root, np.eye(len(update.root), 2 * m), lower=True, check_finite=False)
     weighted, i = (half.T @ update.nu).reshape(m, 2, 1), np.arange(m)
     own = (half.T @ half).reshape(m, 2, m, 2)[i, :, i, :]
     return np.asarray((weighted * np.linalg.solve(own, weighted)).sum(axis=(1, 2)))
@@ -161,72 +254,81 @@ def _distances(update: _Update) -> FloatArray:
 def _joined(
     graph: KeyframeGraph,
     estimate: MapEstimate,
-    observation: Observation,
-    R: FloatArray,
+    mean: FloatArray,
+    covariance: FloatArray,
+    one: Keyframe,
+    told: _Told,
     local_row: IntArray,
     update: _Update,
     is_view: bool,
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """Graph and map with an observation whose known tags are all believed, local_row (m,): where they are in local. R:
-    its covariance with that of the tags' errors."""
-    _, known = rows_of(observation.ids, estimate.ids)
+    """Graph and map with a keyframe whose known tags are all believed, local_row (m,): where they are in local.
+    mean, covariance: the map's joint, see `_in_ranges_unit`."""
+    _, known = rows_of(one.ids, estimate.ids)
     # What it says besides of known tags: in A, new tags and D. The errors of all of it go together.
-    beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=bool))
-    size, more, old = len(estimate.covariance), int(np.count_nonzero(beyond)), len(estimate.covariance) - 3
-    P = np.zeros((size + more, size + more))
-    P[:size, :size], P[size:, size:] = estimate.covariance, R[np.ix_(beyond, beyond)]
-    x = np.concatenate([estimate.local_p_ML.ravel(), estimate.X_MD, observation.p_AL[~known].ravel(), observation.X_AD])
-    if len(local_row):
-        with_tags = estimate.covariance[:, _entries(size, local_row)] @ update.H.T
-        gain = np.vstack([with_tags, -R[np.ix_(beyond, ~beyond)]]).T
+    beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=np.bool_))
+    size, more, R, G = len(covariance), int(np.count_nonzero(beyond)), told.covariance, told.by_shared
+    G_b = G[beyond]
+    with_y = covariance[:, -SHARED:] @ G_b.T
+    P = np.empty((size + more, size + more))
+    P[:size, :size], P[:size, size:], P[size:, :size] = covariance, with_y, with_y.T
+    P[size:, size:] = R[np.ix_(beyond, beyond)] + G_b @ with_y[-SHARED:]
+    y = told.mean[beyond] + G_b @ estimate.shared
+    x = np.append(mean, y)
+    if len(update.nu):
+        gain = update.H @ P[_entries(size, local_row)]
+        gain[: 2 * len(local_row), size:] -= R[np.ix_(beyond, ~beyond)].T
         half = scipy.linalg.solve_triangular(update.root, gain, lower=True, check_finite=False)
         P -= half.T @ half
         x += half.T @ update.nu
-    X_MA, p_AL, X_AD = x[old:size], x[size:-3].reshape(-1, 2), x[-3:]
-    # From (A, new tags, D in A) to (new tags, D) in M.
-    R_MA, new = se2.rotation(float(X_MA[2])), len(p_AL)
+    # From (A, parameters, new tags and D in A) to (new tags, D in M, parameters).
+    old, new = size - 3 - SHARED, (more - 3) // 2
+    X_MA, shared, y = x[old : old + 3], x[old + 3 : size], x[size:]
+    (scale, on_shared), R_MA = _scale(one.unit, shared), se2.rotation(float(X_MA[2]))
+    p_AL, X_AD = y[:-3].reshape(-1, 2) / scale, np.append(y[-3:-1] / scale, y[-1])
     lever = np.vstack([p_AL, X_AD[:2]]) @ R_MA.T
-    J = np.zeros((more, 3 + more))
-    J[:-1, :2] = np.tile(np.eye(2), (new + 1, 1))
-    J[0:-1:2, 2], J[1:-1:2, 2] = -lever[:, 1], lever[:, 0]
-    J[-1, 2] = J[-1, -1] = 1.0
+    J = np.zeros((more + SHARED, 3 + SHARED + more))
+    of_places = J[: more - 1]
+    of_places[:, :2] = np.tile(np.eye(2), (new + 1, 1))
+    of_places[0::2, 2], of_places[1::2, 2] = -lever[:, 1], lever[:, 0]
+    of_places[:, 3 : 3 + SHARED] = np.outer(-lever.ravel() / scale, on_shared)
     i = np.arange(new + 1)
-    J[:-1, 3:-1].reshape(new + 1, 2, new + 1, 2)[i, :, i, :] = R_MA
+    of_places[:, 3 + SHARED : -1].reshape(new + 1, 2, new + 1, 2)[i, :, i, :] = R_MA / scale
+    J[more - 1, 2] = J[more - 1, -1] = 1.0
+    J[more:, 3 : 3 + SHARED] = np.eye(SHARED)
     across, within = J @ P[old:, :old], J @ P[old:, old:] @ J.T
-    covariance = P[: old + more, : old + more]
-    covariance[old:, :old], covariance[:old, old:] = across, across.T
-    covariance[old:, old:] = 0.5 * (within + within.T)
+    joint = np.empty((old + more + SHARED, old + more + SHARED))
+    joint[:old, :old], joint[old:, :old], joint[:old, old:] = P[:old, :old], across, across.T
+    joint[old:, old:] = 0.5 * (within + within.T)
 
-    graph = replace(graph, X_MN=np.vstack([graph.X_MN[:-1], X_MA]))
+    # Back to metres.
+    ranges = 1.0 + float(shared[RANGE_SCALE])
     X_MD = se2.compose(X_MA, X_AD)
-    graph = _with_entropy(extended(graph, observation, X_MD, is_view=is_view), new, update.root, R)
+    places = np.concatenate([x[:old], se2.transform(X_MA, p_AL).ravel(), X_MD[:2]]) / ranges
+    X_MA, X_MD = X_MA / [ranges, ranges, 1.0], X_MD / [ranges, ranges, 1.0]
+    lever = np.append(-places / ranges, np.zeros(1 + SHARED))
+    joint = _in_unit(joint, 1.0 / ranges, lever, len(joint) - SHARED + RANGE_SCALE)
+    graph = replace(
+        graph,
+        X_MN=np.vstack([graph.X_MN[:-1], X_MA]),
+        shared=Shared(shared, joint[-SHARED:, -SHARED:].copy()),
+    )
+    graph = extended(graph, one, X_MD, is_view=is_view)
     p_ML, row = np.empty((len(graph.ids), 2)), np.searchsorted(graph.ids, estimate.ids)
     p_ML[row] = estimate.p_ML
-    local = np.append(row[estimate.local], np.searchsorted(graph.ids, observation.ids[~known]))
-    p_ML[local] = np.vstack([x[:old].reshape(-1, 2), se2.transform(X_MA, p_AL)])
+    local = np.append(row[estimate.local], np.searchsorted(graph.ids, one.ids[~known]))
+    p_ML[local] = places[:-2].reshape(-1, 2)
     if new:
         order = np.argsort(local, kind="stable")
-        local, entries = local[order], _entries(len(covariance), order)
-        covariance = covariance.take(entries, axis=0).take(entries, axis=1)
-    return graph, replace(estimate, ids=graph.ids, p_ML=p_ML, X_MD=X_MD, local=local, covariance=covariance)
-
-
-def _with_entropy(graph: KeyframeGraph, new: int, root: FloatArray, R: FloatArray) -> KeyframeGraph:
-    """A graph that has got one keyframe more, with its entropy and the information on its newest pose as they are now.
-
-    new: landmarks seen for the first time. root: lower Cholesky factor of the innovation's covariance, R: covariance of
-    what was observed. The determinant of
-    all that is known, poses too, grows by that of the innovation and falls by that of R; that of the poses given the
-    landmarks, a chain, is taken off.
-    """
-    one = graph.keyframes[-1]
-    rows = np.searchsorted(graph.ids, one.ids)
-    H, _, _ = linearised(rows, one.p_AL, one.X_AD, one.information, graph.X_MN[-2], graph.X_MN[-1], graph.p_ML)
-    poses = np.ascontiguousarray(H[None, 2 * len(rows) :, 2 * len(rows) :])
-    of_chain, own = chain(graph.pose_information, poses)
-    of_chain += float(np.linalg.slogdet(own)[1])
-    if len(graph.keyframes) > 1:
-        of_chain -= float(np.linalg.slogdet(graph.pose_information)[1])
-    surer = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(np.linalg.slogdet(R)[1]) - of_chain
-    more = 0.5 * (2 * new * math.log(2.0 * math.pi * math.e) - surer)
-    return replace(graph, entropy=graph.entropy + more, pose_information=own)
+        local, entries = local[order], _entries(len(joint), order)
+        joint = joint.take(entries, axis=0).take(entries, axis=1)
+    return graph, replace(
+        estimate,
+        ids=graph.ids,
+        p_ML=p_ML,
+        X_MD=X_MD,
+        local=local,
+        covariance=joint[:-SHARED, :-SHARED].copy(),
+        shared=shared,
+        with_shared=joint[:, -SHARED:].copy(),
+    )

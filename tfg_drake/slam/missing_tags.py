@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, TagDetections, message, replace
-from tfg_drake.slam.keyframe_graph import rows_of
-from tfg_drake.slam.range_scale import surface
+from tfg_drake.slam.keyframe import rows_of
+from tfg_drake.slam.scan_ranges import surface
 
 # From farther away, m, and nearer than this, rad, to where no tag has been seen yet, detectors miss tags, and so they
 # do on surfaces whose incidence has a larger tangent than this.

@@ -1,8 +1,7 @@
 """What an odometry increment says about the motion, and how far it can be wrong.
 
 The measured distance is (1 + s) times the true one plus a random walk, the measured turn (1 + g) times the true one
-plus a bias b times the time plus a random walk. The calibration c = (s, b, g) hardly changes during a run; its members
-are states of the filters and of a turn's graph. What a turn tells of it is the prior of all that comes after.
+plus a bias b times the time plus a random walk. The calibration c = (s, b, g) is among the shared parameters.
 """
 
 from __future__ import annotations
@@ -14,48 +13,16 @@ from numba import njit
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, Odometry, message, replace
+from tfg_drake.messages import FloatArray, Odometry, message
 
 # A robot whose wheels stand may have turned by less than an encoder tells: errors accrue at this share of their rate in
 # motion, which makes 0.3 mrad in half a minute; a tick of one wheel of a Kobuki is 0.4 mrad.
 REST_SHARE = 0.0001
-# From view to view the calibration may change by this share of its first standard deviation.
-DRIFT = 0.1
-# Least standard deviation of a member of the calibration: a known constant is still a state.
-LEAST_CALIBRATION_SIGMA = 1e-6
 
 
-@message
-class OdometryModel:
-    """What the estimator believes of the odometry.
-
-    noise: (3,) random walks of distance (m per root m), heading (rad per root s) and position (m per root s).
-    calibration_sigma: (3,) standard deviations of the distance scale, the gyro bias (rad/s), the gyro scale before any
-    turn. calibration: (3,), calibration_covariance: (3, 3) what is known of them now.
-    """
-
-    noise: FloatArray
-    calibration_sigma: FloatArray
-    calibration: FloatArray
-    calibration_covariance: FloatArray
-
-
-def odometry_model(config: OdometryConfig) -> OdometryModel:
-    """The model that a configuration describes."""
-    sigma = np.array([config.distance_scale, config.gyro_bias, config.gyro_scale])
-    sigma = np.maximum(sigma, LEAST_CALIBRATION_SIGMA)
-    return OdometryModel(
-        noise=np.array([config.distance_noise, max(config.gyro_noise, 1e-6), config.position_noise]),
-        calibration_sigma=sigma,
-        calibration=np.zeros(3),
-        calibration_covariance=np.diag(sigma**2),
-    )
-
-
-def learnt(model: OdometryModel, calibration: FloatArray, covariance: FloatArray) -> OdometryModel:
-    """The model after a view that knew the calibration (3,) with a covariance (3, 3)."""
-    drift = np.diag((DRIFT * model.calibration_sigma) ** 2)
-    return replace(model, calibration=calibration, calibration_covariance=covariance + drift)
+def random_walks(config: OdometryConfig) -> FloatArray:
+    """(3,) random walks of distance (m per root m), heading (rad per root s) and position (m per root s)."""
+    return np.array([config.distance_noise, max(config.gyro_noise, 1e-6), config.position_noise])
 
 
 @njit(cache=True)
@@ -141,7 +108,7 @@ def predict_increment(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The motion X_B0B1 (3,) that an arc stands for, its Jacobian on the calibration and its random covariance.
 
-    increment: (3,) of `arc`. dt: s. calibration: (3,) s, b, g. noise: (3,) of OdometryModel. Returns X_B0B1, (3, 3)
+    increment: (3,) of `arc`. dt: s. calibration: (3,) s, b, g. noise: (3,) of `random_walks`. Returns X_B0B1, (3, 3)
     Jacobian on (s, b, g), and the (3, 3) covariance of (x, y) in B0 and theta. The heading wanders during the
     increment, so its noise also moves the end sideways.
     """

@@ -11,8 +11,9 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
-from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Observation, replace
-from tfg_drake.slam.keyframe_graph import WITNESSES, Keyframe, KeyframeGraph, rows_of
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, replace
+from tfg_drake.slam.keyframe import Keyframe, rows_of
+from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph
 from tfg_drake.slam.map_solver import solve
 
 # A keyframe of the way whose heading deviates this much or more, rad, ties nothing.
@@ -22,9 +23,7 @@ LEAST_TAGS = 3
 FIT = 0.3
 
 
-def realigned(
-    graph: KeyframeGraph, estimate: MapEstimate, observation: Observation
-) -> tuple[KeyframeGraph, MapEstimate]:
+def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe) -> tuple[KeyframeGraph, MapEstimate]:
     """Graph and estimate with the part mapped since the last kidnapping moved to fit an observation that is not yet in
     them. They are returned as they were where no part is adrift or the observation does not tell its place."""
     keyframes = graph.keyframes
@@ -37,7 +36,7 @@ def realigned(
     old, new = known & before[row] & ~since[row], known & since[row] & ~before[row]
     if (before & since).sum() >= WITNESSES or min(old.sum(), new.sum()) < LEAST_TAGS:
         return graph, estimate
-    p_AL, p_ML = observation.p_AL, estimate.p_ML[row]
+    p_AL, p_ML = observation.given(graph.shared.mean)[0], estimate.p_ML[row]
     by_old, by_new = align(p_ML[old], p_AL[old]), align(p_ML[new], p_AL[new])
     if max(_misfit(by_old, p_AL[old], p_ML[old]), _misfit(by_new, p_AL[new], p_ML[new])) > FIT:
         return graph, estimate
@@ -46,7 +45,7 @@ def realigned(
     X_MN[j + 1 :] = se2.compose(move, X_MN[j + 1 :])
     p_ML[since & ~before] = se2.transform(move, p_ML[since & ~before])
     # The unknown way is given the motion that leads there.
-    way = replace(keyframes[j], X_AD=se2.between(X_MN[j], X_MN[j + 1]))
+    way = replace(keyframes[j], y_AD=se2.between(X_MN[j], X_MN[j + 1]))
     graph = replace(graph, keyframes=(*keyframes[:j], way, *keyframes[j + 1 :]), X_MN=X_MN, p_ML=p_ML)
     return solve(graph, estimate.stamp, estimate.observation)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections
-from tfg_drake.slam.keyframe_graph import rows_of
+from tfg_drake.slam.keyframe import rows_of
 
 # Squared deviations of a tag from where it should be, beyond which they say no more: it is misread, or was moved.
 GATE = 3.5**2

@@ -1,0 +1,272 @@
+"""A keyframe: one Gaussian, in information form, of all that a turn or a piece of the way tells.
+
+It is kept in the unit that it was measured in: lengths times (1 + the scale of ranges), or times (1 + the scale of
+distance) where no tag was seen. In metres a scale would be one more direction of its information, right only where the
+keyframe was taken: as soon as others move the tags by a little, it pulls at the scale, always with the same sign.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
+from tfg_drake.slam.odometry_model import wrap
+from tfg_drake.slam.shared import DISTANCE_SCALE, RANGE_SCALE, SHARED
+
+# A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
+SMALL_STEP = 1e-9
+MOST_STEPS = 5
+
+
+@message
+class Keyframe:
+    """The Gaussian of n tags seen from the pose A at its beginning to D at its end, of D, and of the parameters.
+
+    With y = (the tags in A row by row, D in A) in the keyframe's unit and the shared parameters s, it costs e^T W e / 2
+    + v^T s, e = (y - y_0, s). ids: (n,) ascending; 0 tags: odometry's way. y_AL: (n, 2), y_AD: (3,), y_0. unit: the
+    parameter that is the scale of its lengths. information: W, (2n + 11, 2n + 11). vector: v, (8,).
+    on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad.
+    """
+
+    ids: IntArray
+    y_AL: FloatArray
+    y_AD: FloatArray
+    unit: int
+    information: FloatArray
+    vector: FloatArray
+    on_error: FloatArray
+
+    def given(self, shared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (8,)."""
+        covariance, by_shared = self.conditional()
+        y = np.append(self.y_AL.ravel(), self.y_AD) + by_shared @ shared
+        scale = np.append(np.full(len(y) - 1, 1.0 / (1.0 + shared[self.unit])), 1.0)
+        y *= scale
+        return y[:-3].reshape(-1, 2), y[-3:], covariance * np.outer(scale, scale)
+
+    def conditional(self) -> tuple[FloatArray, FloatArray]:
+        """Covariance (2n + 3, 2n + 3) of y given the parameters, and derivative (2n + 3, 8) of its mean on them."""
+        m = len(self.information) - SHARED
+        covariance = np.linalg.inv(self.information[:m, :m])
+        covariance = 0.5 * (covariance + covariance.T)
+        return covariance, -covariance @ self.information[:m, m:]
+
+    def alone(self) -> tuple[FloatArray, FloatArray]:
+        """What it says of the parameters by itself: information (8, 8), and gradient (8,) where they are zero."""
+        m = len(self.information) - SHARED
+        _, by_shared = self.conditional()
+        own = self.information[m:, m:] + self.information[m:, :m] @ by_shared
+        return 0.5 * (own + own.T), self.vector
+
+
+def keyframe(
+    ids: IntArray,
+    y: FloatArray,
+    shared: FloatArray,
+    unit: int,
+    W: FloatArray,
+    g: FloatArray,
+    on_error: FloatArray,
+) -> Keyframe:
+    """The keyframe of a cost that has gradient g (2n + 11,) and Hessian W (2n + 11, 2n + 11) at (y, shared), y: (2n +
+    3,), shared: (8,)."""
+    m = len(y)
+    back = np.linalg.solve(W[:m, :m], W[:m, m:] @ shared - g[:m])
+    y_0 = y + back
+    vector = g[m:] + W[m:, :m] @ back - W[m:, m:] @ shared
+    return Keyframe(ids, y_0[:-3].reshape(-1, 2), y_0[-3:], unit, W, vector, on_error)
+
+
+def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
+    """The keyframe with some tags marginalised out."""
+    keep = ~np.isin(one.ids, ids)
+    if keep.all():
+        return one
+    rows = np.concatenate([np.repeat(keep, 2), np.ones(3 + SHARED, dtype=bool)])
+    W = one.information
+    across = W[np.ix_(rows, ~rows)]
+    information = W[np.ix_(rows, rows)] - across @ np.linalg.solve(W[np.ix_(~rows, ~rows)], across.T)
+    return replace(
+        one,
+        ids=one.ids[keep],
+        y_AL=one.y_AL[keep],
+        information=0.5 * (information + information.T),
+        on_error=one.on_error[keep],
+    )
+
+
+def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
+    """A way known from elsewhere than odometry: X_AD (3,) and its covariance (3, 3), m and rad."""
+    information = np.zeros((3 + SHARED, 3 + SHARED))
+    information[:3, :3] = np.linalg.inv(covariance)
+    nothing = np.empty(0, dtype=np.int64)
+    return Keyframe(nothing, np.empty((0, 2)), X_AD, DISTANCE_SCALE, information, np.zeros(SHARED), np.empty((0, 2, 2)))
+
+
+def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
+    """Two keyframes that follow each other as one, linearised at the parameters (8,); the pose (3,) between them in the
+    first's frame, m and rad, and the standard deviation of its position, m.
+
+    Both have tags, so both have the unit of ranges, and no scale is in how they lie to each other.
+    """
+    ids = np.union1d(first.ids, second.ids)
+    rows = np.searchsorted(ids, first.ids), np.searchsorted(ids, second.ids)
+    n, at_yaw = len(ids), shared.copy()
+    at_yaw[RANGE_SCALE] = 0.0
+    (y_1, B, _), (y_2, X_BD, _) = (replace(one, unit=RANGE_SCALE).given(at_yaw) for one in (first, second))
+    y_AL, D, A = np.empty((n, 2)), se2.compose(B, X_BD), np.zeros(3)
+    y_AL[rows[1]] = se2.transform(B, y_2)
+    y_AL[rows[0]] = y_1
+    # Tags, D, the parameters, B; A is fixed.
+    size = 2 * n + 3 + SHARED + 3
+    at = [_places(rows[0], n, size - 3, -1), _places(rows[1], n, 2 * n, size - 3)]
+    for _ in range(MOST_STEPS):
+        H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
+        for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
+            H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, -1, one.information, one.vector, begin, end, shared)
+            H[np.ix_(place, place)] += H_k
+            g[place] += g_k
+        free = np.append(np.arange(2 * n + 3), np.arange(size - 3, size))
+        step = np.linalg.solve(H[np.ix_(free, free)], -g[free])
+        y_AL += step[: 2 * n].reshape(-1, 2)
+        D, B = D + step[2 * n : 2 * n + 3], B + step[2 * n + 3 :]
+        if np.max(np.abs(step)) < SMALL_STEP:
+            break
+    m = size - 3
+    across, of_B = H[:m, m:size], np.linalg.inv(H[m:size, m:size])
+    W, gradient = H[:m, :m] - across @ of_B @ across.T, g[:m] - across @ of_B @ g[m:size]
+    covariance = np.linalg.inv(H[np.ix_(free, free)])
+    y, on_error = np.append(y_AL.ravel(), D), _errors_of_both(first, second, rows, n, float(B[2]))
+    both = keyframe(ids, y, shared, RANGE_SCALE, 0.5 * (W + W.T), gradient, on_error)
+    both = replace(both, y_AD=np.append(both.y_AD[:2], wrap(float(both.y_AD[2]))))
+    share = 1.0 / (1.0 + shared[RANGE_SCALE])
+    return both, B * np.array([share, share, 1.0]), share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
+
+
+def _errors_of_both(
+    first: Keyframe, second: Keyframe, rows: tuple[IntArray, IntArray], n: int, heading: float
+) -> FloatArray:
+    """(n, 2, 2) on_error of a fusion whose second keyframe begins with this heading, rad: the mean by weight."""
+    weight, weighted = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
+    for one, row, R in zip((first, second), rows, (np.eye(2), se2.rotation(heading)), strict=True):
+        i = 2 * np.arange(len(row))[:, None] + [0, 1]
+        own = R @ one.information[i[:, :, None], i[:, None, :]] @ R.T
+        weight[row] += own
+        weighted[row] += own @ R @ one.on_error
+    return np.asarray(np.linalg.solve(weight, weighted), dtype=float)
+
+
+def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
+    """Where tags, D, A and the parameters of a keyframe are in a fusion of n tags; -1: at its end, to be left out."""
+    tags = (2 * rows[:, None] + [0, 1]).ravel()
+    beyond = 2 * n + 3 + SHARED + 3
+    A = beyond if A < 0 else A
+    return np.concatenate([tags, D + np.arange(3), A + np.arange(3), 2 * n + 3 + np.arange(SHARED)])
+
+
+@njit(cache=True)
+def residual(
+    p_ML: FloatArray,
+    y_AL: FloatArray,
+    y_AD: FloatArray,
+    unit: int,
+    A: FloatArray,
+    D: FloatArray,
+    shared: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """The error (2n + 11,) of a keyframe, see Keyframe, and its Jacobian (2n + 11, 11) on A and the parameters.
+
+    p_ML: (n, 2) its tags. unit: -1 where all lengths are in the keyframe's unit.
+    """
+    n, scale = len(p_ML), 1.0
+    if unit >= 0:
+        scale = 1.0 + shared[unit]
+    c, s = math.cos(A[2]), math.sin(A[2])
+    m = 2 * n + 3
+    error, on = np.empty(m + SHARED), np.zeros((m + SHARED, 3 + SHARED))
+    for i in range(n + 1):
+        if i < n:
+            dx, dy = p_ML[i, 0] - A[0], p_ML[i, 1] - A[1]
+            seen_x, seen_y = y_AL[i, 0], y_AL[i, 1]
+        else:
+            dx, dy, seen_x, seen_y = D[0] - A[0], D[1] - A[1], y_AD[0], y_AD[1]
+        x, y = c * dx + s * dy, -s * dx + c * dy
+        error[2 * i], error[2 * i + 1] = scale * x - seen_x, scale * y - seen_y
+        on[2 * i, 0], on[2 * i, 1], on[2 * i, 2] = -scale * c, -scale * s, scale * y
+        on[2 * i + 1, 0], on[2 * i + 1, 1], on[2 * i + 1, 2] = scale * s, -scale * c, -scale * x
+        if unit >= 0:
+            on[2 * i, 3 + unit], on[2 * i + 1, 3 + unit] = x, y
+    error[m - 1] = wrap(D[2] - A[2] - y_AD[2])
+    on[m - 1, 2] = -1.0
+    for i in range(SHARED):
+        error[m + i] = shared[i]
+        on[m + i, 3 + i] = 1.0
+    return error, on
+
+
+@njit(cache=True)
+def linearised(
+    p_ML: FloatArray,
+    y_AL: FloatArray,
+    y_AD: FloatArray,
+    unit: int,
+    information: FloatArray,
+    vector: FloatArray,
+    A: FloatArray,
+    D: FloatArray,
+    shared: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Hessian (2n + 14, 2n + 14) and gradient (2n + 14,) of a keyframe's cost, in the order of tags, D, A and
+    parameters, and twice the cost.
+
+    The Jacobian on tags and D's position is a scaled rotation, so that their block of the Hessian is the information,
+    turned.
+    """
+    error, on = residual(p_ML, y_AL, y_AD, unit, A, D, shared)
+    m, size = len(error) - SHARED, len(error) + 3
+    scale = 1.0
+    if unit >= 0:
+        scale = 1.0 + shared[unit]
+    c, s = scale * math.cos(A[2]), scale * math.sin(A[2])
+    weighted, weighted_on = information @ error, information @ on
+    H, g = np.empty((size, size)), np.empty((size, 1))
+    half = np.empty((m, m))
+    for i in range(0, m - 1, 2):
+        for j in range(m):
+            _turned(half, i, j, information[i, j], information[i + 1, j], c, s)
+        for j in range(3 + SHARED):
+            _turned(H, i, m + j, weighted_on[i, j], weighted_on[i + 1, j], c, s)
+        _turned(g, i, 0, weighted[i], weighted[i + 1], c, s)
+    half[m - 1] = information[m - 1, :m]
+    H[m - 1, m:] = weighted_on[m - 1]
+    g[m - 1, 0] = weighted[m - 1]
+    for i in range(m):
+        for j in range(0, m - 1, 2):
+            H[i, j], H[i, j + 1] = c * half[i, j] - s * half[i, j + 1], s * half[i, j] + c * half[i, j + 1]
+        H[i, m - 1] = half[i, m - 1]
+        H[m:, i] = H[i, m:]
+    H[m:, m:] = on.T @ weighted_on
+    g[m:, 0] = on.T @ weighted
+    cost = float(error @ weighted)
+    for i in range(SHARED):
+        g[m + 3 + i, 0] += vector[i]
+        cost += 2.0 * vector[i] * shared[i]
+    return H, g[:, 0].copy(), cost
+
+
+@njit(cache=True)
+def _turned(into: FloatArray, i: int, j: int, a: float, b: float, c: float, s: float) -> None:
+    """A pair of numbers (a, b) in A's axes, in M's axes, as rows i and i + 1 of column j."""
+    into[i, j], into[i + 1, j] = c * a - s * b, s * a + c * b
+
+
+def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
+    """Rows (m,) of some ids among the known ones (n,), ascending, and which of them are known (m,)."""
+    if len(known) == 0:
+        return np.zeros(len(ids), dtype=np.int64), np.zeros(len(ids), dtype=bool)
+    row = np.minimum(np.searchsorted(known, ids), len(known) - 1)
+    return row, np.asarray(known[row] == ids)

@@ -1,0 +1,210 @@
+"""What the laser scan tells of the tags' ranges and of the camera's mount: tags stand on the surfaces that it meets.
+
+A range scale error is invisible to a map of bearings and ranges alone, scales all of it and dominates every other
+error; a few turns beside a scan tell it to a part in a thousand. The comparison of one sighting with the scan is off by
+what all of them share: tags stand an unknown distance before their surfaces, and the scan is read at a bearing, from a
+place, that the mounts of camera and scanner make uncertain. Each tag has an error of its own beside, the same in all
+frames. All these are eliminated, so what is left is a measurement of the parameters with the covariance that it has.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, TagDetections, message, replace
+from tfg_drake.slam.shared import CAMERA_YAW, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED, Shared
+
+# The parameters that a comparison is linear in: those of the camera less those of the scanner, and the distance of tags
+# before their surfaces, m.
+COMPARED = (RANGE_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y)
+# Prior standard deviations of the scanner's yaw (rad), of its lever arm (m, twice) and of that distance.
+NUISANCE = (0.01, 0.005, 0.005, 0.02)
+# Standard deviation of a tag's own error in range, m: tags are printed, measured and hung to a centimetre.
+TAG_SIGMA = 0.01
+# Pairs that differ by more than this many standard deviations are of two different things.
+GATE = 4.0
+# So large a share, where it is this many standard deviations from none, is told: tags are of another size, or the
+# calibration is of another camera. So many pairs must say so where they agree with no scale that may well be.
+TOLD, SIGNIFICANT = 0.03, 4.0
+MANY = 100
+# They are counted by the logarithm of range over range, in bins this wide, up to as much more or less as MOST, a factor
+# of 50. Half of all pairs must lie this near together, whichever is the more: so many bins, or so large a share of what
+# is told.
+BIN, MOST = 0.02, 3.92
+NEAR, NEARLY = 3, 0.25
+# Surfaces seen more slantwise than this are left out (tangent of 60 degrees): a bearing error becomes a range error.
+STEEPEST = 1.75
+# Neighbouring rays belong to one surface when their ranges differ by less than this share; the surface is the line
+# through this many of them on either side.
+SAME_SURFACE = 0.1
+RAYS = 4
+
+
+@message
+class ScanRanges:
+    """All pairs of a sighting and the scan. ids: (t,), ascending, of the tags in them. sums: (t, 7, 7) over each
+    tag's pairs of w (J, d, 1) (J, d, 1)^T: J (5,) how the pair differs by the parameters compared and the distance
+    before the surface, d: its difference, m, where these are zero, w: its weight, 1/m^2.
+
+    apart: (b,) how many of the pairs that do not agree have ranges whose logarithm is greater than that of the range to
+    the surface by -MOST to -MOST + BIN, ... pairs: how many agree. told: whether somebody was told of a `great_error`.
+    """
+
+    ids: IntArray
+    sums: FloatArray
+    apart: IntArray
+    pairs: int
+    told: bool = False
+
+
+def none_compared() -> ScanRanges:
+    """Before the first pair."""
+    apart = np.zeros(round(2.0 * MOST / BIN), dtype=np.int64)
+    return ScanRanges(np.zeros(0, dtype=np.int64), np.zeros((0, 7, 7)), apart, 0)
+
+
+def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, shared: Shared) -> ScanRanges:
+    """The pairs with those of one frame of tags and the scan of the same instant; shared: what is known of the
+    parameters."""
+    if len(scan.angles) < 2 or not len(detections.ids):
+        return before
+    sigma = np.append(shared.sigma[list(COMPARED)], NUISANCE[-1])
+    sigma[1:4] = np.hypot(sigma[1:4], NUISANCE[:3])
+    rows, weight, apart = _pairs(
+        detections.range,
+        detections.bearing,
+        detections.sigma_range,
+        detections.sigma_bearing,
+        scan.angles,
+        scan.ranges,
+        scan.sigma,
+        np.append(shared.mean[list(COMPARED)], 0.0),
+        sigma,
+    )
+    if len(apart):
+        before = replace(before, apart=before.apart + np.bincount(apart, minlength=len(before.apart)))
+    agree = weight > 0.0
+    if not agree.any():
+        return before
+    ids = np.union1d(before.ids, detections.ids[agree])
+    sums = np.zeros((len(ids), 7, 7))
+    sums[np.searchsorted(ids, before.ids)] = before.sums
+    each = rows[agree]
+    np.add.at(
+        sums,
+        np.searchsorted(ids, detections.ids[agree]),
+        weight[agree, None, None] * each[:, :, None] * each[:, None, :],
+    )
+    return replace(before, ids=ids, sums=sums, pairs=before.pairs + int(np.count_nonzero(agree)))
+
+
+def told_by_scan(ranges: ScanRanges) -> tuple[FloatArray, FloatArray]:
+    """What all pairs say of the shared parameters: information (8, 8) and gradient (8,) where they are zero."""
+    of_tag, weight = ranges.sums[:, :6, 6], ranges.sums[:, 6, 6]
+    # Each tag's own error eliminated.
+    M = ranges.sums[:, :6, :6].sum(axis=0) - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
+    J, gradient = M[:5, :5], -M[:5, 5]
+    # From what is compared to (parameters, scanner, distance).
+    by = np.zeros((5, 8))
+    by[:4, :4], by[4, 7] = np.eye(4), 1.0
+    by[1:4, 4:7] = -np.eye(3)
+    H, g = by.T @ J @ by, by.T @ gradient
+    H[4:, 4:] += np.diag(np.power(NUISANCE, -2.0))
+    back = np.linalg.solve(H[4:, 4:], np.column_stack([H[4:, :4], g[4:]]))
+    information, vector = np.zeros((SHARED, SHARED)), np.zeros(SHARED)
+    at = np.array(COMPARED)
+    information[np.ix_(at, at)] = H[:4, :4] - H[:4, 4:] @ back[:, :4]
+    vector[at] = g[:4] - H[:4, 4:] @ back[:, 4]
+    return 0.5 * (information + information.T), vector
+
+
+@njit(cache=True)
+def surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
+    """Distance (m) to the surface at a bearing (rad), and the tangent of how much farther to the left it is looked at
+    straight, the incidence; nan without a surface.
+
+    One over the range is a sinusoid of the angle along a line, straight over a few rays, whose angles are evenly spaced
+    or nearly so: those of a depth image are the closer together the farther from its middle.
+    """
+    first = np.searchsorted(angles, bearing) - RAYS
+    if not (first >= 0 and first + 2 * RAYS <= len(ranges)):
+        return math.nan, math.nan
+    step = (angles[first + 2 * RAYS - 1] - angles[first]) / (2 * RAYS - 1)
+    middle = 0.5 * (angles[first + RAYS - 1] + angles[first + RAYS])
+    total, slope = 0.0, 0.0
+    for i in range(first, first + 2 * RAYS):
+        if not np.isfinite(ranges[i]) or ranges[i] <= 0.0:
+            return math.nan, math.nan
+        if i > first and not abs(ranges[i] - ranges[i - 1]) < SAME_SURFACE * ranges[i]:
+            return math.nan, math.nan
+        total += 1.0 / ranges[i]
+        slope += (i - first - RAYS + 0.5) / ranges[i]
+    slope /= RAYS * (4 * RAYS * RAYS - 1) / 6.0
+    inverse = total / (2 * RAYS) + slope * (bearing - middle) / step
+    return 1.0 / inverse, slope / (step * inverse)
+
+
+@njit(cache=True)
+def _pairs(
+    range_: FloatArray,
+    bearing: FloatArray,
+    sigma_range: FloatArray,
+    sigma_bearing: FloatArray,
+    angles: FloatArray,
+    ranges: FloatArray,
+    sigma_scan: float,
+    mean: FloatArray,
+    sigma: FloatArray,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Of each sighting of a frame (n,) its row (J, d, 1) (n, 7) and its weight (n,), 0 where it agrees with no surface;
+    and of those that do not agree their bins of ScanRanges.apart, (a,).
+
+    mean, sigma: (5,) of what is compared.
+    """
+    rows, weight = np.ones((len(range_), 7)), np.zeros(len(range_))
+    apart, others = np.empty(len(range_), dtype=np.int64), 0
+    for k in range(len(range_)):
+        at = bearing[k] + mean[1]
+        distance, slant = surface(at, angles, ranges)
+        if not abs(slant) < STEEPEST:
+            continue
+        row = rows[k]
+        row[0], row[1] = distance, -slant * distance
+        row[2], row[3] = -math.cos(at), -math.sin(at)
+        row[4] = -math.sqrt(1.0 + slant * slant)
+        row[5] = range_[k] - distance
+        variance = sigma_range[k] ** 2 + (slant * distance * sigma_bearing[k]) ** 2 + sigma_scan**2 / RAYS
+        error, predicted = row[5], variance + TAG_SIGMA**2
+        for a in range(5):
+            predicted += (row[a] * sigma[a]) ** 2
+            error -= row[a] * mean[a] if a != 1 else 0.0
+        # Where the parameters are zero the scan would be read elsewhere.
+        row[5] += row[1] * mean[1]
+        if error * error > GATE**2 * predicted:
+            longer = math.log(range_[k] / distance)
+            if abs(longer) < MOST:
+                apart[others] = int((longer + MOST) / BIN)
+                others += 1
+            continue
+        weight[k] = 1.0 / variance
+    return rows, weight, apart[:others]
+
+
+def great_error(ranges: ScanRanges, shared: Shared) -> float:
+    """The share by which the tags' ranges are longer than the scan's where that is more than TOLD and beyond doubt,
+    else 0: one that is known, where most pairs agree, or one so great that most do not, and nearly alike."""
+    r, sigma = float(shared.mean[RANGE_SCALE]), float(shared.sigma[RANGE_SCALE])
+    apart = int(ranges.apart.sum())
+    if ranges.pairs > apart and abs(r) > TOLD + SIGNIFICANT * sigma:
+        return r
+    most = max(MANY, (ranges.pairs + apart) // 2)
+    counted = np.append(0, np.cumsum(ranges.apart))
+    width = np.searchsorted(counted, counted + most, side="right") - np.arange(len(counted))
+    first = int(np.argmin(np.where(counted + most < counted[-1], width, len(counted))))
+    middle = BIN * (first + 0.5 * width[first]) - MOST
+    says_so = counted[first] + most < counted[-1] and width[first] <= max(NEAR, NEARLY * abs(middle) / BIN)
+    share = math.expm1(middle)
+    return share if says_so and abs(share) > TOLD else 0.0

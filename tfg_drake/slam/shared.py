@@ -1,0 +1,62 @@
+"""The parameters that all keyframes share: constant errors of odometry and camera, unknowns of the keyframe graph.
+
+What a data sheet says of them is their prior. Every keyframe tells something of them and depends on all of them, so
+they are estimated with the map, jointly; the published pose is as uncertain as they make it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.messages import FloatArray, TagDetections, message, replace
+
+# The places of the parameters in all vectors. Measured distance = (1 + DISTANCE_SCALE) * distance, measured turn =
+# (1 + GYRO_SCALE) * turn + GYRO_BIAS (rad/s) * time, measured range = (1 + RANGE_SCALE) * range. The camera looks
+# CAMERA_YAW (rad) to the left, sits LEVER_X ahead and LEVER_Y to the left (m) of where it is believed to sit, and its
+# clock is CLOCK (s) ahead of the base's: a frame stamped s shows what there was at s - CLOCK.
+DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK, RANGE_SCALE = range(8)
+SHARED = 8
+# A known constant is still an unknown: least standard deviation of each.
+LEAST_SIGMA = 1e-6
+
+
+@message
+class Shared:
+    """Gaussian of the shared parameters. mean: (8,), covariance: (8, 8), in the units and the order above."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(8,) standard deviations."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def by_data_sheet(odometry: OdometryConfig, sensor: TagSensorConfig) -> Shared:
+    """The parameters before the first frame: none is expected to be off, as surely as the data sheets say."""
+    mount = sensor.mount_deviation
+    camera = [sensor.yaw_deviation, mount, mount, sensor.clock_deviation, sensor.range_scale_deviation]
+    return exactly_known(np.append(calibration_sigma(odometry), camera))
+
+
+def calibration_sigma(odometry: OdometryConfig) -> FloatArray:
+    """(3,) standard deviations of the odometry's parameters by the data sheet."""
+    return np.array([odometry.distance_scale, odometry.gyro_bias, odometry.gyro_scale])
+
+
+def exactly_known(sigma: FloatArray | None = None) -> Shared:
+    """Parameters that are all zero, with these standard deviations (8,), or known before."""
+    sigma = np.zeros(SHARED) if sigma is None else sigma
+    return Shared(np.zeros(SHARED), np.diag(np.maximum(sigma, LEAST_SIGMA) ** 2))
+
+
+def seen_from_body(detections: TagDetections, shared: Shared) -> TagDetections:
+    """Detections with the expected scale of ranges and camera's yaw taken out: as a camera that looks ahead sees
+    them."""
+    return replace(
+        detections,
+        range=detections.range / (1.0 + shared.mean[RANGE_SCALE]),
+        bearing=detections.bearing + shared.mean[CAMERA_YAW],
+    )
