@@ -216,6 +216,17 @@ class MapEstimate:
         joint[:m, :m], joint[:, m:], joint[m:, :m] = self.covariance, self.with_shared, self.with_shared[:m].T
         return joint
 
+    def given_shared(self) -> MapEstimate:
+        """The map as uncertain as it is given the shared parameters: what views can make more accurate."""
+        if not len(self.shared):
+            return self
+        m, of_local = len(self.covariance), np.arange(len(self.local))
+        across = self.with_shared[:m]
+        covariance = self.covariance - across @ np.linalg.solve(self.with_shared[m:], across.T)
+        each = self.landmark_covariance.copy()
+        each[self.local] = covariance[:-3, :-3].reshape(len(of_local), 2, len(of_local), 2)[of_local, :, of_local, :]
+        return replace(self, covariance=covariance, landmark_covariance=each)
+
     @property
     def local_p_ML(self) -> FloatArray:
         """Those of the landmarks known jointly, (m, 2)."""

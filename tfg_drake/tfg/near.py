@@ -31,6 +31,7 @@ def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
     """The map with some of its landmarks (n,) only, and with all its views."""
     joint = keep[estimate.local]
     rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=np.bool_))
+    with_parameters = np.append(rows, np.ones(len(estimate.shared), dtype=np.bool_))
     return replace(
         estimate,
         ids=estimate.ids[keep],
@@ -38,4 +39,5 @@ def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
         local=(np.cumsum(keep) - 1)[estimate.local[joint]],
         covariance=estimate.covariance if joint.all() else estimate.covariance[np.ix_(rows, rows)],
         landmark_covariance=estimate.landmark_covariance[keep],
+        with_shared=estimate.with_shared[with_parameters] if len(estimate.shared) else estimate.with_shared,
     )
