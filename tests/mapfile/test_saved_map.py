@@ -27,9 +27,11 @@ from tfg_drake.mapfile.saved_map import (
     save_map,
 )
 from tfg_drake.mapfile.summary import map_rows
+from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
+from tfg_drake.slam.shared import exactly_known
 
 DAMAGED = "FILE is damaged or not a map of tfg-drake"
 FORMAT = Path(__file__).parents[2] / "docs" / "map_format.md"
@@ -65,8 +67,8 @@ def test_round_trip_is_exact(path, small_map):
 
 
 def test_a_map_without_landmarks_can_be_kept(tmp_path, small_map):
-    observation = dataclasses.replace(empty_map().observation, covariance=1e-4 * np.eye(3))
-    graph, _, _ = updated(empty_graph(), empty_map(), observation)
+    prior = exactly_known()
+    graph, _, _ = updated(empty_graph(prior), empty_map(prior), way(np.zeros(3), 1e-4 * np.eye(3)))
     bare = dataclasses.replace(
         small_map,
         stage=1,
@@ -163,8 +165,8 @@ def test_an_array_of_zeros_is_not_unpacked(path):
 
 def test_a_shape_without_numbers_asks_for_no_memory(path):
     shape = np.array([[0, 10**9]] * 3)
-    rewrite(path, **{"graph.keyframes.p_AL__shape": shape, "graph.keyframes.p_AL": np.zeros(0)})
-    assert error_of(path) == ("FILE is not a whole map: graph.keyframes.p_AL@shape does not fit graph.keyframes.p_AL")
+    rewrite(path, **{"graph.keyframes.y_AL__shape": shape, "graph.keyframes.y_AL": np.zeros(0)})
+    assert error_of(path) == ("FILE is not a whole map: graph.keyframes.y_AL@shape does not fit graph.keyframes.y_AL")
 
 
 def test_missing_and_foreign_files(tmp_path):
@@ -216,8 +218,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(9)}, "FILE has map schema 9; this version reads schema 8: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 8: make the map anew"),
+        ({"schema": np.int64(10)}, "FILE has map schema 10; this version reads schema 9: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 9: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),

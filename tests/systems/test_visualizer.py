@@ -54,9 +54,6 @@ def make_world():
 def make_map(n=2, stage=1):
     observation = Observation(
         ids=np.zeros(0, dtype=int),
-        p_AL=np.zeros((0, 2)),
-        X_AD=np.zeros(3),
-        covariance=np.eye(3),
         stamps=np.zeros(0),
         X_AB=np.zeros((0, 3)),
     )

@@ -101,10 +101,17 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
 
 def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
     """A way known from elsewhere than odometry: X_AD (3,) and its covariance (3, 3), m and rad."""
-    information = np.zeros((3 + SHARED, 3 + SHARED))
-    information[:3, :3] = np.linalg.inv(covariance)
-    nothing = np.empty(0, dtype=np.int64)
-    return Keyframe(nothing, np.empty((0, 2)), X_AD, DISTANCE_SCALE, information, np.zeros(SHARED), np.empty((0, 2, 2)))
+    return of_places(np.empty(0, dtype=np.int64), np.empty((0, 2)), X_AD, covariance)
+
+
+def of_places(ids: IntArray, p_AL: FloatArray, X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
+    """A keyframe that tells nothing of the parameters: p_AL (n, 2) of some tags (n,), ascending, and X_AD (3,), m and
+    rad, where the parameters are zero, with their covariance (2n + 3, 2n + 3)."""
+    n = len(ids)
+    information = np.zeros((2 * n + 3 + SHARED, 2 * n + 3 + SHARED))
+    information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
+    unit = RANGE_SCALE if n else DISTANCE_SCALE
+    return Keyframe(ids, p_AL, X_AD, unit, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
