@@ -58,33 +58,25 @@ class KnownWorld:
         from those."""
         X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
         published, X_MB, covariance = mission.published_poses()
-        X_WB_then, yaw = poses_at(published, true_stamps, X_WB_true), self._scenario.reality.tags.yaw
+        X_WB_then = poses_at(published, true_stamps, X_WB_true)
         area = _area(self._scenario, self._world, self._grid, self._cells, mission, true_stamps, X_WB_true)
         return {
             "distance_m": path_length(X_WB_true),
             **_consistency(mission, compose(inverse(mission.X_WM), X_WD_true)),
-            "online_pose_anees": online_pose_anees(X_MB, covariance, X_WB_then, self._world.start, yaw),
+            "online_pose_anees": online_pose_anees(X_MB, covariance, X_WB_then, self._world.start),
             **pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
             **area,
         }
 
 
-def online_pose_anees(
-    X_MB: FloatArray, covariance: FloatArray, X_WB_true: FloatArray, X_WS: FloatArray, yaw: float
-) -> float:
+def online_pose_anees(X_MB: FloatArray, covariance: FloatArray, X_WB_true: FloatArray, X_WS: FloatArray) -> float:
     """ANEES of poses X_MB (n, 3) that a robot drove by, with the covariances (n, 3, 3) that were published with them.
 
-    X_WB_true: (n, 3) at the same instants. M lies where the robot started, X_WS (3,), its x axis where the camera
-    looked then, so the truth in M is had with the camera's true yaw, rad: what the covariance of X_MB is about is how
-    far the robot is from there. With the yaw as estimated then, its error would leave the heading and turn the
-    positions, of which the covariance says nothing; with the last one, poses would be judged by what nobody knew then.
-    Landmarks and departures, which are judged with what is known in the end, do take the last one (`map_frame`).
-
-    Poses with a singular covariance are left out: the first, at M's origin by definition.
+    X_WB_true: (n, 3) at the same instants. X_WS: (3,) where the robot started, the map's frame. Poses with a singular
+    covariance are left out: the first, at M's origin by definition.
     """
-    X_WM = compose(X_WS, np.array([0.0, 0.0, yaw]))
     judged = np.linalg.det(covariance) > 0.0
-    return metrics.pose_anees(X_MB[judged], compose(inverse(X_WM), X_WB_true[judged]), covariance[judged])
+    return metrics.pose_anees(X_MB[judged], compose(inverse(X_WS), X_WB_true[judged]), covariance[judged])
 
 
 def path_length(X_WB: FloatArray) -> float:
