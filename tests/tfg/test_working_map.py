@@ -8,10 +8,11 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import MapEstimate, replace
+from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg import graph as whole
 from tfg_drake.tfg.frontier import join, place_points, points_of, select
 from tfg_drake.tfg.graph import TfgGraph, UnmappedSightings, no_sightings, resolve
-from tfg_drake.tfg.working_map import empty_graphs, update, whole_graph, working_map
+from tfg_drake.tfg.working_map import empty_graphs, of_landmarks, update, whole_graph, working_map
 
 # A corridor, rooms with thin walls and doors on one side of it, an unexplored end.
 WALLS = [[0, 0, 70, 0], [70, 3, 0, 3], [0, 3, 0, 0], [0, 8, 70, 8], [0, 3, 0, 8], [70, 3, 70, 8]]
@@ -245,3 +246,21 @@ def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_vie
     graphs = take_up(world, graphs, np.zeros(3), no_sightings(), False)
     tried = place_points(graphs.active.tried, np.array(world.X_MA)).p
     assert (np.abs(tried - [1.0, 2.0]).max(axis=1) < 1.0).any()
+
+
+def test_fewer_landmarks_keep_what_ties_them_to_the_shared_parameters() -> None:
+    joint = np.arange(2.0 * 4 + 3 + 8)[:, None] + 100.0 * np.arange(2.0 * 4 + 3 + 8)
+    estimate = replace(
+        empty_map(),
+        ids=np.arange(5),
+        p_ML=np.zeros((5, 2)),
+        local=np.array([0, 1, 3, 4]),
+        covariance=joint[:11, :11],
+        with_shared=joint[:, 11:],
+        landmark_covariance=np.zeros((5, 2, 2)),
+    )
+    few = of_landmarks(estimate, np.array([True, False, True, True, False]))
+    rows = np.array([0, 1, 4, 5, *range(8, 19)])
+    assert few.local.tolist() == [0, 2]
+    np.testing.assert_array_equal(few.with_shared, joint[np.ix_(rows, np.arange(11, 19))])
+    assert few.joint_covariance.shape == (15, 15)

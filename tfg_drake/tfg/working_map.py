@@ -137,6 +137,7 @@ def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
     """The map with some of its landmarks (n,) only, and with all its views."""
     local = keep[estimate.is_local]
     rows = np.append(np.repeat(local, 2), np.ones(3, dtype=np.bool_))
+    shared = np.append(rows, np.ones(len(estimate.shared), dtype=np.bool_))
     return replace(
         estimate,
         ids=estimate.ids[keep],
@@ -144,6 +145,7 @@ def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
         local=np.flatnonzero(estimate.is_local[keep]),
         covariance=estimate.covariance[np.ix_(rows, rows)],
         landmark_covariance=estimate.landmark_covariance[keep],
+        with_shared=estimate.with_shared[shared] if len(estimate.shared) else estimate.with_shared,
     )
 
 
