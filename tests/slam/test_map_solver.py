@@ -103,11 +103,15 @@ def test_the_parameters_are_known_with_the_map(joint):
     assert np.abs(estimate.p_ML - p_ML[estimate.ids - 100]).max() < 0.2
 
 
+# Speed, turn rate and length, s, of turns and ways.
+PIECES = [(0.0, 0.6, 10.5), (0.4, 0.1, 4.0), (0.0, 0.6, 10.5), (0.4, -0.15, 5.0), (0.0, -0.6, 8.0)]
+
+
 def drive_of(seed, pieces):
-    """A drive of turns and ways with all parameters off, and its pieces."""
+    """The pieces of a drive with all parameters off."""
     rng = np.random.default_rng(seed)
     robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=8), seed)
-    return robot, [robot.piece(*one) for one in pieces]
+    return [robot.piece(*one) for one in pieces]
 
 
 def graph_of(pieces, shared):
@@ -117,7 +121,7 @@ def graph_of(pieces, shared):
 
 def test_the_graph_of_a_drive_is_the_least_squares_of_all_its_frames():
     """Reduced once more where the parameters have been found."""
-    robot, pieces = drive_of(3, [(0.0, 0.6, 10.5), (0.4, 0.1, 4.0), (0.0, 0.6, 10.5), (0.4, -0.15, 5.0), (0.0, -0.6, 8.0)])
+    pieces = drive_of(3, PIECES)
     expected = dense(pieces)
     graph, estimate = solve(graph_of(pieces, PRIOR), 0.0, NOTHING)
     for _ in range(2):

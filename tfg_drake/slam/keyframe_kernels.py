@@ -55,13 +55,15 @@ class Unknowns(NamedTuple):
 
 
 @njit(cache=True)
-def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+def _seen(
+    k: int, keyframes: Keyframes, values: Values
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Of keyframe k: the rows (n,) of its landmarks, how errors of theirs seem to move them in M, (n, 2, 2), where they
-    seem to be, (n, 2), and its information (2n + 11, 2n + 11)."""
+    are, (n, 2), its y_AL without those errors, (n, 2), and its information (2n + 11, 2n + 11)."""
     some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
     rows, scale = keyframes.rows[some], 1.0 + values.shared[keyframes.unit[k]]
     c, s = math.cos(values.X_MN[k, 2]) / scale, math.sin(values.X_MN[k, 2]) / scale
-    by_error, p_ML = np.empty((len(rows), 2, 2)), np.empty((len(rows), 2))
+    by_error, p_ML, y_AL = np.empty((len(rows), 2, 2)), np.empty((len(rows), 2)), keyframes.y_AL[some].copy()
     for i in range(len(rows)):
         on = keyframes.on_error[keyframes.offsets[k] + i]
         for a in range(2):
@@ -69,10 +71,10 @@ def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, Float
         for a in range(2):
             p_ML[i, a] = values.p_ML[rows[i], a]
             for b in range(2):
-                p_ML[i, a] += by_error[i, a, b] * values.errors[rows[i], b]
+                y_AL[i, a] -= on[a, b] * values.errors[rows[i], b]
     m = 2 * len(rows) + 3 + SHARED
     W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
-    return rows, by_error, p_ML, W
+    return rows, by_error, p_ML, y_AL, W
 
 
 @njit(cache=True)
@@ -91,11 +93,11 @@ def assemble(
     total = 0.0
     for k in which:
         begin = keyframes.offsets[k]
-        rows, by_error, p_ML, W = _seen(k, keyframes, values)
+        rows, by_error, p_ML, y_AL, W = _seen(k, keyframes, values)
         n = len(rows)
         H, g, cost = linearised(
             p_ML,
-            keyframes.y_AL[begin : begin + n],
+            y_AL,
             keyframes.y_AD[k],
             keyframes.unit[k],
             W,
@@ -140,11 +142,10 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
     """Add the gradient of the cost of k keyframes, and return twice that cost."""
     total = 0.0
     for k in range(len(keyframes.y_AD)):
-        begin = keyframes.offsets[k]
-        rows, by_error, p_ML, W = _seen(k, keyframes, values)
+        rows, by_error, p_ML, y_AL, W = _seen(k, keyframes, values)
         error, on = residual(
             p_ML,
-            keyframes.y_AL[begin : begin + len(rows)],
+            y_AL,
             keyframes.y_AD[k],
             keyframes.unit[k],
             values.X_MN[k],
